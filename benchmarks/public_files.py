@@ -327,31 +327,36 @@ def expanded(path, arguments, folder):
 # --- one file ---------------------------------------------------------------------------------------------------------
 
 
-def loaded(path, kind, arguments):
-    """Return a robot, and the flags of ``redundancy-pin new`` that decide what a URDF leaves open.
+def loaded(path, arguments):
+    """Return a robot, and the flags of ``redundancy-pin new`` that decide what a file leaves open.
 
-    Motors are the independent joints there.
+    Motors are the independent joints there, those with ranges first; the branch is the one that the question names.
     """
     try:
         return rp.load_robot(path, **arguments), ""
     except RedundancyPinError as error:
-        if kind not in ("URDF", "xacro") or "--" not in str(error) or arguments:
+        flags = [flag for flag in ("--open", "--actuate", "--guess") if flag in str(error)]
+        if not flags or arguments:
             raise
-        is_open = "--open" in str(error)
-        proposal, _ = propose_robot(path, is_open=is_open)
-        driven = [str(name) for name in proposal.mechanism.model.names][1:]
-        proposal, robot = propose_robot(path, actuate=driven, is_open=is_open)
-        if robot is not None:
-            proposal, robot = propose_robot(path, actuate=robot.independent_joints, is_open=is_open)
+        is_open = "--open" in flags
+        proposal, robot = propose_robot(path, is_open=is_open)
+        if not proposal.motors:
+            flags.append("--actuate")
+            model = proposal.mechanism.model
+            joints = list(zip(model.names, model.joints, strict=True))[1:]
+            ranged = [name for name, j in joints if (j.nq, j.nv) == (1, 1) and model.upperPositionLimit[j.idx_q] < 1e15]
+            _, robot = propose_robot(path, actuate=ranged, is_open=is_open)
+            if robot is not None:
+                proposal, robot = propose_robot(path, actuate=robot.independent_joints, is_open=is_open)
         if robot is None:
             raise
-        return robot, "--open --actuate" if is_open else "--actuate"
+        return robot, " ".join(dict.fromkeys(flags))
 
 
 def tried(path, kind, arguments, folder):
     """Return what came of a file, as a dictionary."""
     try:
-        robot, flags = loaded(path, kind, arguments)
+        robot, flags = loaded(path, arguments)
     except RedundancyPinError as error:
         return {"refused": str(error).replace(f"{path.parent}/", "").removeprefix(f"{path.name}: ")}
     counts = {"closures": len(robot.closures), "couplings": len(robot.couplings)}

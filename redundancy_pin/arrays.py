@@ -43,6 +43,11 @@ AGREEMENT_TOLERANCE = 1e-8
 """Largest contradiction between positions of redundant motors, characteristic lengths or rad: a thousand times the
 closure tolerance, for what margins of 1e-3 make of it. Of their velocities, as a fraction."""
 
+ROUNDED_SHARE = 1e-16 / 1e-5
+"""Rounding of a configuration, rad, over the share of accelerations that it may take. Accelerations err by rates squared
+times the former over the margin of K cubed: next to a rank loss of the closures margins below its cube root are too
+small, 2e-4."""
+
 NEAR_SINGULAR_MARGIN = 0.05
 """Scaled margin below which a pose is reported as near-singular; on the 2-RPR it is reached at a
 condition number of 28, just above the largest threshold the thesis works with (20)."""

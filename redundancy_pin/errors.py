@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import re
 import reprlib
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -100,24 +98,6 @@ def millimetres(length: float, size: float) -> str:
     if size > _LARGE:
         return f" Its size is {size:.3g} m: it looks like millimetres; write metres."
     return ""
-
-
-@contextmanager
-def numbered_from(first: int) -> Iterator[None]:
-    """Number the sample that an error is about from the beginning of a motion that is worked on part by part."""
-    try:
-        yield
-    except RedundancyPinError as error:
-        sample = error.details.get("sample")
-        if not first or not isinstance(sample, int):
-            raise
-        message = re.sub(
-            r"(?i)(\bsample |\bt\[|(?<=\d) to )(\d+)(?=\b(?!\.\d))",
-            lambda match: f"{match[1]}{int(match[2]) + first}",
-            error.message,
-        )
-        details = {**error.details, "sample": sample + first}
-        raise type(error)(message, remedy=error.remedy, **details) from error.__cause__
 
 
 def optional(package: str, who: str, remedy: str) -> Any:

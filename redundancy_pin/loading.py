@@ -23,11 +23,12 @@ from redundancy_pin.kinematics.closure import ConstraintSystem, with_all_rows
 from redundancy_pin.kinematics.coordinates import (
     gravity_acts,
     in_working_mode,
+    joint_position,
     mode_name,
     reference_coordinates,
     working_modes,
 )
-from redundancy_pin.kinematics.cut_ends import about_several_axes, branches_meet
+from redundancy_pin.kinematics.cut_ends import about_several_axes, branches_meet, common_axis
 from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank, other_axes
 from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.kinematics.selection import Selection, selected
@@ -42,8 +43,14 @@ from redundancy_pin.robot.from_model import declared, in_order_of, not_in_force
 from redundancy_pin.robot.joint_ranges import meet_limits
 from redundancy_pin.robot.loads import Load
 from redundancy_pin.robot.lookup import find_joint, has_joint, joint_names
-from redundancy_pin.robot.model_files import is_model_file, is_urdf, mechanism_of_urdf, open_model
-from redundancy_pin.robot.propose import Proposal, propose, which_motors
+from redundancy_pin.robot.model_files import (
+    is_model_file,
+    is_urdf,
+    mechanism_of_urdf,
+    open_model,
+    states_gravity,
+)
+from redundancy_pin.robot.propose import Proposal, propose
 from redundancy_pin.robot.rebuild import rebuilt, span
 from redundancy_pin.robot.scales import closure_tolerance, is_revolute
 from redundancy_pin.robot.urdf import Argument, declaration_path, is_shipped, known_values, source_of
@@ -102,8 +109,6 @@ def load_robot(
         DeclarationError: a declaration that contradicts the URDF or itself: unknown names, joints in two roles, over-
             or under-constrained chains, a reference that does not close.
     """
-    if trust and untrusted:
-        raise InputError("trust and untrusted are both true.", remedy="Pass one of them.")
     robot = load_with(source, arguments, gravity=gravity, working_mode=working_mode, trust=trust, untrusted=untrusted)
     for note in filter(None, (idle_gravity(robot, gravity), too_few_motors(robot))):
         _warn_once(note)
@@ -298,13 +303,13 @@ def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
     if data.get("joint_types"):
         kinds = parse(_with_defaults(data, request.path), parameters).joint_types
     mechanism = read(kinds)
-    proposal = propose(mechanism) if is_urdf(file) and not data else None
-    if proposal:
+    if data:
+        robot = _robot_of(mechanism, request, file, data, parameters)
+    else:
+        proposal = propose(mechanism)
         _require_decided(proposal, file)
-        mechanism = proposal.mechanism
-    robot = _robot_of(mechanism, request, file, data, parameters)
-    if proposal:
-        _require_decided(proposal.settled(robot, _turning(proposal, robot)), file)
+        proposal, robot = _settled(proposal, request, parameters)
+        _require_decided(proposal, file)
     _report(robot.notes, file)
     return replace(robot, urdf_folder=str(file.resolve().parent))
 
@@ -312,24 +317,14 @@ def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
 def _robot_of(
     mechanism: Mechanism, request: _Request, file: Path, data: Mapping[str, Any], parameters: Mapping[str, Argument]
 ) -> Robot:
-    """Return the robot of a mechanism, with hinges for balls that move freely, or a reference near a flat start."""
-
-    def build(own: Mechanism) -> Robot:
-        return _build(own, request, file, data, parameters)
-
+    """Return the robot of a mechanism, with hinges for balls that move freely."""
     try:
-        robot = build(mechanism)
-        start, comparable = mechanism.start, is_urdf(file) and not data and len(mechanism.start) == robot.model.nq
-        if not (comparable and branches_meet(robot, start)):
-            return robot
+        return _build(mechanism, request, file, data, parameters)
     except DeclarationError as error:
-        if "balls" in error.details:
-            return build(mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"])))
-        if "rank" not in error.details or not mechanism.loop_joints or data:
+        if "balls" not in error.details:
             raise
-        robot = _build_near_start(mechanism, build, error)
-    _warn_once(f"{file.name}: {FLAT}")
-    return replace(robot, notes=(*robot.notes, FLAT))
+        hinged = mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"]))
+    return _build(hinged, request, file, data, parameters)
 
 
 # --- files that leave something open ----------------------------------------------------------------------------------
@@ -344,6 +339,7 @@ def propose_robot(
     guess: Mapping[str, float] = MappingProxyType({}),
     is_open: bool = False,
     trust: bool = False,
+    untrusted: bool = False,
 ) -> tuple[Proposal, Robot | None]:
     """Return what is certain of a model file and what is to be asked, and the robot, None where none can be made yet.
 
@@ -355,6 +351,7 @@ def propose_robot(
         guess: positions of joints, rad or m; the loops are closed near them.
         is_open: as of ``propose``.
         trust: as of ``load_robot``.
+        untrusted: as of ``load_robot``.
 
     Raises:
         RedundancyPinError: files that cannot be read, unknown names.
@@ -362,27 +359,80 @@ def propose_robot(
     Example:
         >>> proposal, robot = propose_robot(Path("five_bar.urdf"), close=["ltip,rtip"], actuate=["a", "c"])
     """
-    parameters, read = open_model(path, {}, trust=trust)
+    parameters, read = open_model(path, {}, trust=trust, untrusted=untrusted)
     proposal = propose(read(None), close=close, actuate=actuate, is_open=is_open)
     mechanism = proposal.mechanism
-    if proposal.questions:  # without its loops a mechanism has another number of degrees of freedom
-        return proposal.asking(*([] if proposal.motors else [which_motors(mechanism)])), None
+    if proposal.questions:
+        return proposal, None
     start = configuration(mechanism.model, guess, mechanism.start)
     mechanism = replace(mechanism, start=start, independent=tuple(independent) or mechanism.independent)
+    request = _Request(path, "", {}, None, None, trust, untrusted=untrusted)
     try:
-        robot = _robot_of(mechanism, _Request(path, "", {}, None, None, trust, untrusted=False), path, {}, parameters)
+        proposal, robot = _settled(replace(proposal, mechanism=mechanism), request, parameters)
     except DeclarationError as error:
         return proposal.refused(str(error)), None
-    proposal = proposal.settled(robot, _turning(proposal, robot))
     motors = len(proposal.mechanism.actuated)
     if is_urdf(path) and not (actuate or is_open or proposal.questions) and motors < robot.n:
         have = f"The mechanism has {robot.n} DOF and {motors} motor(s)"
         proposal = proposal.asking(
             f"Is a loop or a motor missing? {have}: --close A,B or --actuate A,B; --open if none is."
         )
-    if FLAT in robot.notes:
-        proposal = proposal.asking(f"Which branch? {FLAT} --guess JOINT=VALUE,... decides.")
     return proposal, robot
+
+
+def _settled(proposal: Proposal, request: _Request, parameters: Mapping[str, Argument]) -> tuple[Proposal, Robot]:
+    """Return a proposal with the questions that only the closed mechanism raises, and its robot.
+
+    Where branches meet at the start, the reference is a pose near it, which may be on another branch than the machine.
+    """
+    mechanism, file = proposal.mechanism, request.path
+
+    def build(own: Mechanism) -> Robot:
+        return _robot_of(own, request, file, {}, parameters)
+
+    try:
+        robot = build(mechanism)
+        is_flat = len(mechanism.start) == robot.model.nq and branches_meet(robot, mechanism.start)
+    except DeclarationError as error:
+        if "rank" not in error.details or not mechanism.loop_joints:
+            raise
+        robot, is_flat = _build_near_start(mechanism, build, error), True
+    proposal = proposal.settled(robot, _turning(proposal, robot)).asking(*_hinges_off_axis(proposal, build))
+    return (proposal.asking(_which_branch(robot)) if is_flat else proposal), robot
+
+
+def _hinges_off_axis(proposal: Proposal, build: Callable[[Mechanism], Robot]) -> Iterator[str]:
+    """Yield questions on hinges by --close about another axis than their links turn about where a ball joins them.
+
+    Such a hinge holds them like a weld.
+    """
+    loops = proposal.mechanism.loop_joints
+    for hinge in proposal.hinges_by_flag:
+        joints = tuple(replace(each, kind="ball") if each is hinge else each for each in loops)
+        axis = None
+        with suppress(DeclarationError):
+            axis = common_axis(build(replace(proposal.mechanism, loop_joints=joints)), hinge.links)
+        if axis is not None and (away := np.arctan2(np.hypot(*axis[:2]), abs(axis[2]))) > _OFF_AXIS:
+            ends = ",".join(hinge.links)
+            yield (
+                f"Which joint closes the loop at {ends}? A hinge about z of {hinge.links[0]} is "
+                f"{np.rad2deg(away):.3g}° off the axis about which the links turn, and holds them like a weld: "
+                f"--close {ends},ball or --close {ends},weld."
+            )
+
+
+_OFF_AXIS = 1e-2
+"""rad: ten times what placements of a file are off by (``arrays.FILE_TOLERANCE``)."""
+
+
+def _which_branch(robot: Robot) -> str:
+    """Return the question on which branch the machine is, with where the joints are on the one nearby."""
+    single = [name for name in joint_names(robot.model) if find_joint(robot.model, name).nv == 1]
+    at = (f"{name}={joint_position(robot, name, robot.q_reference[None])[0]:.3g}" for name in single)
+    return (
+        "Which branch? Where all joints start, loops lie in a line and branches meet. Name where the joints are near "
+        f"the reference: --guess JOINT=VALUE,...; one branch nearby has --guess {','.join(at)}."
+    )
 
 
 def _turning(proposal: Proposal, robot: Robot) -> tuple[str, ...]:
@@ -395,9 +445,11 @@ def _turning(proposal: Proposal, robot: Robot) -> tuple[str, ...]:
 def _require_decided(proposal: Proposal, file: Path) -> None:
     """Refuse a file that leaves something open."""
     if proposal.questions:
+        is_motors = file.suffix != ".xacro" and not proposal.motors
+        named = ' Motors alone: load_robot(..., actuated="a,b"), or --set actuated=a,b.' if is_motors else ""
         raise DeclarationError(
             f"{file.name} does not say it all. {' '.join(proposal.questions)}",
-            remedy=f"`redundancy-pin new {file.name}` with these flags writes a robot.yaml that does.",
+            remedy=f"`redundancy-pin new {file.name}` with these flags writes a robot.yaml that does.{named}",
             questions=proposal.questions,
         )
 
@@ -412,13 +464,6 @@ _LARGEST_OFFSET = 0.5
 
 _MOST_TRIES = 8
 """Number of poses that are tried: each is as good as any other, and fails only near a singularity."""
-
-
-FLAT = (
-    "Where all joints start, loops lie in a line and branches meet: the reference is a pose near it. See that it is on "
-    "the branch of your machine."
-)
-"""Note of a robot whose reference is a pose near a start where branches meet."""
 
 
 def _build_near_start(mechanism: Mechanism, build: Callable[[Mechanism], Robot], error: DeclarationError) -> Robot:
@@ -448,14 +493,12 @@ def _build(
         given = {"independent": {"joints": list(mechanism.independent)}, **given}
     given = {"urdf": file.name, "actuated": list(mechanism.actuated), **given}
     if not given["actuated"]:
-        named = 'Name what is driven (actuated="a,b", or --set actuated=a,b)'
-        drive = named if file.suffix.lower() in (".urdf", ".sdf") else "Give it actuators"
-        remedy = f"{drive}, or write a robot.yaml that names it under `urdf`, and joints under `actuated`."
-        raise DeclarationError(f"{file.name} drives no joint.", remedy=remedy)
+        named = "Name what is driven under `actuated`." if data else "It has no joint that could be: add one."
+        raise DeclarationError(f"{file.name} drives no joint.", remedy=named)
     # a URDF does not say it: a declaration of one that leaves it out has none
     unsaid = [0.0, 0.0, 0.0] if data and is_urdf(file) else mechanism.model.gravity.linear.tolist()
     own = data.get("gravity", unsaid)
-    return build_robot(
+    robot = build_robot(
         given,
         replace(mechanism, model=mechanism.model.copy()),  # it gets frames, and may be needed again
         gravity=own if request.gravity is None else request.gravity,
@@ -463,8 +506,11 @@ def _build(
         mode=request.working_mode,
         parameters=parameters,
         source=source_of(request.path),
-        drive_independent=not (mechanism.drives_declared or data.get("actuated") or data.get("independent")),
     )
+    if request.gravity is not None or "gravity" in data or states_gravity(file):
+        return robot
+    note = f"No file states gravity: it is {robot.gravity.tolist()} m/s²; gravity=... or a robot.yaml states another."
+    return replace(robot, notes=(*robot.notes, note))
 
 
 def _report(notes: Iterable[str], file: Path) -> None:
@@ -676,7 +722,6 @@ def build_robot(
     mode: Sequence[int] | None = None,
     parameters: Mapping[str, Argument] = MappingProxyType({}),
     source: str = "",
-    drive_independent: bool = False,
     own_model: bool = False,
 ) -> Robot:
     """Return the robot of a declaration and a mechanism.
@@ -689,7 +734,6 @@ def build_robot(
         mode: ±1 a leg; as declared when left out.
         parameters: of the robot.
         source: of the robot, where a file says what it is; its numbers may be rounded.
-        drive_independent: let the joints that are chosen as independent be the main actuators, ``actuated`` first.
         own_model: the tree is the user's, whose joints stay what they are.
     """
     choose = not data.get("independent")
@@ -700,7 +744,6 @@ def build_robot(
         gravity=gravity,
         drop_dependent=drop_dependent,
         choose=choose,
-        drive_independent=drive_independent,
         parameters=parameters,
         source=source,
         mode=mode,
@@ -716,7 +759,6 @@ def _select_rows(
     gravity: Sequence[float] | None = None,
     drop_dependent: bool = False,
     choose: bool = False,
-    drive_independent: bool = False,
     **of: Any,
 ) -> tuple[Robot, bool]:
     """Return the robot, its reference not closed yet, and whether dependent closure rows were left out.
@@ -753,11 +795,6 @@ def _select_rows(
     if choose:
         notes.append(f"Independent joints, chosen: {', '.join(selection.independent)}.")
         robot = replace(robot, independent_joints=selection.independent)
-    if choose and drive_independent:
-        robot = replace(robot, actuated=selection.independent)
-        notes.append(
-            "The file does not say what is driven: taken are the independent joints; actuated=... names others."
-        )
     return replace(robot, notes=tuple(notes)), drop_dependent
 
 
@@ -778,7 +815,8 @@ def _notes(selection: Selection) -> Iterator[str]:
     if selection.left_out:
         rows, opened = ", ".join(selection.left_out), selection.opened
         nearby = (
-            f" to {opened:.1g} (characteristic lengths or rad) nearby, as the file's numbers are rounded"
+            f" to {opened:.1g} (characteristic lengths or rad) nearby: numbers are rounded, or the loops move to first "
+            "order only"
             if opened > AGREEMENT_TOLERANCE
             else ""
         )

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,13 +12,12 @@ from redundancy_pin.arrays import (
     BoolArray,
     Frozen,
     assign,
-    blocks,
     checked,
     largest,
     read_only,
     require_type,
 )
-from redundancy_pin.errors import InputError, numbered_from
+from redundancy_pin.errors import InputError
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -194,52 +191,44 @@ def require_carrier_motion(carriers: object) -> None:
 
 
 RATE_TOLERANCE = 0.03
-"""Part of the largest rate of a coordinate by which rates may be off: a bias of measured ones, say."""
+"""Difference between a rate and the mean rate of a step, relative to the largest rate of the coordinate: a bias of
+measured rates passes."""
+
+SIX_DIGITS = 5e-6
+"""Largest error of a number that is rounded to six digits, relative to the number."""
 
 _NOISE = 4.0
-"""Standard deviations of its noise, by its fourth differences, by which a comparison may be off."""
+"""Standard deviations of noise, estimated by fourth differences, by which a comparison may be off."""
 
 _NOTHING = 1e-9
-"""Part of the largest rate of any coordinate that is rounding in another."""
+"""Rounding of a rate, relative to the largest rate of any coordinate."""
 
 _FEW_STEPS = 8
-"""Fewer steps tell coarse mistakes only. So many may also change a coordinate that stands at both of their ends."""
-
-_TOO_FAR = 4.0
-"""Times as far as the positions that few rates may travel; from rest to a speed that grows with t³ it is 2."""
-
-_FAST = 0.4
-"""Part of its largest rate at which a coordinate must move in a step that tells of few."""
+"""Fewer steps are not compared. In so many a coordinate may change that is at rest at both of their ends."""
 
 _TURN = 2.0
-"""Turn in a step of a pose, rad, from which rates are not compared: at half a turn its sense is not determined."""
-
-_PART = 20_000
-"""Samples that are compared at a time, with the noise among them."""
+"""Turn of a pose in a step, rad, from which rates are not compared: at half a turn its sense is not determined."""
 
 
 def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = None) -> None:
-    """Check that x, ẋ, ẍ (and s, ṡ, s̈) are samples of one motion, unless whoever made them says that they need not be.
+    """Check that x, ẋ, ẍ (and s, ṡ, s̈) are samples of one motion, unless ``check_rates`` is false.
 
-    For what takes samples as a motion: efforts along it, planners, the search of crossings. Where they are poses and no
-    more (``inverse_kinematics``, ``classify_motion``, ``along``) rates play no part.
+    For what takes samples as a motion: efforts along it, planners, the search of crossings. Where only poses count
+    (``inverse_kinematics``, ``classify_motion``, ``along``) rates play no part.
 
-    In each step of each coordinate the mean rate by the positions, Δx/h, is compared with the mean of the rates at its
-    ends, by the trapezoid rule; so is Δẋ/h with the mean of ẍ. They may differ by the sum of
+    In each step of each coordinate the mean rate of the positions, Δx/h, is compared with the mean of the rates at both
+    ends, the trapezoidal rule; so is Δẋ/h with the mean of ẍ. They may differ by the sum of
 
     - 3 % of the largest rate of the coordinate;
-    - what the step leaves open: half of |Δẋ| and a quarter of h |ẍ|; for accelerations |Δẍ|, and by how much Δẋ/h
-      changes from this step to the next or the last;
+    - the error of the trapezoidal rule: half of |Δẋ| and a quarter of h |ẍ|; for accelerations |Δẍ|, and the change of
+      Δẋ/h from this step to the next or the last;
     - rounding of x to six digits, over h, four times the noise that fourth differences of the comparison show, and of
       rotations h² |ω| |ω̇|/6, as their axis tilts.
 
     From 9 samples and one period on this finds a wrong sign, milli and kilo, degrees for radians, a factor of 2 (10
-    samples in the shortest period; of ẍ against ẋ 15), of 1.1 (20 samples; of ẍ against ẋ 40), and positions that
-    move, or rates that change, while their rate is zero in more than eight steps. Of fewer samples it finds that
-    rates have the wrong sign or travel at least four times as far as the positions, in each step and coordinate in
-    which they are large, as a factor of ten does on a motion that does not turn back between two samples; rates that
-    are too small, and ẍ, pass there. Not found: smaller factors; a bias of up to 3 %; errors below the noise; one
-    wrong ẋ or ẍ among right ones, which may be a motion that is too short for the samples.
+    samples per shortest period; of ẍ against ẋ 15) or of 1.1 (20 samples; of ẍ against ẋ 40), and positions that move
+    while their rate is zero in more than eight steps. Not found: anything in fewer samples; smaller factors; a bias of
+    up to 3 %; errors below the noise; one wrong ẋ or ẍ among right ones.
 
     Raises:
         InputError: rates that are not those of the positions, with ``column``, ``sample``, ``time``, the mean rate
@@ -247,132 +236,71 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
     """
     require_carrier_motion(carriers)
     if motion.check_rates:
-        _require_rates("x", motion.t, (motion.x, motion.xd, motion.xdd))
+        _require_rates("x", motion.t, motion.x, motion.xd, motion.xdd)
+        _require_rates("xd", motion.t, motion.xd, motion.xdd, None)
         if carriers is not None and carriers.check_rates:
-            _require_rates("s", motion.t, (carriers.s, carriers.sd, carriers.sdd))
+            _require_rates("s", motion.t, carriers.s, carriers.sd, carriers.sdd)
+            _require_rates("sd", motion.t, carriers.sd, carriers.sdd, None)
 
 
-def _require_rates(name: str, time: Array, motion: tuple[Array, Array, Array]) -> None:
-    """Compare values, rates and second rates of N samples, called x, xd and xdd of an x."""
-    for part in blocks(len(time), _PART):
-        inside = slice(max(part.start - 1, 0), part.stop)  # no step is left out
-        t, values, rates, seconds = (each[inside] for each in (time, *motion))
-        tilt = np.zeros((rates.shape[1], max(len(t) - 1, 0)))
-        if values.ndim == 3:  # the rotation vector of a step differs from the mean of h ω by h³ ω̇ × ω/12
-            omega, alpha = (np.linalg.norm(array[:, 3:], axis=1) for array in (rates, seconds))
-            turn = np.diff(t) * np.maximum(omega[1:], omega[:-1])
-            tilt[3:] = np.where(turn < _TURN, turn * np.diff(t) * np.maximum(alpha[1:], alpha[:-1]) / 6.0, np.inf)
-        with numbered_from(inside.start):
-            _require_rate(name, t, values, rates, seconds, tilt)
-            _require_rate(f"{name}d", t, rates, seconds, None, np.zeros_like(tilt))
-
-
-def _require_rate(name: str, t: Array, values: Array, rates: Array, seconds: Array | None, tilt: Array) -> None:
-    """Compare steps of values (N, n), or of poses, with their rates (N, n), whose own rates are (N, n) or None.
-
-    ``tilt`` (n, N−1) is by how much mean rates differ from those of the steps because the axis of a rotation tilts.
-    """
-    steps = _steps(values)
-    if _agree_closely(t, steps, rates):
-        return
-    size = (
-        np.abs(values).max(axis=0) if values.ndim == 2 else np.append(np.abs(values[:, :3, 3]).max(axis=0), np.ones(3))
-    )
+def _require_rates(name: str, t: Array, values: Array, rates: Array, seconds: Array | None) -> None:
+    """Compare steps of values (N, n), or of poses, with their rates (N, n), whose own rates are (N, n) or None."""
     later = np.diff(t) > 0.0
-    h, steps, tilt = np.diff(t)[later], steps[:, later], tilt[:, later]
-    ends = [
-        array[side][later].T for array in (rates, seconds) if array is not None for side in (slice(-1), slice(1, None))
-    ]
-    if len(h) < (_FEW_STEPS if seconds is None else 1) or not steps.size:
+    h, steps = np.diff(t)[later], _steps(values)[:, later]
+    if len(h) < _FEW_STEPS or not steps.size:
         return
-    found, largest_rate = steps / h, np.abs(rates).max(axis=0)
-    compared = _compare(h, found, size, largest_rate, ends, tilt)
-    far = np.abs(steps) > np.pi
-    if compared.wrong.any() and far.any():  # an angle may be written within a turn
-        within = np.ptp(np.cumsum(steps, axis=1), axis=1, keepdims=True) <= 2.0 * np.pi
-        turned = found - np.where(far & within, 2.0 * np.pi * np.sign(steps) / h, 0.0)
-        other = _compare(h, turned, size, largest_rate, ends, tilt)
-        compared = compared._replace(wrong=compared.wrong & other.wrong.any(axis=1, keepdims=True))
-    if not compared.wrong.any():
+    rows = np.ascontiguousarray(rates.T)  # reductions along long rows take a tenth of the time
+    first, last = rows[:, :-1][:, later], rows[:, 1:][:, later]
+    found, given, top = steps / h, 0.5 * (first + last), np.abs(rows).max(axis=1, keepdims=True)
+    apart = np.abs(found - given)
+    if (apart <= RATE_TOLERANCE * top).all():  # as in most motions
         return
-    step = int(compared.wrong.any(axis=0).argmax())
-    k = int(compared.wrong[:, step].argmax())
+    # an angle may be written within a turn
+    turned = (steps - 2.0 * np.pi * np.sign(steps)) / h
+    apart = np.where(np.abs(steps) > np.pi, np.minimum(apart, np.abs(turned - given)), apart)
+    change = np.abs(last - first)
+    if seconds is None:
+        jumps = np.pad(np.abs(np.diff(found)), ((0, 0), (1, 1)))
+        allowed = RATE_TOLERANCE * top + change + np.maximum(jumps[:, 1:], jumps[:, :-1])
+    else:
+        second = np.maximum(np.abs(seconds[:-1]), np.abs(seconds[1:]))[later].T
+        allowed = RATE_TOLERANCE * top + 0.5 * change + 0.25 * h * second
+    bends = np.diff(found - given, 4)
+    if bends.shape[1] >= 4:
+        allowed += _NOISE * np.sqrt((bends**2).mean(axis=1, keepdims=True) / 70.0)  # 70: of noise of size 1
+    if (
+        values.ndim == 3 and seconds is not None
+    ):  # the rotation vector of a step differs from the mean of h ω by h³ ω̇ × ω/12
+        omega, alpha = (np.linalg.norm(part[:, 3:], axis=1) for part in (rates, seconds))
+        turn = h * np.maximum(omega[1:], omega[:-1])[later]
+        tilt = turn * h * np.maximum(alpha[1:], alpha[:-1])[later] / 6.0
+        allowed[3:] += np.where(turn < _TURN, tilt, np.inf)
+        size = np.append(np.abs(values[:, :3, 3]).max(axis=0), np.ones(3))
+    else:
+        size = np.abs(values).max(axis=0)
+    nothing = _NOTHING * top.max()
+    allowed += nothing + 2.0 * SIX_DIGITS * size[:, None] / h
+    wrong = apart > allowed
+    rests = np.maximum(np.abs(first), np.abs(last)) <= nothing
+    wrong &= ~(rests & ((wrong & rests).sum(axis=1, keepdims=True) <= _FEW_STEPS))
+    if not wrong.any():
+        return
+    step = int(wrong.any(axis=0).argmax())
+    k = int(wrong[:, step].argmax())
     sample = int(np.flatnonzero(later)[step]) + 1
-    given, allowed = float(compared.given[k, step]), float(compared.allowed[k, step])
     raise InputError(
         f"{name}{k} does not change as {name}d{k} says: from sample {sample - 1} to {sample} (t = {t[sample]:.6g} s) "
-        f"its mean rate is {found[k, step]:.6g}, by {name}d{k} it is {given:.6g}; these may differ by {allowed:.3g}.",
+        f"its mean rate is {found[k, step]:.6g}, by {name}d{k} it is {given[k, step]:.6g}; these may differ by "
+        f"{allowed[k, step]:.3g}.",
         remedy="Correct the rates (SI units: m, rad, s; the columns of each coordinate with the same number), or pass "
         "check_rates=False for states that are no motion, such as poses to stand still in.",
         column=f"{name}d{k}",
         sample=sample,
         time=float(t[sample]),
         found=float(found[k, step]),
-        given=given,
-        allowed=allowed,
+        given=float(given[k, step]),
+        allowed=float(allowed[k, step]),
     )
-
-
-def _agree_closely(t: Array, steps: Array, rates: Array) -> bool:
-    """Return whether all steps (n, N−1) agree with rates (N, n) without the further allowances of ``_compare``.
-
-    Most motions do, and this takes a tenth of the time.
-    """
-    rows = np.ascontiguousarray(rates.T)  # reductions along long rows take a tenth of the time
-    h = np.diff(t)
-    apart = rows[:, 1:] + rows[:, :-1]
-    apart *= 0.5 * h
-    apart -= steps
-    np.abs(apart, out=apart)
-    largest_rate = np.maximum(rows.max(axis=1, initial=0.0), -rows.min(axis=1, initial=0.0))
-    return bool((apart <= (RATE_TOLERANCE * largest_rate)[:, None] * h).all())
-
-
-SIX_DIGITS = 5e-6
-"""Largest error of a number that is rounded to six digits, relative to the number."""
-
-
-class _Compared(NamedTuple):
-    """Mean rates in (n, K) steps by trapezoids, how much others may differ, and which differ by more."""
-
-    given: Array
-    allowed: Array
-    wrong: BoolArray
-
-
-def _compare(h: Array, found: Array, size: Array, largest_rate: Array, ends: Sequence[Array], tilt: Array) -> _Compared:
-    """Compare mean rates (n, K) in steps of h (K,) with rates at both ends, and maybe their own rates, (n, K) each."""
-    first, last = ends[:2]
-    given, change = 0.5 * (first + last), np.abs(last - first)
-    apart, top = np.abs(found - given), largest_rate[:, None]
-    nothing = _NOTHING * largest_rate.max()
-    sure = RATE_TOLERANCE * top + nothing + 2.0 * SIX_DIGITS * size[:, None] / h + tilt
-    bends = np.diff(found - given, 4)
-    if bends.shape[1] >= 4:
-        sure = sure + _NOISE * np.sqrt((bends**2).mean(axis=1, keepdims=True) / 70.0)  # 70: noise of its size 1
-    if len(ends) == 4:
-        second = h * np.maximum(np.abs(ends[2]), np.abs(ends[3]))
-        opened = 0.5 * change + 0.25 * second
-    else:
-        jumps = np.pad(np.abs(np.diff(found)), ((0, 0), (1, 1)))
-        opened = change + np.maximum(jumps[:, 1:], jumps[:, :-1])
-    standing = np.maximum(np.abs(first), np.abs(last)) <= nothing
-    if len(h) >= _FEW_STEPS:
-        allowed = sure + opened
-        wrong = apart > allowed
-        few = (wrong & standing).sum(axis=1, keepdims=True) <= _FEW_STEPS
-        return _Compared(given, allowed, wrong & ~(standing & few))
-    # a motion of few steps may do anything between samples but turn back, or hurry less than at their ends
-    unsure = sure + (second if len(h) == 1 else 0.25 * second)
-    onwards = first * last >= -1e-6 * np.maximum(first**2, last**2)
-    along, beyond = found * np.sign(given), np.abs(given) - unsure
-    travelled = h * onwards / np.where(top > 0.0, top, 1.0)
-    tells = onwards & (beyond > 0.0) & (np.abs(given) > _FAST * top)
-    wrong = tells & (_TOO_FAR * along < np.abs(given))
-    too_far = (np.maximum(beyond, 0.0) * travelled).sum() > _TOO_FAR * (np.maximum(along, 0.0) * travelled).sum()
-    if (wrong != tells).any() or (standing & (np.abs(found) > sure)).any() or not too_far:
-        wrong[:] = False
-    return _Compared(given, (1.0 - 1.0 / _TOO_FAR) * np.abs(given), wrong)
 
 
 def _steps(x: Array) -> Array:

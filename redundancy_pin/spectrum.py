@@ -75,6 +75,18 @@ def spectrum_of(matrices: Array) -> Spectrum:
     return Spectrum(read_only(values))
 
 
+def left_singular(matrices: Array) -> tuple[Array, Array]:
+    """Return left singular vectors (N, n, c) and singular values (N, c) of stacked matrices (N, n, m), c = min(n, m).
+
+    Largest first; NaN for a matrix that is not finite.
+    """
+    samples, n, m = matrices.shape
+    finite, count = np.isfinite(matrices).all(axis=(1, 2)), min(n, m)
+    vectors, values = np.full((samples, n, count), np.nan), np.full((samples, count), np.nan)
+    vectors[finite], values[finite], _ = np.linalg.svd(matrices[finite], full_matrices=False)
+    return vectors, values
+
+
 def null_directions(matrices: Array) -> tuple[Array, Array]:
     """Return the left and right unit vectors that finite stacked matrices come nearest to mapping to zero.
 

@@ -37,7 +37,6 @@ from redundancy_pin.studies.trade import TradeOff
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.time_scaling import ScaledMotion, TimeScaling
-from redundancy_pin.trajectory.trajectory import TimedPath
 
 ELSEWHERE = {"Riccati", "LinearModel", "SampledModel", "LqrWeights", "ReferencePoint", "ConstantAppended"}
 """Inner types of controllers and paths, whose owners are copied whole."""
@@ -81,7 +80,6 @@ def objects() -> dict[str, Any]:
         "layout": layout_of(topology_of(robot)),
         "design task": DesignTask(dynamics, motion),
         "co-design": CoDesign({"length": 1.0}, (), np.ones(1), np.ones(1), np.ones((1, 1)), (), True, (), 0),
-        "timed path": TimedPath(trajectory.path, polynomial, three),
         "preview": Preview.of(motion),
         "slower preview": Preview.of(motion).scaled(slower := TimeScaling.none(0.0).changed(0.1, 0.5, 0.2)),
         "slower motion": ScaledMotion(continuous_motion(motion), slower),
@@ -118,7 +116,7 @@ def objects() -> dict[str, Any]:
         "resolved": Limits().resolved(robot),
         "spline": rp.trajectory.SplinePath(np.array([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]])),
         "polynomial": rp.trajectory.rest_to_rest_345(0.0, 1.0, three, 0.0 * three),
-        "poses": rp.trajectory.PoseTrajectory(poses[0], poses[1], rp.trajectory.RestToRest(0.1, 1.0)),
+        "poses": rp.trajectory.reference.pose(poses[0], poses[1]),
         "sampled poses": continuous_motion(rp.trajectory.reference.pose(poses[0], poses[1]).sample(0.1)),
         "timed spline": rp.trajectory.from_points([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]], [0.0, 1.0, 2.0]),
         "pose spline": rp.trajectory.from_points(poses, speed=[0.0, 0.1]),

@@ -28,7 +28,7 @@ from redundancy_pin import codegen
 from redundancy_pin.cli.output import warning
 from redundancy_pin.io.csv_cells import escape_formula, unescape_formula
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.export import PlanTable, write_csv, write_json, write_mat, write_ros
+from redundancy_pin.planners.export import PlanTable
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.studies.table import csv_text
@@ -80,7 +80,7 @@ def no_formula(cell: str) -> bool:
 
 
 def in_csv(one: Named, folder: Path) -> None:
-    write_csv(one.table, folder / "plan.csv")
+    one.table.to_csv(folder / "plan.csv")
     with (folder / "plan.csv").open(encoding="utf-8", newline="") as stream:
         heading = next(csv.reader(stream))
         assert all(no_formula(cell) for cell in heading)
@@ -97,20 +97,20 @@ def in_csv(one: Named, folder: Path) -> None:
 
 
 def in_json(one: Named, folder: Path) -> None:
-    write_json(one.table, folder / "plan.json")
+    one.table.to_json(folder / "plan.json")
     read = json.loads((folder / "plan.json").read_text(encoding="utf-8"))
     assert (read["robot"], tuple(read["joints"])) == (one.name, one.joints)
     assert read["columns"][f"s:{one.joints[2]}"] == one.table.position[:, 2].tolist()
 
 
 def in_mat(one: Named, folder: Path) -> None:
-    write_mat(one.table, folder / "plan.mat")
+    one.table.to_mat(folder / "plan.mat")
     read = loadmat(folder / "plan.mat", squeeze_me=True)
     assert (read["robot"], tuple(read["joints"])) == (one.name, one.joints)
 
 
 def in_ros(one: Named, folder: Path) -> None:
-    write_ros(one.table, folder / "plan.yaml")
+    one.table.to_ros(folder / "plan.yaml")
     read = yaml.safe_load((folder / "plan.yaml").read_text(encoding="utf-8"))
     assert tuple(read["joint_names"]) == one.joints
 

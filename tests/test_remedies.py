@@ -296,9 +296,11 @@ def test_a_plain_urdf_has_no_arguments(tmp_path: Path) -> None:
 
 def test_too_few_motors_are_counted_and_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """It was `underactuated`, `unbounded` and NaN, and nowhere how many motors there are."""
-    robot = variant(tmp_path / "robot", "five_bar", ("actuated: [base_1, base_2]", "actuated: [base_1]"),
+    # logged once in a process for a name: one that no other test loads
+    robot = variant(tmp_path / "robot", "five_bar", ("name: five_bar", "name: half_driven"),
+                    ("actuated: [base_1, base_2]", "actuated: [base_1]"),
                     ("gravity: [0, 0, 0]", "gravity: [0, -9.81, 0]"))  # fmt: skip
-    says = "five_bar has 2 degrees of freedom and 1 actuated joint (base_1): efforts cannot balance a general motion."
+    says = "half_driven has 2 degrees of freedom and 1 actuated joint (base_1): efforts cannot balance a general motion"
     motion = tmp_path / "motion.csv"
     rows = "".join(f"{t!r},{0.25 + t!r},0.7,1.0,0,0,0\n" for t in (0.0, 0.01, 0.02))
     motion.write_text("t,x,y,xd,yd,xdd,ydd\n" + rows, encoding="utf-8")

@@ -18,7 +18,7 @@ from redundancy_pin.cli import COMMANDS, file_of, main
 
 HEAVY = (
     *("numpy", "pinocchio", "scipy", "pydantic", "joblib", "xacro", "casadi", "matplotlib", "meshcat", "rich"),
-    *("yaml", "click", "jinja2", "markdown_it", "daqp", "contourpy", "sqlite3", "http.server", "numpy.ma"),
+    *("yaml", "click", "jinja2", "markdown_it", "daqp", "toppra", "contourpy", "sqlite3", "http.server", "numpy.ma"),
 )
 """Libraries that take long to import, or that few need."""
 

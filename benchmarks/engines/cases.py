@@ -20,7 +20,7 @@ from redundancy_pin.loading import load_robot
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, run_online
 from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 from redundancy_pin.robot import Robot
-from redundancy_pin.trajectory import Line, PoseTrajectory, RestToRest, Trajectory, reference
+from redundancy_pin.trajectory import Line, RestToRest, Trajectory, reference
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 
 
@@ -82,7 +82,7 @@ def straight(start: ArrayLike, end: ArrayLike, duration: float) -> Trajectory:
     return Trajectory(path, RestToRest(path.length, duration, "4-5-6-7"))
 
 
-def _tilted(robot: Robot) -> PoseTrajectory:
+def _tilted(robot: Robot) -> Trajectory:
     """From the reference pose, sideways and up, with a turn about a skew axis."""
     state = ConstraintSystem(robot).evaluate(np.array(robot.q_reference)[None])
     home = coordinates(robot, state)[0]

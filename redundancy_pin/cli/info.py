@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import click
 import numpy as np
 
-from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
+from redundancy_pin.cli.options import RobotOptions, json_option, robot_options, untrusted_option
 from redundancy_pin.cli.output import TextTable, report, row
 from redundancy_pin.errors import InputError, ModelFileError
 from redundancy_pin.io.yaml_file import read_yaml
@@ -22,8 +22,9 @@ _LIMITS = ("speed", "acceleration", "force")
 
 @click.command()
 @robot_options(required=False)
+@untrusted_option
 @json_option
-def info(robot: RobotOptions, as_json: bool) -> None:
+def info(robot: RobotOptions, untrusted: bool, as_json: bool) -> None:
     r"""Show a robot, or which there are.
 
     Masses of the moving bodies, joints and their roles, closures, freedoms, parameters, limits, the efforts that hold
@@ -38,11 +39,12 @@ def info(robot: RobotOptions, as_json: bool) -> None:
             raise InputError("--set, --mode and --gravity need a robot.", remedy="Add --robot.")
         _list_robots(as_json)
         return
-    facts = describe(robot.load(), declaration_path(robot.source), trust=robot.trust)
+    robot = replace(robot, untrusted=untrusted)
+    facts = describe(robot.load(), declaration_path(robot.source), trust=robot.trust, untrusted=untrusted)
     report(as_json, facts, _general(facts), *_tables(facts), *facts["notes"])
 
 
-def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str, Any]:
+def describe(robot: Robot, declaration: Any, *, trust: bool = False, untrusted: bool = False) -> dict[str, Any]:
     """Return what there is to know about a robot as plain data."""
     from redundancy_pin.kinematics.coordinates import all_working_modes, gravity_acts, mode_name
     from redundancy_pin.robot.checks import too_few_motors
@@ -52,7 +54,7 @@ def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str
     # once more from the files: a robot knows its parameters' values, but not which of them are defaults
     data = {} if is_model_file(declaration) else read_declaration(declaration).data
     file = declaration.parent / data["urdf"] if data else declaration
-    defaults, _ = open_model(file, {}, trust=trust)
+    defaults, _ = open_model(file, {}, trust=trust, untrusted=untrusted)
     platform, limits = robot.platform, zip(robot.carriers, robot.carrier_limits, strict=True)
     counts = {"independent velocities n": robot.n, "main actuators m": robot.m, "carriers k": robot.k}
     return {

@@ -10,7 +10,7 @@ import click
 
 from redundancy_pin.arrays import decimal
 from redundancy_pin.cli.errors import BAD_INPUT, printable
-from redundancy_pin.cli.options import json_option, trust_option
+from redundancy_pin.cli.options import json_option, trust_option, untrusted_option
 from redundancy_pin.cli.output import report, warning
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import require_writable, write_text
@@ -46,8 +46,9 @@ def _positions(context: click.Context, option: click.Parameter, text: str | None
 @click.option("--guess", metavar="A=VALUE,...", callback=_positions, help="Where joints are near the reference.")
 @click.option("--out", metavar="FILE", help="What to write.  [default: robot.yaml beside the model]")
 @trust_option
+@untrusted_option
 @json_option
-def new(path: str, out: str | None, trust: bool, as_json: bool, **decided: Any) -> int:
+def new(path: str, out: str | None, trust: bool, untrusted: bool, as_json: bool, **decided: Any) -> int:
     r"""Write a robot.yaml for a model file.
 
     The file may be a URDF, xacro, MJCF, SDF, or a robot.yaml of example-parallel-robots. The loops and motors that it
@@ -69,12 +70,12 @@ def new(path: str, out: str | None, trust: bool, as_json: bool, **decided: Any) 
         raise InputError(f"{target} is there already.", remedy="Pass --out, or move it away.", path=str(target))
     if not is_urdf(source) and source.exists() and not is_model_file(source):
         raise InputError(f"{path} is no model of a robot.", remedy="Pass a URDF, xacro, MJCF or SDF file.")
-    proposal, robot = propose_robot(source, trust=trust, **decided)
+    proposal, robot = propose_robot(source, trust=trust, untrusted=untrusted, **decided)
     place = source.name if target.resolve().parent == source.resolve().parent else str(source.resolve())
     write_text(target, _declaration(proposal, robot, place, is_near_guess=is_urdf(source) or bool(decided["guess"])))
     mechanism, notes, outcome = proposal.mechanism, proposal.mechanism.notes, "it loads when all is decided"
     if robot and not proposal.questions:
-        loaded = load_with(target, {}, trust=trust)
+        loaded = load_with(target, {}, trust=trust, untrusted=untrusted)
         notes = (*loaded.notes, *filter(None, [too_few_motors(loaded)]))
         outcome = f"n = {loaded.n}, m = {loaded.m}"
     facts = {

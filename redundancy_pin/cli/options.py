@@ -36,14 +36,15 @@ class RobotOptions:
     mode: tuple[int, ...] | None = None
     gravity: tuple[float, ...] | None = None
     trust: bool = False
+    untrusted: bool = False
 
     def load(self) -> Robot:
         """Load the robot."""
         from redundancy_pin.loading import idle_gravity, load_with
         from redundancy_pin.robot.checks import too_few_motors
 
-        mode, gravity = self.mode, self.gravity
-        robot = load_with(self.source, self.settings, gravity=gravity, working_mode=mode, trust=self.trust)
+        gravity, files = self.gravity, {"trust": self.trust, "untrusted": self.untrusted}
+        robot = load_with(self.source, self.settings, gravity=gravity, working_mode=self.mode, **files)
         for note in filter(None, (idle_gravity(robot, gravity), too_few_motors(robot))):
             click.echo(f"warning: {note}", err=True)
         return robot
@@ -78,7 +79,7 @@ def robot_flags(command: _Command, *, required: bool = True) -> _Command:
             "--robot",
             required=required,
             metavar="NAME|PATH",
-            help="Shipped robot (see `info`), robot.yaml, its folder, or a model of MuJoCo or Gazebo (.xml, .sdf).",
+            help="Shipped robot (see `info`), robot.yaml, its folder, or a model file (URDF, xacro, MJCF, SDF).",
         ),
     ):
         command = option(command)
@@ -102,6 +103,12 @@ def trust_option(command: _Command) -> _Command:
     """Add ``--trust`` to a command; no file can say it."""
     text = "Let the robot's xacro run any Python, with your rights: for files whose author you trust."
     return click.option("--trust", is_flag=True, help=text)(command)
+
+
+def untrusted_option(command: _Command) -> _Command:
+    """Add ``--untrusted`` to a command."""
+    text = "Let xacro and MuJoCo read the robot's files in a process with limits of time and memory."
+    return click.option("--untrusted", is_flag=True, help=text)(command)
 
 
 def recorded_robot_options(command: _Command) -> _Command:

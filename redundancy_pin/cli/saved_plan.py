@@ -14,12 +14,11 @@ from redundancy_pin.cli.options import backend_option, dynamics_of, json_option,
 from redundancy_pin.cli.output import TextTable, number, report, row, same_file
 from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.io.files import require_writable
-from redundancy_pin.planners.export import write_csv, write_json, write_mat, write_ros
 from redundancy_pin.planners.plan import load_plan, load_robot_of
 from redundancy_pin.studies.case import backend_of
 
-WRITERS = {".csv": write_csv, ".json": write_json, ".mat": write_mat, ".yaml": write_ros, ".yml": write_ros}
-"""What is written, by the suffix of the file."""
+WRITERS = {".csv": "to_csv", ".json": "to_json", ".mat": "to_mat", ".yaml": "to_ros", ".yml": "to_ros"}
+"""Methods of ``PlanTable`` that write a file, by its suffix."""
 
 
 @click.command()
@@ -109,7 +108,8 @@ def export(
         )
     if ros and suffix not in (".json", ".yaml", ".yml"):
         raise InputError(f"--ros does not go with {suffix}.", remedy="Write --to trajectory.yaml.")
-    message = ros or WRITERS[suffix] is write_ros
+    writer = "to_ros" if ros else WRITERS[suffix]
+    message = writer == "to_ros"
     if message and two_sided:
         raise InputError("A JointTrajectory has one point at a time.", remedy="Leave --two-sided out.")
     if same_file(path, out):
@@ -120,6 +120,6 @@ def export(
         table = plan.table(
             rate, two_sided=two_sided or (False if message else None), robot=load_robot_of(plan, source, trust=trust)
         )
-        (write_ros if message else WRITERS[suffix])(table, out)
+        getattr(table, writer)(out)
     facts = {"plan": path, "robot": plan.robot.name, "out": out, "rows": len(table.t), "joints": table.joints}
     report(as_json, facts, f"{len(table.t)} rows of {', '.join(table.joints)} are in {out}")

@@ -133,7 +133,7 @@ def simulate(robot: options.RobotOptions, **given: Any) -> int:
         run = _run(machine, reference, sampling, given)
         advance(2, 3, "writing")
         if out and out.lower().endswith(".csv"):
-            run.to_csv(out, machine)
+            run.table(machine).to_csv(out)
         elif out:
             run.save(out)
         title = run_title(run, CONTROLLERS[given["controller"]])

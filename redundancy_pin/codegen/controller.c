@@ -51,7 +51,7 @@ int robot_inverse_dynamics(robot_state *state, const robot_motion *motion, robot
   from[NQ] = state->sign;
   if (!finite(from, NQ + 1)) return ROBOT_NOT_FINITE;
   int status = rp_sample(NUMBERS, from, in, out);
-  if (status) return status < STATUSES ? status : ROBOT_UNREACHABLE; /* so is what is no pose */
+  if (status) return status;
   if (!finite(out, N * M + N + NK + 2)) return ROBOT_NOT_FINITE; /* rates so large that forces overflow */
   Efforts found;
   status = distribute(NUMBERS, W, f, force_size_of(NUMBERS, in), &found);

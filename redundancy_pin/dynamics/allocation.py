@@ -42,7 +42,8 @@ effort over its bound (it is then put on the bound, and the residual shows the d
 carriers cancel it. Rounding of f is 1e-13 to 1e-12 of its parts; a plant's forces are known to 1e-3."""
 
 ROUNDING = 1e-14
-"""Relative rounding, no unit, of a solved system of a few unknowns: 50 units in the last place."""
+"""Relative rounding, no unit, of a sum of a few numbers or a solved system of a few unknowns: 50 units in the last
+place."""
 
 
 def minimum_norm(matrices: Array, forces: Array, rank: IntArray, cost: Array) -> tuple[Array, Array]:

@@ -10,7 +10,8 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, IntArray, runs
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, runs
+from redundancy_pin.dynamics.allocation import ROUNDING
 from redundancy_pin.dynamics.base import (
     Dynamics,
     DynamicsAlongMotion,
@@ -41,8 +42,8 @@ _CONSISTENT = 1e-3
 accelerations are interpolated there. Efforts that it calls for exceed f only where the margin is below it, for as long
 as that lasts."""
 
-_AT_INSTANT = 1e-7
-"""Rank tolerance at an instant, scaled: the root of the rounding (1e-14) of a margin that only touches zero."""
+_AT_INSTANT = ROUNDING**0.5
+"""Rank tolerance at an instant, scaled: 1e-7, the root of the rounding of a margin that only touches zero."""
 
 _NEAR, _FAR = 2.0 * SPACING, 10.0 * SPACING
 """Steps of samples, in characteristic lengths, between which the margin is not searched where it stays away from zero;
@@ -277,23 +278,12 @@ def _between(load: Load, t: Array, at: Array) -> Load:
     return Wrench(load.frame, value, load.reference, load.point)
 
 
-def _edges(t: Array) -> tuple[IntArray, Array]:
-    """Return the samples (I,) at the left of an interval, and the edges (I + 1,) of the intervals."""
-    left = np.flatnonzero(np.diff(t) > 0.0)
-    return left, np.append(t[left], t[-1])
-
-
 def _rates(t: Array, rate: Array, acceleration: Array, at: Array) -> tuple[Array, Array]:
     """Return rates and accelerations (C, n) at times: the cubics through both at the samples."""
-    left, edges = _edges(t)
-    h = np.diff(edges)[:, None]
-    v0, v1, a0, a1 = rate[left], rate[left + 1], acceleration[left], acceleration[left + 1]
-    velocity = PiecewisePolynomial.from_bernstein(np.stack([v0, v0 + h * a0 / 3.0, v1 - h * a1 / 3.0, v1]), edges)
+    velocity = PiecewisePolynomial.through(t, rate, acceleration)
     return velocity(at), velocity.derivative()(at)
 
 
 def _positions(t: Array, carriers: CarrierMotion, at: Array) -> Array:
     """Return (C, k) positions of carriers: the quintics through s, ṡ, s̈ at the samples."""
-    left, edges = _edges(t)
-    ends = [(carriers.s[k], carriers.sd[k], carriers.sdd[k]) for k in (left, left + 1)]
-    return PiecewisePolynomial.hermite(edges, *ends)(at)
+    return PiecewisePolynomial.through(t, carriers.s, carriers.sd, carriers.sdd)(at)

@@ -25,7 +25,6 @@ from redundancy_pin.kinematics.closure import constraint_system, with_all_rows
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_link, joint_names
-from redundancy_pin.robot.scales import velocity_scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +81,8 @@ class ClosureEquations:
         chain, columns = self._chain, self._columns
         chain.update(q, v)
         transposed, wanted = chain.jacobian()[:, columns].T, efforts[columns]
-        unit, scale = chain.system.closure_scale, 1.0 / velocity_scale(self.robot)[columns, None]
-        left, values, right = np.linalg.svd(scale * transposed * unit, full_matrices=False)
+        unit, scale = 1.0 / chain.system.closure_unit, chain.system.step_unit[:, None]
+        left, values, right = np.linalg.svd(chain.closure_rows().T, full_matrices=False)
         left, values, right = left[:, : self._rank], values[: self._rank], right[: self._rank]
         # an open chain has no rows, and nothing that could be undetermined
         determined = bool(values.min(initial=np.inf) > SINGULAR_MARGIN)

@@ -208,7 +208,7 @@ def _require_archive_name(path: str | Path) -> None:
     if isinstance(path, (str, Path)) and (suffix := Path(path).suffix.lower()) in _OTHER_FORMATS:
         raise OutputError(
             f"{path} is to be a {suffix} file by its name, and save writes npz archives.",
-            remedy=f"Save {Path(path).with_suffix('.npz').name}; plans also have to_csv, to_json, to_mat and to_ros.",
+            remedy=f"Save {Path(path).with_suffix('.npz').name}; plan.table() has to_csv, to_json, to_mat and to_ros.",
             path=str(path),
         )
 

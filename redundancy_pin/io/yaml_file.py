@@ -61,12 +61,33 @@ class YamlFile:
 
     @contextmanager
     def naming(self) -> Iterator[None]:
-        """Errors of a declaration raised in the block begin with the file, and the line of the key they are about."""
+        """Errors of a declaration raised in the block begin with the file and the line of what they are about.
+
+        It is the line of the key that the error names, or that of the first value or key with the name in the error.
+        """
         try:
             yield
         except DeclarationError as error:
-            message = f"{self.place(str(error.details.get('key', '')))}: {error.message}"
+            named = error.details.get("name")
+            key = str(
+                error.details.get("key") or next((key for key, text in _texts("", self.data) if text == named), "")
+            )
+            message = f"{self.place(key)}: {error.message}"
             raise DeclarationError(message, remedy=error.remedy, **error.details) from error
+
+
+def _texts(key: str, data: Any) -> Iterator[tuple[str, str]]:
+    """Yield the texts among data, and keys of mappings, each with the key that messages name it with."""
+    if isinstance(data, str):
+        yield key, data
+    elif isinstance(data, list):
+        for number, each in enumerate(data):
+            yield from _texts(f"{key}[{number}]", each)
+    elif isinstance(data, dict):
+        for name, each in data.items():
+            inner = f"{key}.{name}" if key else name
+            yield inner, name
+            yield from _texts(inner, each)
 
 
 def read_yaml(

@@ -14,16 +14,16 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, LARGEST, Array, BoolArray, Frozen, checked, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, LARGEST, Array, Frozen, checked, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, assemble
 from redundancy_pin.kinematics.closed_state import CONTINUITY, ROUNDING, ClosedState, LoopSolver, Rates
-from redundancy_pin.kinematics.closure import ConstraintSystem, dependent_row_residual
+from redundancy_pin.kinematics.closure import dependent_row_residual
 from redundancy_pin.kinematics.coordinates import difference, mode_indicators, moved
 from redundancy_pin.kinematics.passage import PASSED, SAME_TANGENT, SPACINGS, find_passage
 from redundancy_pin.motion import require_poses
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import closure_tolerance, velocity_unit
+from redundancy_pin.robot.scales import closure_tolerance
 from redundancy_pin.status import SampleStatus
 
 __all__ = ["BranchEnd", "ClosedState", "Follower", "Rates", "follower", "known_state"]
@@ -175,13 +175,9 @@ class Follower(LoopSolver):
         if not residual < closure_tolerance(self.robot):
             status = SampleStatus.UNREACHABLE
         else:
-            rows = self.system.relative(solved.state.K)[0][: self.rank]
-            rank_lost = bool(
-                len(rows)
-                and solved.projection.margin[0] < self.near
-                and np.linalg.svd(rows, compute_uv=False)[-1] < self.near
-            )
-            status = SampleStatus.BRANCH_LOST if solved.regular[0] and not rank_lost else SampleStatus.TYPE_I
+            margin = float(solved.projection.margin[0])
+            rank_lost = margin < self.near and self.closure_margin(solved.q[0]) < self.near
+            status = SampleStatus.BRANCH_LOST if margin > 0.0 and not rank_lost else SampleStatus.TYPE_I
         return BranchEnd(status, x, last, read_only(solved.q[0]), residual, rank_lost)
 
     def step(self, here: ClosedState, x: Array) -> ClosedState | None:
@@ -274,8 +270,8 @@ class Follower(LoopSolver):
         for loop in lost.tolist():
             share = float(size0[loop] / (size0[loop] + size1[loop]))
             between = self.integrate(before.q, share * self.tangent(before.q, after.q))
-            ends = [self._closure_margin(state.q, before.basis, loop) for state in (before, after)]
-            if not self._closure_margin(between, before.basis, loop) < 0.5 * max(ends):
+            ends = [self.closure_margin(state.q, before.basis, loop) for state in (before, after)]
+            if not self.closure_margin(between, before.basis, loop) < 0.5 * max(ends):
                 return False  # the closures keep rank: a leg is stretched, folded or of no length
             root = read_only(moved(self.robot, before.x, chord * share))
             beyond = self.pass_through(before, root, still, still, chord)
@@ -287,12 +283,6 @@ class Follower(LoopSolver):
             if not np.linalg.slogdet(K[rows[:, None], columns])[1] - most[loop] < math.log(CONTINUITY):
                 return False
         return True
-
-    def _closure_margin(self, q: Array, basis: Array | None, loop: int) -> float:
-        """Return the smallest singular value, without unit, of the closure rows of a loop; infinite without any."""
-        rows, columns = self.blocks[loop]
-        closures = self.matrix(q, basis)[0][rows[rows < self.rank][:, None], columns]
-        return float(np.linalg.svd(closures, compute_uv=False)[-1]) if len(closures) else math.inf
 
     def _at_rank_loss(self, here: ClosedState, x: Array) -> ClosedState | None:
         """Return the state at coordinates where the closures lose rank, None where they do not or no branch goes on."""
@@ -364,12 +354,3 @@ def _follower(robot: Robot, thread: int) -> Follower:
 def follower(robot: Robot) -> Follower:
     """Return the follower of a robot in this thread, made once: it is a workspace, which no two threads share."""
     return _follower(robot, threading.get_ident())
-
-
-def follows(system: ConstraintSystem, step: Array, gamma0: Array, gamma1: Array, increment: Array) -> BoolArray:
-    """Return (N,) whether steps (N, nv) of q are what Γ at both ends (N, nv, n) says of increments (N, n) of x."""
-    unit = velocity_unit(system.robot)
-    predicted = np.einsum("nvi,ni->nv", 0.5 * (gamma0 + gamma1), increment) / unit
-    allowed = CONTINUITY * np.abs(predicted).max(axis=1, initial=0.0) + ROUNDING
-    result: BoolArray = np.abs(step / unit - predicted).max(axis=1, initial=0.0) <= allowed
-    return result

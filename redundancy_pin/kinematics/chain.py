@@ -34,7 +34,6 @@ class ClosedChain(TreePlacement):
         self.robot = robot
         self.system = system = constraint_system(robot)
         self.pose_columns, self.rows = system.pose_columns, len(system.rows)
-        self._scale = system.step_unit / system.closure_unit[:, None]
         self._placements: dict[str, tuple[Array, Array]] = {}  # views
 
     def __reduce__(self) -> tuple[type[ClosedChain], tuple[Robot]]:
@@ -56,10 +55,9 @@ class ClosedChain(TreePlacement):
         """Return J_c (r, nv)."""
         return self.closures.jacobian(self.J)
 
-    def relative_jacobian(self) -> Array:
-        """Return (r, p) J_c without units, of the pose columns: what ranks are judged by."""
-        relative: Array = self.jacobian().take(self.pose_columns, 1) * self._scale
-        return relative
+    def closure_rows(self) -> Array:
+        """Return J_c (r, p) without units and without the carrier columns."""
+        return self.system.relative(self.jacobian().take(self.pose_columns, 1))
 
     def relative_residual(self) -> Array:
         """Return (r,) the closure residuals without units: angles, and lengths over the characteristic length."""
@@ -96,6 +94,17 @@ class ClosedChain(TreePlacement):
         if self.robot.platform is None:
             return self.system.independent
         return self.platform_rows().jacobian(self.J)
+
+    def matrix(self) -> Array:
+        """Return K (r + n, p) without units: J_c over J_x, without the carrier columns."""
+        return self._relative(self.jacobian(), self.platform_jacobian())
+
+    def matrix_rate(self) -> Array:
+        """Return the rate of K (r + n, p), without units."""
+        return self._relative(self.jacobian_rate(), self.platform_jacobian_rate())
+
+    def _relative(self, *rows: Array) -> Array:
+        return self.system.relative(np.concatenate(rows).take(self.pose_columns, 1))
 
     def platform_jacobian_rate(self) -> Array:
         """Return J̇_x (n, nv)."""

@@ -14,7 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -24,6 +24,7 @@ from redundancy_pin.arrays import (
     FILE_TOLERANCE,
     SINGULAR_MARGIN,
     Array,
+    BoolArray,
     Frozen,
     IntArray,
     checked,
@@ -33,7 +34,7 @@ from redundancy_pin.arrays import (
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.closure import constraint_system, dependent_row_tolerance, with_all_rows
+from redundancy_pin.kinematics.closure import constraint_system, dependent_row_tolerance, row_basis, with_all_rows
 from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.kinematics.margins import loop_blocks, near_rank_loss, typical_margin
 from redundancy_pin.robot import Robot
@@ -133,13 +134,11 @@ class LoopSolver:
         self.chain = chain = ClosedChain(robot)
         self._rows, self.rank = self.system.all_rows, len(self.system.rows)
         self._redundant, self._widest = bool(robot.all_closures), dependent_row_tolerance(robot)
-        every = constraint_system(with_all_rows(robot))
-        self._every, self._count, self._every_unit = every.all_rows, len(every.rows), every.equation_unit
+        self._every = constraint_system(with_all_rows(robot))
         self._columns, self._nv = chain.pose_columns, robot.model.nv
         self._flat = robot.model.nq == robot.model.nv
         self._shape = (4, 4) if is_pose(robot) else (robot.n,)
         self._row_unit, self._step_unit = self.system.equation_unit, self.system.step_unit
-        self._scale = self._step_unit / self._row_unit[:, None]
         self.unit, self._radians = coordinate_unit(robot), 1.0 / velocity_unit(robot)
         self._gamma_unit = self._step_unit[:, None] / self.unit
         self._fixed = chain.system.independent[:, self._columns] if robot.platform is None else None
@@ -170,7 +169,7 @@ class LoopSolver:
         K = placed.jacobian(chain.J).take(self._columns, 1)
         if self._fixed is not None:
             K = np.concatenate([K, self._fixed])
-        K *= self._scale
+        K *= self.system.relative_factor
         if basis is None:
             return K, placed.residual()[: self.rank] / self._row_unit[: self.rank]
         rows, phi = self._every_row(q)
@@ -179,10 +178,9 @@ class LoopSolver:
 
     def _every_row(self, q: Array) -> tuple[Array, Array]:
         """Return the Jacobian (R, p) and residuals (R,) of all closure rows, without units, where q is placed."""
-        placed = self._every.place(self.chain.vectors, q)
-        unit = self._every_unit[: self._count]
-        rows = placed.jacobian(self.chain.J).take(self._columns, 1)[: self._count]
-        return rows * (self._step_unit / unit[:, None]), placed.residual()[: self._count] / unit
+        placed = self._every.closures.place(self.chain.vectors, q)
+        rows = self._every.relative(placed.jacobian(self.chain.J).take(self._columns, 1))
+        return rows, placed.residual() / self._every.closure_unit
 
     def _independent(self, q: Array, basis: Array | None, inverse: Array) -> tuple[Array | None, Array]:
         """Return the basis that serves at a closed configuration, and K⁻¹ with it.
@@ -195,10 +193,9 @@ class LoopSolver:
         if size * self._ample < 1.0:
             return None, plain
         self.chain.place(q)
-        left, values, _ = np.linalg.svd(self._every_row(q)[0], full_matrices=False)
-        if not values[self.rank - 1] > FILE_TOLERANCE:  # contradictions of rounded numbers restore no rank
+        own, least = row_basis(self._every_row(q)[0], self.rank)
+        if not least > FILE_TOLERANCE:  # contradictions of rounded numbers restore no rank
             return None, plain
-        own = left[:, : self.rank]
         other = inverses(self.matrix(q, own)[0][None])[0]
         if not float(np.linalg.norm(other)) < size / _HELPED:
             return None, plain
@@ -210,12 +207,22 @@ class LoopSolver:
         size = float(np.sqrt((inverse * inverse).sum()))
         return 1.0 / size if size > 0.0 and math.isfinite(size) else 0.0
 
+    def closure_margin(self, q: Array, basis: Array | None = None, block: int | None = None) -> float:
+        """Return the smallest singular value of the closure rows at q (nq,), of all or those of a block of K.
+
+        It has no unit, and is infinite without rows.
+        """
+        rows = self.matrix(q, basis)[0][: self.rank]
+        if block is not None:
+            own, columns = self.blocks[block]
+            rows = rows[own[own < self.rank][:, None], columns]
+        if not len(rows) or not np.isfinite(rows).all():
+            return math.inf
+        return float(np.linalg.svd(rows, compute_uv=False)[-1])
+
     def closures_lose_rank(self, q: Array, basis: Array | None = None) -> bool:
         """Return whether the closure rows are near a loss of rank at q (nq,); at a stretched leg they are not."""
-        rows = self.matrix(q, basis)[0][: self.rank]
-        if not len(rows) or not np.isfinite(rows).all():
-            return False
-        return bool(np.linalg.svd(rows, compute_uv=False)[-1] < 10.0 * self.near)
+        return self.closure_margin(q, basis) < 10.0 * self.near
 
     # --- a closed state ----------------------------------------------------------------------------------------------
 
@@ -300,8 +307,15 @@ class LoopSolver:
         new = self.close(self.integrate(here.q, here.gamma.dot(increment)), x, here.basis)
         if new is None or not new.margin > 0.0:
             return None
-        moved, predicted = self.tangent(here.q, new.q), (0.5 * (here.gamma + new.gamma)).dot(increment)
-        return new if self.length(moved - predicted) <= CONTINUITY * self.length(predicted) + ROUNDING else None
+        return new if self.is_continuous(here, new, increment) else None
+
+    def is_continuous(
+        self, here: ClosedState, new: ClosedState, increment: Array, tolerance: float = CONTINUITY
+    ) -> bool:
+        """Return whether the step between states is what the trapezoidal rule over Γ says of an increment (n,) of x."""
+        predicted = (0.5 * (here.gamma + new.gamma)).dot(increment)
+        error = self.length(self.tangent(here.q, new.q) - predicted)
+        return bool(_is_within(error, self.length(predicted), tolerance))
 
     def rates(self, state: ClosedState, xd: Array, xdd: Array) -> Rates:
         """Return v = Γ ẋ and a (nv,): K a = (−J̇_c v, ẍ − J̇_x v).
@@ -331,8 +345,9 @@ class LoopSolver:
         bias[: self._rows.size] = self._rows.bias_at(placed, chain.J, chain.dJ, v)
         bias /= self._row_unit
         if state.basis is not None:
-            every = self._every.bias_at(self._every.place(chain.vectors, state.q), chain.J, chain.dJ, v)
-            bias[: self.rank] = (every[: self._count] / self._every_unit[: self._count]).dot(state.basis)
+            every = self._every.closures
+            every_bias = every.bias_at(every.place(chain.vectors, state.q), chain.J, chain.dJ, v)
+            bias[: self.rank] = (every_bias / self._every.closure_unit).dot(state.basis)
         rest = -bias
         rest[self.rank :] += xdd / self.unit
         a = np.zeros(self._nv)
@@ -371,6 +386,27 @@ class LoopSolver:
         """Return the tree displacement (nv,) between configurations (nq,)."""
         result: Array = end - start if self._flat else pin.difference(self._model, start, end)
         return result
+
+
+def are_continuous(robot: Robot, step: Array, gamma0: Array, gamma1: Array, increment: Array) -> BoolArray:
+    """Return (N,) what ``LoopSolver.is_continuous`` says of N steps at once.
+
+    Args:
+        robot: the robot.
+        step: (N, nv) tree displacements.
+        gamma0: (N, nv, n) Γ at their starts.
+        gamma1: (N, nv, n) Γ at their ends.
+        increment: (N, n) of the coordinates.
+    """
+    unit = velocity_unit(robot)
+    predicted = np.einsum("nvi,ni->nv", 0.5 * (gamma0 + gamma1), increment) / unit
+    error, size = (np.abs(part).max(axis=1, initial=0.0) for part in (step / unit - predicted, predicted))
+    return np.asarray(_is_within(error, size, CONTINUITY))
+
+
+def _is_within(error: Any, predicted: Any, tolerance: float) -> Any:
+    """Return the acceptance test of a step, or of (N,): its error is small beside the prediction, or rounding."""
+    return error <= tolerance * predicted + ROUNDING
 
 
 def _kept(array: Array) -> Array:

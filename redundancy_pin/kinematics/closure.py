@@ -353,10 +353,10 @@ class ConstraintSystem:
         pose_columns: velocity indices that move the pose: all but the carriers.
         selection: (m, nv) S, the main actuators among the velocities.
         independent: (n, nv) unit rows of the independent joints; zero where there is a platform.
-        closure_scale: (r,) length that turns each closure row into m.
         equation_unit: (r + n,) the characteristic length, m, for rows of translation and 1 for rows of rotation, of the
             closures and the independent coordinates: residuals over these have no unit.
         step_unit: (p,) the characteristic length, m, for slides and 1 rad for turns, of the pose columns.
+        relative_factor: (r + n, p) what K is multiplied by, entry by entry, to have no units: see ``relative``.
 
     Raises:
         UnsupportedRobotError: a joint between frames of closures has axes that are not constant.
@@ -399,9 +399,10 @@ class ConstraintSystem:
         if robot.platform is None:
             self.independent[np.arange(robot.n), independent_velocity(robot)] = 1.0
         turning = [row.rotation for row in closures] + ([] if self.couplings is None else self.couplings.turning)
-        self.closure_scale = np.where(turning, robot.characteristic_length, 1.0)
-        self.equation_unit = np.concatenate([robot.characteristic_length / self.closure_scale, coordinate_unit(robot)])
+        closure_unit = np.where(turning, 1.0, robot.characteristic_length)
+        self.equation_unit = np.concatenate([closure_unit, coordinate_unit(robot)])
         self.step_unit = velocity_unit(robot)[self.pose_columns]
+        self.relative_factor = self.step_unit / self.equation_unit[:, None]
 
     @property
     def closure_unit(self) -> Array:
@@ -413,15 +414,18 @@ class ConstraintSystem:
         largest: Array = np.abs(phi / self.closure_unit).max(axis=1, initial=0.0)
         return self.robot.characteristic_length * largest
 
-    def relative(self, K: Array) -> Array:
-        """Return K (N, r + n, p) without units: rows over ``equation_unit``, columns times ``step_unit``."""
-        result: Array = K * (self.step_unit / self.equation_unit[:, None])
+    def relative(self, rows: Array) -> Array:
+        """Return K (..., r + n, p), or its first rows, without units: what ranks and margins are judged by.
+
+        Rows are divided by ``equation_unit``, columns multiplied by ``step_unit``: with the characteristic length L as
+        the unit of length, every rotation counts as the motion of a point at distance L from its axis.
+        """
+        result: Array = rows * self.relative_factor[: rows.shape[-2]]
         return result
 
     def closure_rows(self, q: Array) -> Array:
         """Return J_c (r, p) at one configuration q (nq,), without units and without the carrier columns."""
-        rows: Array = self.relative(self.evaluate(q[None]).K)[0, : len(self.rows)]
-        return rows
+        return self.relative(self.evaluate(q[None]).K[0, : len(self.rows)])
 
     def evaluate(self, q: Array) -> ConstraintState:
         """Evaluate residuals and Jacobians at (N, nq) configurations, closed or not."""
@@ -599,6 +603,28 @@ def dependent_row_residual(robot: Robot, q: Array) -> Array:
     return np.where(residual > dependent_row_tolerance(robot) * robot.characteristic_length, residual, 0.0)
 
 
+def row_basis(rows: Array, rank: int) -> tuple[Array, Array]:
+    """Return r independent combinations of all closure rows, as a basis U, and how far they are from dependent.
+
+    The left singular vectors of the r largest singular values are the best approximation of rank r (Golub and Van Loan,
+    "Matrix Computations", 2013, theorem 2.4.8): Uᵀ J_c are r independent rows wherever all rows have rank r.
+
+    Args:
+        rows: (..., R, p) J_c of all rows, without units.
+        rank: number r of independent rows.
+
+    Returns:
+        U (..., R, r), orthonormal, and the smallest of the r singular values (...), infinite without any.
+
+    Example:
+        >>> basis, least = row_basis(np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), 2)
+        >>> least
+        1.0
+    """
+    left, values, _ = np.linalg.svd(rows, full_matrices=False)
+    return left[..., :rank], values[..., :rank].min(axis=-1, initial=np.inf)
+
+
 def dependent_rows_restore_rank(robot: Robot, q: Array) -> bool:
     """Return whether dependent rows keep the rank that the independent ones lose at q (nq,).
 
@@ -609,5 +635,5 @@ def dependent_rows_restore_rank(robot: Robot, q: Array) -> bool:
     if not robot.all_closures or not (robot.closures or robot.couplings):  # without independent rows none are lost
         return False
     some, every = constraint_system(robot), constraint_system(with_all_rows(robot))
-    least, least_of_all = (np.linalg.svd(each.closure_rows(q), compute_uv=False) for each in (some, every))
-    return bool(least_of_all[len(some.rows) - 1] > max(_FULL * least[-1], FILE_TOLERANCE))
+    least = np.linalg.svd(some.closure_rows(q), compute_uv=False)[-1]
+    return bool(row_basis(every.closure_rows(q), len(some.rows))[1] > max(_FULL * least, FILE_TOLERANCE))

@@ -40,6 +40,19 @@ def about_several_axes(robot: Robot, ends: Sequence[tuple[str, str]]) -> tuple[t
     return tuple(pair for pair in ends if not _is_one_axis(robot, motions, pair))
 
 
+def common_axis(robot: Robot, ends: tuple[str, str]) -> Array | None:
+    """Return the axis (3,), of length 1, about which two frames turn against each other; None for several or none.
+
+    It is in the axes of the first frame, where it stays fixed. Motions are those of ``about_several_axes``.
+    """
+    turns = np.concatenate([_relative_turns(robot, q, each, ends) for q, each in _motions(robot)])
+    _, values, axes = np.linalg.svd(turns)
+    if values[0] <= FILE_TOLERANCE or not _is_single(values):
+        return None
+    axis: Array = axes[0]
+    return axis
+
+
 def branches_meet(robot: Robot, q: Array) -> bool:
     """Return whether closure rows depend on one another at q (nq,) that do not at the reference, as links in a line do.
 
@@ -53,7 +66,11 @@ def branches_meet(robot: Robot, q: Array) -> bool:
 
 def _is_one_axis(robot: Robot, motions: Sequence[tuple[Array, Array]], frames: tuple[str, str]) -> bool:
     turns = np.concatenate([_relative_turns(robot, q, each, frames) for q, each in motions])
-    values = np.linalg.svd(turns, compute_uv=False)
+    return _is_single(np.linalg.svd(turns, compute_uv=False))
+
+
+def _is_single(values: Array) -> bool:
+    """Return whether singular values (3,) are those of one direction, to the rounding of a file."""
     return bool((values[1:] <= FILE_TOLERANCE * values[0]).all())
 
 

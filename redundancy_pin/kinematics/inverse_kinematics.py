@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, frozen, read_only
+from redundancy_pin.arrays import ROUNDED_SHARE, Array, BoolArray, Frozen, IntArray, frozen, read_only
 from redundancy_pin.errors import (
     RedundancyPinError,
     SingularPoseError,
@@ -46,9 +46,6 @@ _FAR_STARTS = 5
 
 _EVEN = 0.5
 """Least ratio of neighbouring margins along a motion that stays near a rank loss and goes through none."""
-
-_ROUNDED_SHARE = 1e-16 / 1e-5
-"""Rounding of a configuration, rad, over the share that it may take of Γ and of accelerations."""
 
 _SAMPLES_PER_REPORT = 500
 """Samples between two calls of ``progress``."""
@@ -317,9 +314,9 @@ def is_rounded(follower: Follower, solved: Rates) -> bool:
     most = max(float(a.max()), float(speed.max()) ** 2)
     for rows, own in state.blocks:
         margin = 1.0 / float(np.linalg.norm(state.inverse[own[:, None], rows]))
-        if margin**2 * max(float(gamma[own].max()), 1.0) < _ROUNDED_SHARE:
+        if margin**2 * max(float(gamma[own].max()), 1.0) < ROUNDED_SHARE:
             return True
-        if margin**3 * most < _ROUNDED_SHARE * float(speed[own].max()) ** 2:
+        if margin**3 * most < ROUNDED_SHARE * float(speed[own].max()) ** 2:
             return True
     return False
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, read_only
-from redundancy_pin.kinematics.closed_state import ROUNDING, ClosedState, LoopSolver, Rates
+from redundancy_pin.kinematics.closed_state import ClosedState, LoopSolver, Rates
 from redundancy_pin.kinematics.coordinates import difference, moved
 
 SAME_TANGENT = 0.05
@@ -151,10 +151,9 @@ def find_passage(
     last = solver.close(solver.integrate(first.q, first.gamma.dot(whole)), place(_NODES[-1]), first.basis)
     if last is None or not last.margin > 0.0:
         return None
-    span = solver.tangent(first.q, last.q)
-    predicted = (0.5 * (first.gamma + last.gamma)).dot(whole)
-    if not solver.length(span - predicted) <= SAME_TANGENT * solver.length(predicted) + ROUNDING:
+    if not solver.is_continuous(first, last, whole, SAME_TANGENT):
         return None
+    span = solver.tangent(first.q, last.q)
     lost = first.determinants[0] * last.determinants[0] < 0.0
     if recentre and lost.any():
         # where the determinants, nearly linear between the two, vanish: the nodes keep away from there

@@ -6,12 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import brentq, minimize_scalar
 
 from redundancy_pin.arrays import Array, Frozen
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.limits import QUANTITIES, LimitEvent, limit_bounds
-from redundancy_pin.robot import Robot
+from redundancy_pin.planners.limits import QUANTITIES, LimitEvent, ResolvedLimits
 from redundancy_pin.trajectory import boundary_polynomial
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
@@ -55,15 +54,15 @@ def return_polynomial(state: CarrierState, duration: float, datum: Array) -> Pie
     """
     zero = np.zeros_like(datum)
     start = [state.s, state.sd, state.sdd, zero]
-    return boundary_polynomial(state.t, state.t + duration, start, [datum, zero, zero, zero]).piecewise()
+    return boundary_polynomial(state.t, state.t + duration, start, [datum, zero, zero, zero])
 
 
-def limit_uses(robot: Robot, s: Array, sd: Array, sdd: Array, force: Array) -> Array:
+def limit_uses(limits: ResolvedLimits, s: Array, sd: Array, sdd: Array, force: Array) -> Array:
     """Return the fraction of each limit that is used (..., 4, k): track, speed, acceleration, force; each (..., k).
 
     Above 1 the limit is broken. Tracks are measured from their middle; a limit that is not declared is never used.
     """
-    lower, upper = limit_bounds(robot.carrier_limits)
+    lower, upper = limits.bounds
     with np.errstate(invalid="ignore"):
         middle = np.where(np.isfinite(lower) & np.isfinite(upper), 0.5 * (lower + upper), 0.0)
     value = np.stack([s, sd, sdd, force], axis=-2)
@@ -72,7 +71,7 @@ def limit_uses(robot: Robot, s: Array, sd: Array, sdd: Array, force: Array) -> A
 
 
 def shortest_return(
-    robot: Robot, force: CarrierForce, state: CarrierState, datum: Array, available: float
+    limits: ResolvedLimits, force: CarrierForce, state: CarrierState, datum: Array, available: float
 ) -> tuple[float | None, float, LimitEvent]:
     """Search the shortest return that keeps every limit of the carriers.
 
@@ -84,16 +83,16 @@ def shortest_return(
     """
 
     def limit_use(duration: float) -> tuple[float, LimitEvent]:
-        return _limit_use(robot, force, return_polynomial(state, duration, datum))
+        return _limit_use(limits, force, return_polynomial(state, duration, datum))
 
     def use(duration: float) -> float:
         return limit_use(duration)[0]
 
     durations = np.geomspace(SHORTEST_FRACTION * available, available, CANDIDATES)
-    uses = _sampled_uses(robot, force, state, datum, durations)
+    uses = _sampled_uses(limits, force, state, datum, durations)
     padded = np.concatenate([[np.inf], uses, [np.inf]])
     dips = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:]) & (uses > ALLOWED)
-    if limit_uses(robot, state.s, state.sd, state.sdd, np.zeros_like(state.s)).max() > ALLOWED:
+    if limit_uses(limits, state.s, state.sd, state.sdd, np.zeros_like(state.s)).max() > ALLOWED:
         dips[:] = False  # it begins beyond a limit, whatever its duration
     for i in np.flatnonzero(dips | (uses <= ALLOWED)).tolist():
         low, high = float(durations[max(i - 1, 0)]), float(durations[i])
@@ -103,12 +102,16 @@ def shortest_return(
             high, uses[i] = float(best.x), float(best.fun)
             durations[i] = high
         if use(high) <= ALLOWED:
-            shortest = _first_allowed(use, low, high)
+            shortest = low
+            if use(low) > ALLOWED:
+                shortest = float(brentq(lambda T: use(float(T)) - ALLOWED, low, high, rtol=_TIME_TOLERANCE))
             return shortest, *limit_use(shortest)
     return None, *limit_use(float(durations[uses.argmin()]))
 
 
-def _sampled_uses(robot: Robot, force: CarrierForce, state: CarrierState, datum: Array, durations: Array) -> Array:
+def _sampled_uses(
+    limits: ResolvedLimits, force: CarrierForce, state: CarrierState, datum: Array, durations: Array
+) -> Array:
     """Return (T,) the largest limit use of the samples of each return."""
     # all at once, as one polynomial in the fraction of the time that has passed
     fractions, T = np.linspace(0.0, 1.0, SAMPLES), durations[:, None]
@@ -118,39 +121,29 @@ def _sampled_uses(robot: Robot, force: CarrierForce, state: CarrierState, datum:
     path = boundary_polynomial(0.0, 1.0, [*start, zero], [end, zero, zero, zero])
     times = state.t + T * fractions
     s, sd, sdd = (
-        np.swapaxes(path(fractions, order).reshape(SAMPLES, *T.shape[:1], -1), 0, 1).reshape(-1, len(datum))
+        np.swapaxes(path(fractions, order=order).reshape(SAMPLES, *T.shape[:1], -1), 0, 1).reshape(-1, len(datum))
         / np.repeat(durations, SAMPLES)[:, None] ** order
         for order in range(3)
     )
-    uses = limit_uses(robot, s, sd, sdd, force(times.ravel(), s, sd, sdd))
+    uses = limit_uses(limits, s, sd, sdd, force(times.ravel(), s, sd, sdd))
     largest: Array = uses.reshape(len(durations), -1).max(axis=1)
     return largest
 
 
-def _limit_use(robot: Robot, force: CarrierForce, path: PiecewisePolynomial) -> tuple[float, LimitEvent]:
+def _limit_use(limits: ResolvedLimits, force: CarrierForce, path: PiecewisePolynomial) -> tuple[float, LimitEvent]:
     """Return the largest use of a limit along a path, at its samples and at its extremes, and of which limit."""
     extremes = [path.derivative(order).extremes() for order in range(3)]
     times = np.unique(np.concatenate([np.linspace(path.start, path.end, SAMPLES), *extremes]))
     motion = carriers_at(path, times)
     s, sd, sdd = (np.asarray(part) for part in (motion.s, motion.sd, motion.sdd))
     efforts = force(times, s, sd, sdd)
-    uses = limit_uses(robot, s, sd, sdd, efforts)
+    uses = limit_uses(limits, s, sd, sdd, efforts)
     at, which, i = (int(index) for index in np.unravel_index(int(uses.argmax()), uses.shape))
     use, t, value = float(uses[at, which, i]), float(times[at]), float((s, sd, sdd, efforts)[which][at, i])
-    lower, upper = (float(bounds[which, i]) for bounds in limit_bounds(robot.carrier_limits))
+    lower, upper = (float(bounds[which, i]) for bounds in limits.bounds)
     limit = upper if abs(value - upper) <= abs(value - lower) else lower
     amount = abs(value - limit) if use > 1.0 else 0.0
-    return use, LimitEvent(robot.carriers[i], QUANTITIES[which], t, t, t, value, limit, amount)
-
-
-def _first_allowed(use: Callable[[float], float], low: float, high: float) -> float:
-    """Bisect between a duration that is not allowed (or the shortest of all) and one that is."""
-    if use(low) <= ALLOWED:
-        return low
-    while high - low > _TIME_TOLERANCE * high:
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if use(middle) <= ALLOWED else (middle, high)
-    return high
+    return use, LimitEvent(limits.names[i], QUANTITIES[which], t, t, t, value, limit, amount)
 
 
 def no_return(use: LimitEvent, start: float, available: float, remedy: str) -> InfeasiblePlanError:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, frozen, read_only, require_type
+from redundancy_pin.arrays import Array, frozen, read_only, require_type
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
@@ -29,9 +29,7 @@ from redundancy_pin.planners.limits import (
     QUANTITIES,
     LimitEvent,
     Limits,
-    ResolvedLimits,
     check_limits,
-    limit_bounds,
     limit_events,
 )
 from redundancy_pin.planners.plan import Plan
@@ -229,7 +227,7 @@ def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
             plan.functions,
             along,
             plan.carriers,
-            _limits(plan, dynamics),
+            plan.limits.judged_by,
             plan.planner,
             prescribed=np.where(balanced[:, None], plan.tau, np.nan),
             singular=np.flatnonzero(plan.sample_status == SampleStatus.SINGULAR_CONSISTENT),
@@ -244,28 +242,14 @@ def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
         violated=again.limits.violated,
         peak_effort=again.peak_effort,
         imbalance=float(np.nanmax(unbalanced, initial=0.0)),
-        deviations=(
-            *_effort_deviations(plan, unbalanced, balanced),
-            *_sample_deviations(plan, again),
-            *_motion_deviations(plan),
-            *_verdict_deviations(plan, again),
-        ),
+        deviations=_deviations(plan, again, unbalanced),
         wider_limits=_wider_limits(plan, dynamics),
         closure_rank=tuple(again.diagnostics.get("closure_rank", ())),  # type: ignore[arg-type]
     )
 
 
-def _limits(plan: Plan, dynamics: Dynamics) -> ResolvedLimits:
-    """Return the limits that a plan was made with."""
-    resolved = Limits().resolved(replace(dynamics.robot, carrier_limits=plan.limits.judged_by))
-    for name in ("jerk", "effort", "actuator_speed"):
-        if plan.parameters.get(name) is not None:
-            resolved = replace(resolved, **{name: np.array(plan.parameters[name], dtype=float)})  # type: ignore[arg-type]
-    return resolved
-
-
 def _wider_limits(plan: Plan, dynamics: Dynamics) -> tuple[str, ...]:
-    own, used = (limit_bounds(limits) for limits in (dynamics.robot.carrier_limits, plan.limits.judged_by))
+    own, used = Limits().resolved(dynamics.robot).bounds, plan.limits.judged_by.bounds
     return tuple(
         f"{name}: judged by a {quantity} of {used[0][i, j]:g} to {used[1][i, j]:g}, the robot's own is "
         f"{own[0][i, j]:g} to {own[1][i, j]:g}."
@@ -275,81 +259,78 @@ def _wider_limits(plan: Plan, dynamics: Dynamics) -> tuple[str, ...]:
     )
 
 
-def _effort_deviations(plan: Plan, unbalanced: Array, balanced: BoolArray) -> list[Deviation]:
-    wrong = ~balanced & solved_status(plan.sample_status)
+def _deviations(plan: Plan, again: Plan, unbalanced: Array) -> tuple[Deviation, ...]:
+    """Return where a plan says something else than its evaluation ``again``; ``unbalanced`` (N,) of its efforts."""
+    motion, carriers, platform = plan.motion, plan.carriers, plan.functions.platform.sample_at(plan.t)
+    left, right = plan.functions.carriers_at(plan.t, "left"), plan.functions.carriers_at(plan.t, "right")
+    sdd = np.where(np.abs(carriers.sdd - left.sdd) < np.abs(carriers.sdd - right.sdd), left.sdd, right.sdd)
+    sdd[0] = carriers.sdd[0]  # a sample belongs to the step that it ends, the first to none
+    # backward differences move a carrier by its new speed, the motion by the mean of both: half a step apart
+    step = float(np.diff(plan.t).max(initial=0.0)) if plan.planner == "stepwise" else 0.0
+    slack = step * float(np.abs(carriers.sd).max(initial=0.0))
+    table = (
+        ("forces of the carriers", plan.carrier_force, again.carrier_force, SAME, 0.0),
+        ("rates of the main actuators", plan.actuated_rate, again.actuated_rate, SAME, 0.0),
+        ("margin", plan.margin, again.margin, SAME, 0.0),
+        ("platform motion x", motion.x, platform.x, SAME, 0.0),
+        ("platform motion xd", motion.xd, platform.xd, SAME, 0.0),
+        ("platform motion xdd", motion.xdd, platform.xdd, SAME, 0.0),
+        ("carrier motion s", carriers.s, right.s, SAME, slack),
+        ("carrier motion sd", carriers.sd, right.sd, SAME, 0.0),
+        ("carrier motion sdd", carriers.sdd, sdd, 1e3 * SAME, 0.0),
+    )
+    compared = (_compared(what, plan.t, ours, theirs, part, room) for what, ours, theirs, part, room in table)
+    found = (_unbalanced(plan, unbalanced), *compared, _other_peak(plan, again), *_other_limits(plan, again))
+    status = None
+    if plan.status is not again.status:
+        message = f"The status is {again.status.value}, not {plan.status.value}."
+        status = Deviation("status", float("nan"), float("nan"), message)
+    return tuple(one for one in (*found, status) if one is not None)
+
+
+def _compared(what: str, t: Array, ours: Array, theirs: Array, allowed: float, slack: float) -> Deviation | None:
+    """Return where values (N, ...) of a plan deviate most, if by more than a fraction of the largest and a slack."""
+    ours, theirs = np.asarray(ours).reshape(len(t), -1), np.asarray(theirs).reshape(len(t), -1)
+    known = np.isfinite(ours), np.isfinite(theirs)
+    distance = np.abs(np.where(known[0], ours, 0.0) - np.where(known[1], theirs, 0.0))
+    distance[known[0] != known[1]] = np.inf
+    size = float(np.abs(theirs[np.isfinite(theirs)]).max(initial=0.0))
+    worst = int(distance.max(axis=1, initial=0.0).argmax())
+    amount, time = float(distance[worst].max(initial=0.0)), float(t[worst])
+    if amount <= allowed * max(size, 1e-9) + slack:
+        return None
+    return Deviation(what, time, amount, f"{what.capitalize()}: off by {amount:.3g} at t = {time:.6g} s.")
+
+
+def _unbalanced(plan: Plan, unbalanced: Array) -> Deviation | None:
+    wrong = ~(unbalanced <= BALANCE_TOLERANCE) & solved_status(plan.sample_status)
     if not wrong.any():
-        return []
+        return None
     worst = int(np.where(wrong, np.nan_to_num(unbalanced, nan=np.inf), -1.0).argmax())
     amount, t = float(unbalanced[worst]), float(plan.t[worst])
     much = f"W τ − f is {amount:.3g} of the largest f" if np.isfinite(amount) else "they are not finite"
     message = f"The main efforts of {int(wrong.sum())} samples do not balance the motion: at t = {t:.6g} s {much}."
-    return [Deviation("main efforts", t, amount, message)]
+    return Deviation("main efforts", t, amount, message)
 
 
-def _sample_deviations(plan: Plan, again: Plan) -> list[Deviation]:
-    deviations = []
-    for name, what in (
-        ("carrier_force", "forces of the carriers"),
-        ("actuated_rate", "rates of the main actuators"),
-        ("margin", "margin"),
-    ):
-        deviations += _compared(what, plan.t, getattr(plan, name), getattr(again, name), SAME)
-    return deviations
-
-
-def _motion_deviations(plan: Plan) -> list[Deviation]:
-    """Compare the samples with the functions of time that the plan carries."""
-    functions = plan.functions
-    there = functions.platform.sample_at(plan.t)
-    left, right = (functions.carriers_at(plan.t, side) for side in ("left", "right"))
-    # backward differences move a carrier by its new speed, the motion by the mean of both: half a step apart
-    step = float(np.diff(plan.t).max(initial=0.0))
-    slack = step * float(np.abs(plan.carriers.sd).max(initial=0.0)) if plan.planner == "stepwise" else 0.0
-    nearest = np.minimum(np.abs(plan.carriers.sdd - left.sdd), np.abs(plan.carriers.sdd - right.sdd))
-    nearest[0] = 0.0  # a sample belongs to the step that it ends, the first to none
-    deviations = []
-    for name in ("x", "xd", "xdd"):
-        ours, theirs = getattr(plan.motion, name), getattr(there, name)
-        deviations += _compared(f"platform motion {name}", plan.t, ours, theirs, SAME)
-    for name, ours, theirs, allowed, room in (
-        ("s", plan.carriers.s, right.s, SAME, slack),
-        ("sd", plan.carriers.sd, right.sd, SAME, 0.0),
-        ("sdd", plan.carriers.sdd, plan.carriers.sdd - nearest, 1e3 * SAME, 0.0),
-    ):
-        deviations += _compared(f"carrier motion {name}", plan.t, ours, theirs, allowed, room)
-    return deviations
-
-
-def _compared(what: str, t: Array, ours: Array, theirs: Array, allowed: float, slack: float = 0.0) -> list[Deviation]:
-    """Return where values (N, ...) of a plan deviate most, if by more than a fraction of the largest and a slack."""
-    ours, theirs = np.asarray(ours).reshape(len(t), -1), np.asarray(theirs).reshape(len(t), -1)
-    known = np.isfinite(ours), np.isfinite(theirs)
-    apart = np.abs(np.where(known[0], ours, 0.0) - np.where(known[1], theirs, 0.0))
-    apart[known[0] != known[1]] = np.inf
-    size = float(np.abs(theirs[np.isfinite(theirs)]).max(initial=0.0))
-    worst = int(apart.max(axis=1, initial=0.0).argmax())
-    amount = float(apart[worst].max(initial=0.0))
-    if amount <= allowed * max(size, 1e-9) + slack:
-        return []
-    time = float(t[worst])
-    return [Deviation(what, time, amount, f"{what.capitalize()}: off by {amount:.3g} at t = {time:.6g} s.")]
-
-
-def _verdict_deviations(plan: Plan, again: Plan) -> list[Deviation]:
-    deviations = []
+def _other_peak(plan: Plan, again: Plan) -> Deviation | None:
     ours, theirs = plan.between.peak, again.between.peak
-    apart = np.abs(ours - theirs) if np.isfinite([ours, theirs]).all() else np.where(ours == theirs, 0.0, np.inf)
-    if (apart > SAME_PEAK * max(float(theirs.max(initial=0.0)), 1e-9)).any():
-        j = int(apart.argmax())
-        message = f"The peak effort of {plan.robot.actuated[j]} is {theirs[j]:.6g}, not {ours[j]:.6g}."
-        deviations.append(Deviation("peak effort", float(again.between.time[j]), float(apart[j]), message))
+    distance = np.abs(ours - theirs) if np.isfinite([ours, theirs]).all() else np.where(ours == theirs, 0.0, np.inf)
+    if (distance <= SAME_PEAK * max(float(theirs.max(initial=0.0)), 1e-9)).all():
+        return None
+    j = int(distance.argmax())
+    message = f"The peak effort of {plan.robot.actuated[j]} is {theirs[j]:.6g}, not {ours[j]:.6g}."
+    return Deviation("peak effort", float(again.between.time[j]), float(distance[j]), message)
+
+
+def _other_limits(plan: Plan, again: Plan) -> list[Deviation]:
+    """Return the limits that are exceeded and that the plan does not report, each once."""
     reported = {(one.carrier, one.quantity) for one in plan.limits.violated}
-    seen = {(one.carrier, one.quantity): one for one in reversed(again.limits.violated)}  # the first of each counts
-    for (carrier, quantity), event in sorted(seen.items(), key=lambda item: item[0]):
-        if (carrier, quantity) not in reported:
-            message = f"The {quantity} of {carrier} exceeds its limit by {event.amount:.4g} at t = {event.worst:.6g} s."
+    found = {(one.carrier, one.quantity): one for one in reversed(again.limits.violated)}  # the first of each counts
+    deviations = []
+    for key, event in sorted(found.items(), key=lambda item: item[0]):
+        if key not in reported:
+            exceeds = f"exceeds its limit by {event.amount:.4g} at t = {event.worst:.6g} s."
+            message = f"The {event.quantity} of {event.carrier} {exceeds}"
             deviations.append(Deviation("limits", event.worst, event.amount, message))
-    if plan.status is not again.status:
-        message = f"The status is {again.status.value}, not {plan.status.value}."
-        deviations.append(Deviation("status", float("nan"), float("nan"), message))
     return deviations

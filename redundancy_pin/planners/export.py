@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -85,6 +85,107 @@ class PlanTable(Frozen):
                 columns[f"{name}:{joint}"] = (self.joint_units[quantity][j], getattr(self, quantity)[:, j])
         return columns
 
+    def to_csv(self, path: str | Path) -> None:
+        """Write CSV: a row of names with units, such as ``tau:elbow [N*m]``, then one for each instant.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        write_text(path, csv_rows(self.columns()))
+
+    def to_json(self, path: str | Path) -> None:
+        """Write one JSON object: which plan it is, ``units`` and ``columns`` by name; no finite effort is null.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        columns = self.columns()
+        data = {
+            **self.about,
+            "joints": list(self.joints),
+            "units": {name: unit for name, (unit, _) in columns.items()},
+            "columns": {
+                name: [value if np.isfinite(value) else None for value in values.tolist()]
+                for name, (_, values) in columns.items()
+            },
+        }
+        write_text(path, json.dumps(data, allow_nan=False) + "\n")
+
+    def to_mat(self, path: str | Path) -> None:
+        """Write a MAT file (version 5): matrices with a column for each joint, and cells with their names.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        from scipy.io import savemat
+
+        def cells(names: tuple[str, ...]) -> Any:
+            column = np.empty(len(names), dtype=object)
+            column[:] = names
+            return column
+
+        data = {
+            **{key: value for key, value in self.about.items() if value is not None},
+            "t": self.t[:, None],
+            "joints": cells(self.joints),
+            **{quantity: getattr(self, quantity) for quantity in QUANTITIES},
+            "units": {quantity: cells(units) for quantity, units in self.joint_units.items()},
+            "coordinates": cells(tuple(self.platform)),
+            "coordinate_units": cells(tuple(unit for unit, _ in self.platform.values())),
+            "x": np.stack([values for _, values in self.platform.values()], axis=1),
+        }
+        with replacing_file(path) as temporary, refusing(path):
+            savemat(temporary, data, appendmat=False)
+
+    def to_ros(self, path: str | Path) -> None:
+        """Write a message ``trajectory_msgs/JointTrajectory`` of ROS 2, YAML or JSON by the name of the file.
+
+        Carriers are joints like the others. An instant at which something jumps has the values after the jump.
+
+        Raises:
+            InputError: efforts that are not finite.
+            OutputError: another suffix, or the file cannot be written.
+        """
+        suffix = Path(path).suffix.lower()
+        if suffix not in (".yaml", ".yml", ".json"):
+            raise OutputError(
+                f"{path} ends in neither .yaml nor .json.", remedy="Name it trajectory.yaml.", path=str(path)
+            )
+        message = joint_trajectory(self.after_jumps())
+        if suffix == ".json":
+            write_text(path, json.dumps(message, allow_nan=False) + "\n")
+            return
+        import yaml
+
+        dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+        write_text(path, yaml.dump(message, Dumper=dumper, sort_keys=False, default_flow_style=None, width=1 << 20))
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas ``DataFrame`` with t as its index; units are in ``.attrs["units"]``.
+
+        Raises:
+            RedundancyPinError: pandas is not installed.
+        """
+        pandas = optional("pandas", "A data frame needs", "Install it with `pip install 'redundancy_pin[pandas]'`.")
+        columns = self.columns()
+        values = {name: values for name, (_, values) in columns.items() if name != "t"}
+        frame = pandas.DataFrame(values, index=pandas.Index(self.t, name="t"))
+        frame.attrs.update(self.about, units={name: unit for name, (unit, _) in columns.items()})
+        return frame
+
+    def after_jumps(self) -> PlanTable:
+        """Return the table with one row for each instant: of two rows, before and after a jump, the second."""
+        kept = ~_before(self.t)
+        return replace(
+            self,
+            t=read_only(self.t[kept]),
+            position=read_only(self.position[kept]),
+            rate=read_only(self.rate[kept]),
+            acceleration=read_only(self.acceleration[kept]),
+            effort=read_only(self.effort[kept]),
+            platform={name: (unit, read_only(values[kept])) for name, (unit, values) in self.platform.items()},
+        )
+
 
 def plan_table(
     plan: Plan, rate: float | None = None, *, two_sided: bool | None = None, robot: RobotLike | None = None
@@ -106,9 +207,6 @@ def plan_table(
     machine = robot_of_record(plan.robot, robot)
     if rate is None:
         parts = _at_samples(plan, machine)
-        if two_sided is False:  # the row after the jump stands for both
-            kept = ~_before(plan.t)
-            parts = tuple(part[kept] for part in parts)  # type: ignore[assignment]
     else:
         parts = _at_rate(plan, machine, positive(rate, "rate", "Hz"), two_sided is True)
     about = {
@@ -120,7 +218,8 @@ def plan_table(
         "status": plan.status.value,
         "samples_per_second": None if rate is None else float(rate),
     }
-    return table_of_states(machine, plan.robot, parts, about)
+    table = table_of_states(machine, plan.robot, parts, about)
+    return table.after_jumps() if two_sided is False else table
 
 
 def table_of_states(
@@ -215,72 +314,6 @@ def _units(record: RobotRecord, names: tuple[str, ...]) -> dict[str, tuple[str, 
     }
 
 
-# --- files ----------------------------------------------------------------------------------------------------------
-
-
-def write_csv(table: PlanTable, path: str | Path) -> None:
-    """Write a table as CSV: a row of names with units, such as ``tau:elbow [N*m]``, then one for each instant."""
-    write_text(path, csv_rows(table.columns()))
-
-
-def write_json(table: PlanTable, path: str | Path) -> None:
-    """Write a table as one JSON object: which plan it is, ``units`` and ``columns``; no finite effort is null."""
-    columns = table.columns()
-    data = {
-        **table.about,
-        "joints": list(table.joints),
-        "units": {name: unit for name, (unit, _) in columns.items()},
-        "columns": {
-            name: [value if np.isfinite(value) else None for value in values.tolist()]
-            for name, (_, values) in columns.items()
-        },
-    }
-    write_text(path, json.dumps(data, allow_nan=False) + "\n")
-
-
-def write_mat(table: PlanTable, path: str | Path) -> None:
-    """Write a table as a MAT file (version 5): matrices with a column for each joint, and cells with their names."""
-    from scipy.io import savemat
-
-    def cells(names: tuple[str, ...]) -> Any:
-        column = np.empty(len(names), dtype=object)
-        column[:] = names
-        return column
-
-    data = {
-        **{key: value for key, value in table.about.items() if value is not None},
-        "t": table.t[:, None],
-        "joints": cells(table.joints),
-        **{quantity: getattr(table, quantity) for quantity in QUANTITIES},
-        "units": {quantity: cells(units) for quantity, units in table.joint_units.items()},
-        "coordinates": cells(tuple(table.platform)),
-        "coordinate_units": cells(tuple(unit for unit, _ in table.platform.values())),
-        "x": np.stack([values for _, values in table.platform.values()], axis=1),
-    }
-    with replacing_file(path) as temporary, refusing(path):
-        savemat(temporary, data, appendmat=False)
-
-
-def write_ros(table: PlanTable, path: str | Path) -> None:
-    """Write a table as a message ``trajectory_msgs/JointTrajectory`` of ROS 2, YAML or JSON by the name of the file.
-
-    Raises:
-        InputError: efforts that are not finite.
-        OutputError: another suffix, or the file cannot be written.
-    """
-    suffix = Path(path).suffix.lower()
-    if suffix not in (".yaml", ".yml", ".json"):
-        raise OutputError(f"{path} ends in neither .yaml nor .json.", remedy="Name it trajectory.yaml.", path=str(path))
-    message = joint_trajectory(table)
-    if suffix == ".json":
-        write_text(path, json.dumps(message, allow_nan=False) + "\n")
-        return
-    import yaml
-
-    dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-    write_text(path, yaml.dump(message, Dumper=dumper, sort_keys=False, default_flow_style=None, width=1 << 20))
-
-
 def joint_trajectory(table: PlanTable) -> dict[str, Any]:
     """Return a one-sided table as the fields of ``trajectory_msgs/JointTrajectory``; times are from its first row.
 
@@ -311,18 +344,3 @@ def joint_trajectory(table: PlanTable) -> dict[str, Any]:
             for position, rate, acceleration, effort, instant in parts
         ],
     }
-
-
-def data_frame(table: PlanTable) -> Any:
-    """Return a table as a pandas ``DataFrame`` with t as its index; units are in ``.attrs["units"]``.
-
-    Raises:
-        RedundancyPinError: pandas is not installed.
-    """
-    pandas = optional("pandas", "A data frame needs", "Install it with `pip install 'redundancy_pin[pandas]'`.")
-    columns = table.columns()
-    frame = pandas.DataFrame(
-        {name: values for name, (_, values) in columns.items() if name != "t"}, index=pandas.Index(table.t, name="t")
-    )
-    frame.attrs.update(table.about, units={name: unit for name, (unit, _) in columns.items()})
-    return frame

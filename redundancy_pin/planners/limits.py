@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeVar
 
@@ -103,6 +102,13 @@ class ResolvedLimits(Frozen):
         """(k,) those of each carrier, as a robot declares them."""
         rows = zip(*self.track.T, self.speed, self.acceleration, self.carrier_force, strict=True)
         return tuple(CarrierLimits(*map(float, row)) for row in rows)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper limits (4, k) of the carriers, in the order of ``QUANTITIES``."""
+        lower, upper = self.track.T
+        rates = np.stack([self.speed, self.acceleration, self.carrier_force])
+        return np.vstack([lower, -rates]), np.vstack([upper, rates])
 
     def parameters(self) -> dict[str, object]:
         """Return track, speed and acceleration as plain data, for a plan."""
@@ -205,22 +211,16 @@ class LimitReport:
     Attributes:
         violated: limits that are broken, by time.
         binding: limits that are touched, by time.
-        judged_by: (k,) the limits of each carrier that the plan was compared with.
+        judged_by: the limits that the plan was compared with.
     """
 
     violated: tuple[LimitEvent, ...]
     binding: tuple[LimitEvent, ...]
-    judged_by: tuple[CarrierLimits, ...]
+    judged_by: ResolvedLimits
 
 
 QUANTITIES = ("track", "speed", "acceleration", "force")
 """Of a carrier, in the order of its position, its rates and its force."""
-
-
-def limit_bounds(limits: Sequence[CarrierLimits]) -> tuple[Array, Array]:
-    """Return lower and upper limits (4, k) of track, speed, acceleration and force of k carriers."""
-    lower = np.array([[c.lower, -c.speed, -c.acceleration, -c.force] for c in limits]).reshape(-1, 4).T
-    return lower, np.array([[c.upper, c.speed, c.acceleration, c.force] for c in limits]).reshape(-1, 4).T
 
 
 def check_limits(limits: ResolvedLimits, t: Array, carriers: CarrierMotion, carrier_force: Array) -> LimitReport:
@@ -231,7 +231,7 @@ def check_limits(limits: ResolvedLimits, t: Array, carriers: CarrierMotion, carr
     """
     violated: list[LimitEvent] = []
     binding: list[LimitEvent] = []
-    lowest, highest = limit_bounds(limits.of_carriers)
+    lowest, highest = limits.bounds
     values = (carriers.s, carriers.sd, carriers.sdd, carrier_force)
     for i, name in enumerate(limits.names):
         for quantity, series, lower, upper in zip(QUANTITIES, values, lowest[:, i], highest[:, i], strict=True):
@@ -245,7 +245,7 @@ def check_limits(limits: ResolvedLimits, t: Array, carriers: CarrierMotion, carr
                 violated += _events(name, quantity, t, value, limit, excess, broken)
                 binding += _events(name, quantity, t, value, limit, excess, touched)
     violated, binding = (sorted(events, key=lambda event: event.start) for events in (violated, binding))
-    return LimitReport(tuple(violated), tuple(binding), limits.of_carriers)
+    return LimitReport(tuple(violated), tuple(binding), limits)
 
 
 def motion_events(limits: ResolvedLimits, position: PiecewisePolynomial) -> tuple[LimitEvent, ...]:

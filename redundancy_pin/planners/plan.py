@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -19,9 +20,9 @@ from redundancy_pin.loading import RobotLike
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import IntersamplePeaks
-from redundancy_pin.planners.limits import LimitEvent, LimitReport
+from redundancy_pin.planners.limits import LimitEvent, LimitReport, ResolvedLimits
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot
-from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -211,12 +212,13 @@ class Plan(Frozen):
         functions = replace(self.functions, platform=replace(platform, source=platform.polynomials))
         write_archive(path, PLAN_FORMAT, PLAN_VERSION, replace(self, functions=functions, robot=robot))
 
-    # Files of other programs; ``planners.export`` says what is in them, and is imported where it is needed.
-
     def table(
         self, rate: float | None = None, *, two_sided: bool | None = None, robot: RobotLike | None = None
     ) -> PlanTable:
         """Return positions, rates, accelerations and efforts by joint name, at a rate, Hz, or at the samples.
+
+        The table writes itself for other programs: ``plan.table(rate=1000).to_csv("plan.csv")``, ``to_json``,
+        ``to_mat``, ``to_ros``, ``to_dataframe`` (``PlanTable``).
 
         Args:
             rate: rows a second, by the functions of time of the plan; its samples when left out.
@@ -232,66 +234,6 @@ class Plan(Frozen):
         from redundancy_pin.planners.export import plan_table
 
         return plan_table(self, rate, two_sided=two_sided, robot=robot)
-
-    def to_csv(
-        self,
-        path: str | Path,
-        rate: float | None = None,
-        *,
-        two_sided: bool | None = None,
-        robot: RobotLike | None = None,
-    ) -> None:
-        """Write ``table`` as CSV: names with units, such as ``tau:elbow [N*m]``, then a row for each instant.
-
-        Arguments and errors are those of ``table``; OutputError where the file cannot be written.
-        """
-        from redundancy_pin.planners.export import write_csv
-
-        write_csv(self.table(rate, two_sided=two_sided, robot=robot), path)
-
-    def to_json(
-        self,
-        path: str | Path,
-        rate: float | None = None,
-        *,
-        two_sided: bool | None = None,
-        robot: RobotLike | None = None,
-    ) -> None:
-        """Write ``table`` as one JSON object, with ``units`` and ``columns`` by name; see ``to_csv``."""
-        from redundancy_pin.planners.export import write_json
-
-        write_json(self.table(rate, two_sided=two_sided, robot=robot), path)
-
-    def to_mat(
-        self,
-        path: str | Path,
-        rate: float | None = None,
-        *,
-        two_sided: bool | None = None,
-        robot: RobotLike | None = None,
-    ) -> None:
-        """Write ``table`` as a MAT file: ``t``, ``joints``, ``position``, ``rate``, ...; see ``to_csv``."""
-        from redundancy_pin.planners.export import write_mat
-
-        write_mat(self.table(rate, two_sided=two_sided, robot=robot), path)
-
-    def to_ros(self, path: str | Path, rate: float | None = None, *, robot: RobotLike | None = None) -> None:
-        """Write a message ``trajectory_msgs/JointTrajectory`` of ROS 2, as YAML or JSON by the name of the file.
-
-        Carriers are joints like the others. An instant at which something jumps has the values after the jump. The
-        rest as ``to_csv``; InputError where efforts are not finite.
-        """
-        from redundancy_pin.planners.export import write_ros
-
-        write_ros(self.table(rate, two_sided=False, robot=robot), path)
-
-    def to_dataframe(
-        self, rate: float | None = None, *, two_sided: bool | None = None, robot: RobotLike | None = None
-    ) -> Any:
-        """Return ``table`` as a pandas ``DataFrame`` over t, units in its ``attrs``; an error without pandas."""
-        from redundancy_pin.planners.export import data_frame
-
-        return data_frame(self.table(rate, two_sided=two_sided, robot=robot))
 
 
 def _absolute_integral(power: Array, t: Array) -> float:
@@ -338,13 +280,14 @@ def _plan(record: Mapping[str, Any], path: str | Path) -> Plan:
     """Return the plan of a record of a file, checked."""
     values = _values(Plan, record)
     limits = _values(LimitReport, values["limits"])
-    kinds = {"violated": LimitEvent, "binding": LimitEvent, "judged_by": CarrierLimits}
     values |= {
         # validated when they were planned
         "motion": PlatformMotion(**values["motion"], check_rates=False),
         "carriers": CarrierMotion(**values["carriers"], check_rates=False),
         "limits": LimitReport(
-            **{key: tuple(record_of(kind, one) for one in limits[key]) for key, kind in kinds.items()}
+            violated=tuple(record_of(LimitEvent, one) for one in limits["violated"]),
+            binding=tuple(record_of(LimitEvent, one) for one in limits["binding"]),
+            judged_by=ResolvedLimits(**_values(ResolvedLimits, limits["judged_by"])),
         ),
         "status": ResultStatus(values["status"]),
         "robot": read_robot(values["robot"], path),
@@ -397,20 +340,32 @@ def _check(plan: Plan) -> None:
     for name, expected in kinds.items():
         if not isinstance(getattr(plan, name), expected) or not all(isinstance(phase, str) for phase in plan.phases):
             raise InputError(f"its {name} are {shown(getattr(plan, name))}")
-    _require_array("carriers.s", plan.carriers.s, "f", (samples, carriers))
-    for columns, kind, names in (
-        ((actuators,), "f", ("tau", "actuated_rate")),
-        ((carriers,), "f", ("carrier_force",)),
-        ((), "f", ("residual", "margin", "condition")),
-        ((), "i", ("sample_status", "phase")),
-    ):
-        for name in names:
-            _require_array(name, getattr(plan, name), kind, (samples, *columns))
-    for name, count in (("peak", actuators), ("time", actuators), ("force_peak", carriers)):
-        _require_array(f"between, {name}", getattr(plan.between, name), "f", (count,))
-    for entries in (plan.robot.carrier_limits, plan.limits.judged_by):
-        if len(entries) != carriers:
-            raise InputError(f"it has limits of {len(entries)} carriers, but {carriers} carriers")
+    shapes = {
+        "carriers.s": (samples, carriers),
+        "tau": (samples, actuators),
+        "actuated_rate": (samples, actuators),
+        "carrier_force": (samples, carriers),
+        "residual": (samples,),
+        "margin": (samples,),
+        "condition": (samples,),
+        "between.peak": (actuators,),
+        "between.time": (actuators,),
+        "between.force_peak": (carriers,),
+        "limits.judged_by.track": (carriers, 2),
+        "limits.judged_by.speed": (carriers,),
+        "limits.judged_by.acceleration": (carriers,),
+        "limits.judged_by.carrier_force": (carriers,),
+        "limits.judged_by.jerk": (carriers,),
+        "limits.judged_by.effort": (actuators,),
+        "limits.judged_by.actuator_speed": (actuators,),
+    }
+    for name, shape in shapes.items():
+        _require_array(name, attrgetter(name)(plan), "f", shape)
+    for name in ("sample_status", "phase"):
+        _require_array(name, getattr(plan, name), "i", (samples,))
+    for count in (len(plan.robot.carrier_limits), len(plan.limits.judged_by.names)):
+        if count != carriers:
+            raise InputError(f"it has limits of {count} carriers, but {carriers} carriers")
     unbounded = ~np.isfinite(plan.tau).all(axis=1)
     if unbounded.any() and plan.status is not ResultStatus.UNBOUNDED:
         t = float(plan.t[unbounded][0])

@@ -267,9 +267,7 @@ def _between_samples(
             f"{count} carriers.",
             remedy="Sample both at the same times.",
         )
-    left = np.flatnonzero(np.diff(motion.t) > 0.0)
-    ends = ((carriers.s[at], carriers.sd[at], carriers.sdd[at]) for at in (left, left + 1))
-    return PiecewisePolynomial.hermite(np.append(motion.t[left], motion.t[-1]), *ends)
+    return PiecewisePolynomial.through(motion.t, carriers.s, carriers.sd, carriers.sdd)
 
 
 def reference_of(robot: Robot, functions: PlanFunctions, edges: Array, plan: Plan | None = None) -> MotionReference:

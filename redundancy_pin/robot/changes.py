@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, checked, require_type
 from redundancy_pin.errors import InputError, did_you_mean, shown
+from redundancy_pin.robot.formats.urdf_parts import DRAKE
 from redundancy_pin.robot.joint_ranges import ROUNDING
 from redundancy_pin.robot.lookup import find_joint, find_link
 from redundancy_pin.robot.types import Robot
@@ -37,7 +38,7 @@ def changed_urdf(urdf: str, masses: Mapping[str, float], lengths: Mapping[str, A
     """
     root = ElementTree.fromstring(urdf)
     links = {str(link.get("name")): link for link in root.findall("link")}
-    joints = {str(joint.get("name")): joint for joint in root.findall("joint")}
+    joints = {str(joint.get("name")): joint for tag in ("joint", DRAKE + "joint") for joint in root.findall(tag)}
     for name, value in _items(masses, "masses"):
         moved = joints[name].find("child").get("link") if name in joints and name not in links else ""  # type: ignore[union-attr]
         _scale_mass(_named(name, links, "link", f"The joint {name} moves {moved}. " if moved else ""), name, value)

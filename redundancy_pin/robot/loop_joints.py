@@ -6,7 +6,7 @@ Every reader of a format says what closes a loop in these terms, whichever words
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
@@ -40,15 +40,15 @@ class LoopJoint:
         name: what to call it in messages.
         kind: one of ``ROWS``.
         links: the two links that it joins.
-        placements: (4, 4) of its frame in each link, placed as ``ROWS`` says; the frames coincide where it is closed,
-            those of a rod are at its ends.
+        placements: (4, 4) of its frame in each link, placed as ``ROWS`` says, the link's own by default; the frames
+            coincide where it is closed, those of a rod are at its ends.
         length: m, of a rod; 0 where it is the distance of its ends at the reference.
     """
 
     name: str
     kind: str
     links: tuple[str, str]
-    placements: tuple[Array, Array]
+    placements: tuple[Array, Array] = field(default_factory=lambda: (np.eye(4), np.eye(4)))
     length: float = 0.0
 
     def frames(self) -> tuple[str, str]:

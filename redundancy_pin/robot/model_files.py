@@ -17,17 +17,13 @@ from redundancy_pin.robot.formats.xml_files import FORMATS, format_of, read_mode
 from redundancy_pin.robot.urdf import Argument, known_values, render
 
 _URDF = (".urdf", ".xacro")
-_SUFFIXES = (".xml", ".mjcf", ".sdf", ".world", ".yaml", ".yml")
+_YAML = (".yaml", ".yml")
+_SUFFIXES = (".xml", ".mjcf", ".sdf", ".world", *_YAML)
 _PARALLEL = "a robot.yaml of example-parallel-robots"
-_READERS: Mapping[str, Callable[..., Mechanism]] = {
-    FORMATS["mujoco"]: read_mjcf,
-    FORMATS["sdf"]: read_sdf,
-    _PARALLEL: read_parallel_yaml,
-}
 _ARGUMENTS: Mapping[str, Mapping[str, Argument]] = {
-    FORMATS["mujoco"]: {"base": "free", "keyframe": ""},
+    FORMATS["mujoco"]: {"base": "free", "actuated": "", "keyframe": ""},
     FORMATS["sdf"]: {"base": "fixed", "actuated": ""},
-    _PARALLEL: {"base": "fixed"},
+    _PARALLEL: {"base": "fixed", "actuated": ""},
 }
 """Such files by what they are, and the arguments that they have in place of those of a xacro file."""
 
@@ -37,6 +33,11 @@ def is_urdf(path: Path) -> bool:
     return path.suffix.lower() in _URDF
 
 
+def states_gravity(path: Path) -> bool:
+    """Return whether a model file has gravity in it, by its name: a URDF has none, nor the collection's robot.yaml."""
+    return path.suffix.lower() not in (*_URDF, *_YAML)
+
+
 def is_model_file(path: Path) -> bool:
     """Return whether a file describes a mechanism and needs no declaration: by its name, and by its top element."""
     return is_file(path) and (is_urdf(path) or (path.suffix.lower() in _SUFFIXES and _format(path) in _ARGUMENTS))
@@ -44,7 +45,7 @@ def is_model_file(path: Path) -> bool:
 
 def _format(path: Path) -> str:
     text = read_model(path)
-    if path.suffix.lower() in (".yaml", ".yml"):
+    if path.suffix.lower() in _YAML:
         return _PARALLEL if is_parallel_yaml(text) else ""
     return format_of(text)
 
@@ -61,15 +62,17 @@ def open_model(
     Args:
         path: the file.
         arguments: of a xacro file its own; of others ``base``: "free", or "fixed" to hold a free body where it starts;
-            of MJCF ``keyframe``, the name of the one that the mechanism starts from; of URDF and SDF ``actuated``,
-            names of driven joints with commas between.
+            of all others ``actuated``, names of driven joints with commas between, in place of those that the file
+            states; of MJCF ``keyframe``, the name of the one that the mechanism starts from.
         trust: let xacro evaluate its expressions as Python, and MJCF read files of other folders.
         untrusted: let xacro and MuJoCo work in a child process with limits of time and memory.
 
     Raises:
         ModelFileError: a file that cannot be read, or says what is not covered.
-        InputError: another argument, or another value.
+        InputError: another argument, or another value; trust and untrusted.
     """
+    if trust and untrusted:
+        raise InputError("trust and untrusted are both true.", remedy="Pass one of them.")
     if is_urdf(path):
         return _open_urdf(path, arguments, trust, untrusted)
     if (defaults := _ARGUMENTS.get(found := _format(path))) is None:
@@ -88,10 +91,26 @@ def open_model(
     def read(kinds: Mapping[str, str] | None) -> Mechanism:
         if kinds:
             raise InputError(f"`joint_types` are of joints of a URDF; {path.name} is none.", remedy="Leave them out.")
-        reader = _READERS[found]
-        return reader(path, **given, trust=trust, untrusted=untrusted) if reader is read_mjcf else reader(path, **given)
+        base, driven = given["base"], given["actuated"]
+        if found == FORMATS["mujoco"]:
+            made = read_mjcf(path, base=base, keyframe=given["keyframe"], trust=trust, untrusted=untrusted)
+        elif found == FORMATS["sdf"]:
+            made = read_sdf(path, base=base, actuated=_names(driven))
+        else:
+            made = read_parallel_yaml(path, base=base)
+        return _driving(made, driven)
 
     return dict(given), read
+
+
+def _names(text: str) -> tuple[str, ...]:
+    """Return the names of a text with commas between."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _driving(mechanism: Mechanism, names: str) -> Mechanism:
+    """Return a mechanism with these motors, commas between, in place of its own; with its own for an empty text."""
+    return replace(mechanism, actuated=_names(names)) if _names(names) else mechanism
 
 
 def _open_urdf(
@@ -127,9 +146,7 @@ def mechanism_of_urdf(
         kinds = {joint.name: SEVERAL_FREEDOMS[joint.kind] for joint in file.joints if joint.kind in SEVERAL_FREEDOMS}
     base = str(arguments.get("base", "fixed")) if is_plain(path) else "fixed"
     made = urdf_mechanism(file, path.stem.partition(".")[0], kinds=kinds, base=base)
-    given = str(arguments.get("actuated", "")) if is_plain(path) else ""
-    driven = tuple(name.strip() for name in given.split(",") if name.strip())
-    return replace(made, actuated=driven, drives_declared=True) if driven else made
+    return _driving(made, str(arguments.get("actuated", "")) if is_plain(path) else "")
 
 
 def is_plain(path: Path) -> bool:

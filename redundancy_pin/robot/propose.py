@@ -33,7 +33,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InputError, did_you_mean, shown
+from redundancy_pin.errors import InputError, shown
 from redundancy_pin.robot.build import characteristic_length
 from redundancy_pin.robot.formats.mechanism import Mechanism
 from redundancy_pin.robot.lookup import (
@@ -125,6 +125,12 @@ class Proposal:
         """The loop joints whose ends were found by their places."""
         return [loop for loop in self.mechanism.loop_joints if self.found.get(loop.name) in (_MEETING, _MEETING_ENDS)]
 
+    @property
+    def hinges_by_flag(self) -> tuple[LoopJoint, ...]:
+        """The hinges that close loops by ``--close``."""
+        loops = self.mechanism.loop_joints
+        return tuple(loop for loop in loops if loop.kind == "hinge" and self.found.get(loop.name) == _BY_FLAG)
+
     def refused(self, why: str) -> Proposal:
         """Return the proposal with the question that is left where no robot can be made of it, and why not."""
         return self.asking(*(_is_cut(loop.links, "They only meet at zero") for loop in self.doubtful), why)
@@ -160,7 +166,7 @@ class Proposal:
                     ways += f", or --close A,B of another loop, of {', '.join(marks)}"
                 asked.append(f"Which joint closes the loop at {ends}? {why}: {ways}.")
         if not how:
-            asked.append(which_motors(self.mechanism, robot.n))
+            asked.append(_which_motors(self.mechanism, robot.n))
         return replace(self, motors=how).asking(*asked)
 
     def listed(self) -> tuple[str, ...]:
@@ -213,6 +219,8 @@ def propose(
             loops.append(joint)
             presumed.append(joint.name)
             found[joint.name] = how
+    if questions and not motors:  # without its loops a mechanism has another number of degrees of freedom
+        questions.append(_which_motors(mechanism))
     ends = {link for joint in loops for link in joint.links}
     complete = replace(mechanism, loop_joints=tuple(loops), presumed=tuple(presumed))
     frames = () if questions else tuple(mark for mark in mechanism.marks if mark not in ends)
@@ -448,17 +456,13 @@ def _which_meet(marks: Sequence[str], at_zero: Sequence[tuple[str, str]], tree: 
 
 def _with_motors(mechanism: Mechanism, actuate: Sequence[str]) -> tuple[Mechanism, str]:
     """Return the mechanism with its motors, and how they were found; with all joints where that is not known."""
-    names = joint_names(mechanism.model)
     for name in actuate:
-        if name not in names:
-            remedy = f"{did_you_mean(name, names)}It has: {', '.join(names)}."
-            raise InputError(f"actuate = {shown(name)} is no joint of the file.", remedy=remedy, actuate=name)
+        find_joint_index(mechanism.model, name)
     if actuate:
-        return replace(mechanism, actuated=tuple(actuate), drives_declared=True), "by --actuate"
-    if mechanism.actuated and mechanism.drives_declared:
-        return mechanism, "stated by the file"
-    if mechanism.independent:
-        return mechanism, "marked as independent by the file"
+        return replace(mechanism, actuated=tuple(actuate)), "by --actuate"
+    if mechanism.actuated:
+        is_marked = set(mechanism.actuated) <= set(mechanism.independent)
+        return mechanism, "marked as independent by the file" if is_marked else "stated by the file"
     joints = _could_be_driven(mechanism)
     passive = {name for name in joints if _PASSIVE.intersection(_words(name))}
     named = [name for name in joints if _is_motor(name) and name not in passive]
@@ -467,9 +471,9 @@ def _with_motors(mechanism: Mechanism, actuate: Sequence[str]) -> tuple[Mechanis
         named = others
     places = _usual_places(mechanism.model, joints)
     if not named or not (named == others or set(named) <= {name for group in places.values() for name in group}):
-        return replace(mechanism, actuated=joints, drives_declared=False), ""
+        return replace(mechanism, actuated=joints), ""
     notes = (*mechanism.notes, f"The file does not say what is driven: taken are {', '.join(named)}, {BY_NAME}.")
-    return replace(mechanism, actuated=tuple(named), drives_declared=True, notes=notes), BY_NAME
+    return replace(mechanism, actuated=tuple(named), notes=notes), BY_NAME
 
 
 def _is_motor(joint: str) -> bool:
@@ -494,11 +498,14 @@ def _usual_places(model: pin.Model, joints: Sequence[str]) -> dict[str, list[str
     }
 
 
-def which_motors(mechanism: Mechanism, count: int | None = None) -> str:
+def _which_motors(mechanism: Mechanism, count: int | None = None) -> str:
     """Return the question which joints are driven, with what suggests itself for a number of degrees of freedom."""
     joints = _could_be_driven(mechanism)
     by_name = [name for name in joints if _is_motor(name)]
-    likely = {"by name": by_name, "all": joints, **_usual_places(mechanism.model, joints)}
-    ways = [f"--actuate {','.join(names)} ({why})" for why, names in likely.items() if len(names) == count]
+    reasons: dict[tuple[str, ...], list[str]] = {}
+    for why, names in {"by name": by_name, "all": joints, **_usual_places(mechanism.model, joints)}.items():
+        if len(names) == count:
+            reasons.setdefault(tuple(names), []).append(why)
+    ways = [f"--actuate {','.join(names)} ({', '.join(why)})" for names, why in reasons.items()]
     degrees = "" if count is None else f" The mechanism has {count} DOF."
     return f"Which joints are driven, of {', '.join(joints)}?{degrees} {'; '.join(ways) or '--actuate A,B'}."

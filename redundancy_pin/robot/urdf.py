@@ -41,16 +41,16 @@ def known_values(path: Path, arguments: Mapping[str, object]) -> dict[str, Argum
     for name in (*defaults, *unknown):
         default = defaults.get(name)
         literal = None if default is None or "$" in default else from_text(default)
+        if name in defaults and default is None:
+            raise InputError(
+                f"The argument {name!r} of {path.name} has no default, which xacro demands.",
+                remedy=f'Give it one in the file, which a value replaces: <xacro:arg name="{name}" default="0"/>.',
+                argument=name,
+            )
         if name in arguments:
             values[name] = _as_argument(name, arguments[name], literal)
         elif literal is not None:
             values[name] = literal
-        elif default is None:
-            raise InputError(
-                f"{path.name} needs a value for the argument {name!r}.",
-                remedy=f"It has no default: pass {name}=....",
-                argument=name,
-            )
     return values
 
 

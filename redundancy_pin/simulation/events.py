@@ -127,7 +127,7 @@ class EventFunctions:
         by_actuators, by_platform, rows = np.empty((count, p, p)), np.empty((count, p, p)), np.empty((count, r, p))
         for i, one in enumerate(q):
             chain.update(one, self._still)
-            rows[i] = chain.relative_jacobian()
+            rows[i] = chain.closure_rows()
             if self._square:
                 by_actuators[i, :r], by_actuators[i, r:] = rows[i], self._actuated
             if not self._by_legs:

@@ -128,7 +128,7 @@ class ForwardDynamics:
             SingularPoseError: the closures have lost rank there.
         """
         self.chain.update(q, np.zeros(self.robot.model.nv))
-        return choose(self.chain.relative_jacobian(), self.chain.pose_columns, self._free, self._given, q)
+        return choose(self.chain.closure_rows(), self.chain.pose_columns, self._free, self._given, q)
 
     def adapt(self, q: Array) -> None:
         """Choose the independent velocities anew for a configuration (nq,).
@@ -239,7 +239,7 @@ class ForwardDynamics:
         chain.update(q, v)
         missing = tree_equations(self.robot, chain.data, q, v, a)[0] - force
         # J_cᵀ λ = missing holds in all rows; those of the dependent velocities are square and well conditioned
-        relative, closure = chain.relative_jacobian(), np.full(chain.rows, np.nan)
+        relative, closure = chain.closure_rows(), np.full(chain.rows, np.nan)
         if sheet is None:
             dependent = choose(relative, chain.pose_columns, self._free, self._given, q).dependent
         else:

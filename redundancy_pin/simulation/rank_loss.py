@@ -158,7 +158,7 @@ def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet |
     if not size > 0.0 or not count:
         return None
     chain.update(q, np.zeros(model.nv))
-    _, values, vectors = np.linalg.svd(chain.relative_jacobian())
+    _, values, vectors = np.linalg.svd(chain.closure_rows())
     allowed, lost = vectors[chain.rows :].T, bool(values[-1] < 1e-3 * values[0])
     if lost:  # the velocity is what tells the branches apart
         if count > 1:

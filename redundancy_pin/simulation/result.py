@@ -152,6 +152,8 @@ class Simulation(Frozen):
     def table(self, robot: Robot | None = None) -> PlanTable:
         """Return positions, rates, accelerations and efforts by joint name, as ``Plan.table`` does.
 
+        ``run.table().to_csv("run.csv")`` writes it.
+
         Args:
             robot: that of the simulation; loaded when left out.
 
@@ -166,12 +168,6 @@ class Simulation(Frozen):
         xdd = platform_rates(machine, self.q, self.v, self.a)[1]
         states = (self.t, self.x, self.xd, xdd, self.q, self.v, self.a, efforts)
         return table_of_states(machine, self.robot, states, about)
-
-    def to_csv(self, path: str | Path, robot: Robot | None = None) -> None:
-        """Write ``table`` as CSV, as ``Plan.to_csv`` does; OutputError where the file cannot be written."""
-        from redundancy_pin.planners.export import write_csv
-
-        write_csv(self.table(robot), path)
 
     def save(self, path: str | Path) -> None:
         """Write the simulation to a file without loss (npz with JSON inside); ``load_simulation`` reads it.

@@ -275,7 +275,7 @@ def _require_closed(machine: Machine, state: State, time: float) -> None:
     chain = machine.chain
     chain.update(state.q, state.v)
     length, columns = machine.robot.characteristic_length, chain.pose_columns
-    parting = chain.relative_jacobian() @ (state.v[columns] / chain.system.step_unit)
+    parting = chain.closure_rows() @ (state.v[columns] / chain.system.step_unit)
     gap, rate = chain.largest_residual(), length * float(np.abs(parting).max(initial=0.0))
     if gap > START_RESIDUAL * length or rate > START_RESIDUAL * length / time:
         raise InputError(

@@ -55,10 +55,10 @@ class Manifold:
             if largest <= self.tolerance:
                 break
             step = np.zeros(len(v))
-            step[self._columns] = -self._shortest(chain.relative_jacobian(), chain.relative_residual())
+            step[self._columns] = -self._shortest(chain.closure_rows(), chain.relative_residual())
             q = pin.integrate(chain.model, q, step)
         # velocities last: those that the closures allow are those of the projected configuration
-        jacobian = chain.relative_jacobian()
+        jacobian = chain.closure_rows()
         v[self._columns] -= self._shortest(jacobian, jacobian.dot(v[self._columns] / self._unit))
         return q, v, before, largest
 

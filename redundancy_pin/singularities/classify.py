@@ -39,45 +39,47 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import inverses
-from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem, constraint_system, with_all_rows
+from redundancy_pin.kinematics.closure import (
+    ConstraintState,
+    ConstraintSystem,
+    constraint_system,
+    row_basis,
+    with_all_rows,
+)
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import closure_tolerance, column_scale, row_scale, velocity_scale
-from redundancy_pin.spectrum import oriented, spectrum_of
+from redundancy_pin.robot.scales import closure_tolerance, column_scale, row_scale
+from redundancy_pin.spectrum import left_singular, oriented, spectrum_of
 
 
 def serial_matrix(system: ConstraintSystem, state: ConstraintState) -> Array:
-    """Return (N, p, p) the matrix K in scaled units, D_r K D_v⁻¹; its last n rows are the platform's."""
-    return _below_closures(system, state, state.K[:, len(system.rows) :], row_scale(system.robot))
+    """Return (N, p, p) the matrix K without units; its last n rows are the platform's."""
+    return _below_closures(system, state, system.relative(state.K)[:, len(system.rows) :])
 
 
 def locked_matrix(system: ConstraintSystem, state: ConstraintState) -> Array:
-    """Return (N, r + m, p) the matrix T in scaled units, D_r T D_v⁻¹; its last m rows are the actuators'."""
+    """Return (N, r + m, p) the matrix T without units; its last m rows are the actuators'."""
     selection = system.selection[:, system.pose_columns]
-    return _below_closures(
-        system, state, np.broadcast_to(selection, (len(state.q), *selection.shape)), column_scale(system.robot)
-    )
+    return _below_closures(system, state, np.broadcast_to(selection, (len(state.q), *selection.shape)))
 
 
-def _below_closures(system: ConstraintSystem, state: ConstraintState, rows: Array, scale: Array) -> Array:
-    """Return the closure rows above rows (N, b, p), all scaled.
+def _below_closures(system: ConstraintSystem, state: ConstraintState, rows: Array) -> Array:
+    """Return the closure rows, without units, above rows (N, b, p).
 
-    If dependent closure rows were dropped, a basis of all rows replaces the independent ones, the nearest to them:
-    which rows are independent may change along a motion. Where all of them lose rank, to the rounding of a file, the
-    independent ones stay.
+    If dependent closure rows were dropped, a basis of all rows replaces the independent ones: which rows are
+    independent may change along a motion. Where all of them lose rank, to the rounding of a file, the independent ones
+    stay.
     """
-    robot, r, speed = system.robot, len(system.rows), velocity_scale(system.robot)[system.pose_columns]
-    closures = state.K[:, :r] * (system.closure_scale[:, None] / speed)
-    if robot.all_closures:
-        whole = constraint_system(with_all_rows(robot))
-        every = whole.evaluate(state.q).Jc[:, :, system.pose_columns] * (whole.closure_scale[:, None] / speed)
-        _, values, right = np.linalg.svd(every, full_matrices=False)
-        full = values[:, :r].min(axis=1, initial=np.inf) > FILE_TOLERANCE
-        values, right = values[full, :r], right[full, :r]
-        u, _, vt = np.linalg.svd(closures[full] @ right.transpose(0, 2, 1) / values[:, None])
-        closures[full] = u @ vt @ (values[:, :, None] * right)
-    stacked: Array = np.concatenate([closures, rows * (scale[:, None] / speed)], axis=1)
+    r = len(system.rows)
+    closures = system.relative(state.K[:, :r])
+    if system.robot.all_closures:
+        whole = constraint_system(with_all_rows(system.robot))
+        every = whole.relative(whole.evaluate(state.q).Jc[:, :, system.pose_columns])
+        basis, least = row_basis(every, r)
+        full = least > FILE_TOLERANCE
+        closures[full] = basis[full].transpose(0, 2, 1) @ every[full]
+    stacked: Array = np.concatenate([closures, rows], axis=1)
     return stacked
 
 
@@ -97,12 +99,11 @@ def signed_margin(W: Array) -> Array:
     Args:
         W: (N, n, m) scaled actuation matrices; NaN gives NaN.
     """
-    finite = np.isfinite(W).all(axis=(1, 2))
-    result = np.full(len(W), np.nan)
-    result[finite] = np.linalg.svd(W[finite], compute_uv=False)[:, -1]
-    if W.shape[1] == W.shape[2]:
-        result[finite] *= np.where(np.linalg.det(W[finite]) < 0.0, -1.0, 1.0)
-    return result
+    margin = spectrum_of(W).margin
+    if W.shape[1] != W.shape[2]:
+        return margin
+    with np.errstate(invalid="ignore"):  # numpy warns of determinants of NaN
+        return margin * np.where(np.linalg.det(W) < 0.0, -1.0, 1.0)
 
 
 class Margins(NamedTuple):
@@ -229,7 +230,9 @@ def classify(robot: RobotLike, q: ArrayLike, *, tolerance: float = RANK_TOLERANC
     passive = type_i & type_ii & _lacks_rank(np.linalg.svd(everything, compute_uv=False), tolerance)
 
     twists = K[:, len(system.rows) :] @ locked.Vh.transpose(0, 2, 1)
-    least_controlled = _least_controlled(W, twists[:, :, locked.S.shape[1] - 1], type_i)
+    least_controlled = left_singular(W)[0][:, :, -1]
+    unknown = np.isnan(least_controlled).any(axis=1)  # at type I: there T tells it
+    least_controlled[unknown] = _unit(twists[unknown, :, locked.S.shape[1] - 1])
     uncontrolled = np.where(type_i[:, None], _widest(twists, locked.S, tolerance), least_controlled)
     uncontrolled[~type_ii] = np.nan
     covectors = serial.U[:, len(system.rows) :]
@@ -294,14 +297,6 @@ def classify_motion(motion: JointTrajectory, *, tolerance: float = RANK_TOLERANC
 def _lacks_rank(values: Array, tolerance: float) -> BoolArray:
     """Return (N,) whether the smallest singular value counts as zero; values (N, c), largest first; NaN does not."""
     result: BoolArray = values[:, -1] <= tolerance * values[:, 0]
-    return result
-
-
-def _least_controlled(W: Array, locked: Array, type_i: BoolArray) -> Array:
-    """Return (N, n) the left singular vector of W's smallest singular value; at type I the twist (N, n) from T."""
-    result = _unit(locked)
-    finite = ~type_i & np.isfinite(W).all(axis=(1, 2))
-    result[finite] = np.linalg.svd(W[finite]).U[:, :, min(W.shape[1:]) - 1]
     return result
 
 

@@ -2,7 +2,7 @@
 
 The grid is flooded from one closed configuration: every solved node is where Newton's method starts for its neighbours.
 The closing is that of ``assemble``, which solves all nodes of a wave at once, and the acceptance test that of the
-follower (``branch.follows``).
+follower (``closed_state.are_continuous``).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from scipy.ndimage import label
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, IntArray, blocks, checked, frozen, read_only, whole
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, project
-from redundancy_pin.kinematics.branch import follows
+from redundancy_pin.kinematics.closed_state import are_continuous
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, moved
 from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
@@ -283,7 +283,7 @@ class _Flood:
                 good = solution.usable
             else:
                 change = configuration_difference(self.robot.model, q, solution.q)
-                good = solution.regular & follows(self.system, change, gamma, solution.gamma, whole / count)
+                good = solution.regular & are_continuous(self.robot, change, gamma, solution.gamma, whole / count)
             q, gamma = solution.q[good], solution.gamma[good]
             targets, goals, x, whole = targets[good], goals[good], x[good], whole[good]
         self.q[targets], self.gamma[targets], self.solved[targets] = q, gamma, True

@@ -30,13 +30,7 @@ from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import (
-    column_scale,
-    coordinate_unit,
-    row_scale,
-    turning_velocities,
-    velocity_scale,
-)
+from redundancy_pin.robot.scales import coordinate_unit, turning_velocities
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.grid import (
     Slice,
@@ -277,11 +271,9 @@ class _SingularPoints:
         self.chain = ClosedChain(robot)
         self.columns = columns = self.chain.pose_columns
         self.fixed = [k for k in range(robot.n) if k not in place.free]
-        system = self.chain.system
-        self.unit, self.step_unit, self.closure_unit = coordinate_unit(robot), system.step_unit, system.closure_unit
-        self.speed, self.closure_scale = velocity_scale(robot)[columns], system.closure_scale
+        self.unit, self.step_unit = coordinate_unit(robot), self.chain.system.step_unit
         self.turning = columns[turning_velocities(robot)[columns]]
-        self.selection = system.selection[:, columns] * (column_scale(robot)[:, None] / self.speed)
+        self.selection = self.chain.system.selection[:, columns]
 
     def solve(self, q: Array, x: Array, fixed: Sequence[int], *singular: SingularityKind) -> _Point | None:
         """Return a closed configuration near q (nq,) at which matrices are singular.
@@ -298,7 +290,7 @@ class _SingularPoints:
         for _ in range(_ITERATIONS):
             residual, rows = self._equations(q, x, fixed, singular)
             # least norm: the equations leave a curve free, and depend on one another where two curves meet
-            step = np.linalg.lstsq(rows * self.step_unit, -residual, rcond=1e-12)[0]
+            step = np.linalg.lstsq(rows, -residual, rcond=1e-12)[0]
             size = float(np.abs(step).max())
             full = np.zeros((1, self.robot.model.nv))
             # the linear model of a turn holds to a radian
@@ -322,27 +314,21 @@ class _SingularPoints:
     def _equations(
         self, q: Array, x: Array, fixed: Sequence[int], singular: Sequence[SingularityKind]
     ) -> tuple[Array, Array]:
-        """Return residuals (e,) without unit, singular values last, and their derivatives (e, p) by displacements."""
-        chain, columns, length, fixed = self.chain, self.columns, row_scale(self.robot), list(fixed)
-        v = np.zeros(self.robot.model.nv)
+        """Return residuals (e,), singular values last, and their derivatives (e, p) by displacements, without units."""
+        chain, r, fixed, v = self.chain, self.chain.rows, list(fixed), np.zeros(self.robot.model.nv)
         chain.update(q, v)
-        closures, platform = chain.jacobian()[:, columns], chain.platform_jacobian()[:, columns]
-        off = difference(self.robot, coordinates(self.robot, chain), x)[fixed]
-        residual = [chain.residual() / self.closure_unit, off / self.unit[fixed]]
-        rows = [closures / self.closure_unit[:, None], platform[fixed] / self.unit[fixed, None]]
-        above, r = closures * (self.closure_scale[:, None] / self.speed), len(closures)
+        K, off = chain.matrix(), difference(self.robot, coordinates(self.robot, chain), x)[fixed]
+        residual = [chain.relative_residual(), off / self.unit[fixed]]
+        rows = [K[:r], K[r:][fixed]]
         for kind in singular:
             type_i = kind == SingularityKind.TYPE_I
-            below = platform * (length[:, None] / self.speed) if type_i else self.selection
-            u, sigma, vt = np.linalg.svd(np.concatenate([above, below]), full_matrices=False)
-            v[columns] = vt[-1] / self.speed
+            u, sigma, vt = np.linalg.svd(K if type_i else np.concatenate([K[:r], self.selection]), full_matrices=False)
+            v[self.columns] = vt[-1] * self.step_unit
             chain.update(q, v)
-            gradient = (u[:r, -1] * self.closure_scale) @ chain.jacobian_rate()[:, columns]
-            if type_i:
-                gradient += (u[r:, -1] * length) @ chain.platform_jacobian_rate()[:, columns]
+            moving = len(K) if type_i else r  # the rows of S are constant
             residual.append(sigma[-1:])
-            rows.append(gradient[None])
-        return np.concatenate(residual), np.concatenate(rows)
+            rows.append(u[:moving, -1] @ chain.matrix_rate()[:moving])
+        return np.concatenate(residual), np.vstack(rows)
 
 
 def _point_on_edge(

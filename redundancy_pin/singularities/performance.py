@@ -34,7 +34,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint, has_joint
 from redundancy_pin.robot.scales import column_scale, row_scale
 from redundancy_pin.singularities.classify import closed_state
-from redundancy_pin.spectrum import scaled, spectrum_of
+from redundancy_pin.spectrum import left_singular, scaled, spectrum_of
 
 _LARGEST = float(np.finfo(float).max)
 
@@ -126,7 +126,7 @@ def performance(
         absent if given is None else each(given, name, (robot.m,), above_zero=True, finite=True)
         for given, name, absent in ((rates, "rates", 1.0 / columns), (efforts, "efforts", columns))
     )
-    slow, strong = _svd(scaled(W, rows, 1.0 / fastest)), _svd(scaled(W, rows, strongest))
+    slow, strong = left_singular(scaled(W, rows, 1.0 / fastest)), left_singular(scaled(W, rows, strongest))
     even, least = spectrum_of(scaled(W, rows, columns)), slow[1][:, ::-1]
     with np.errstate(divide="ignore"):
         speed = np.where(least <= RANK_TOLERANCE * slow[1][:, :1], np.inf, 1.0 / least)
@@ -209,13 +209,3 @@ def _actuation(robot: Robot, q: ArrayLike) -> tuple[Array, Array]:
         )
     system, state = closed_state(robot, q)
     return state.q, project(system, state).gamma[:, robot.actuated_velocity].transpose(0, 2, 1).copy()
-
-
-def _svd(matrices: Array) -> tuple[Array, Array]:
-    """Return U (N, n, n) and the singular values (N, n), largest first; NaN for matrices that are not finite."""
-    good = np.isfinite(matrices).all(axis=(1, 2))
-    N, n = matrices.shape[:2]
-    u, values = np.full((N, n, n), np.nan), np.full((N, n), np.nan)
-    decomposed = np.linalg.svd(matrices[good], full_matrices=False)
-    u[good], values[good] = decomposed.U, decomposed.S
-    return u, values

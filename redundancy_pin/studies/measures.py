@@ -439,7 +439,7 @@ def numbers(plan: Plan) -> dict[str, Any]:
     ``position``, ``speed`` and ``acceleration`` are the largest of any carrier, ``track``, ``speed_limit`` and
     ``acceleration_limit`` what they are judged by.
     """
-    carriers, limits = plan.carriers, plan.limits.judged_by if plan.carriers.s.shape[1] else ()
+    carriers, limits = plan.carriers, plan.limits.judged_by
     return {
         "status": plan.status.value,
         "peak": float(plan.peak_effort_at_samples.max()),
@@ -453,9 +453,9 @@ def numbers(plan: Plan) -> dict[str, Any]:
         "position": float(np.abs(carriers.s).max(initial=0.0)),
         "speed": float(np.abs(carriers.sd).max(initial=0.0)),
         "acceleration": float(np.abs(carriers.sdd).max(initial=0.0)),
-        "track": max((limit.upper for limit in limits), default=math.nan),
-        "speed_limit": max((limit.speed for limit in limits), default=math.nan),
-        "acceleration_limit": max((limit.acceleration for limit in limits), default=math.nan),
+        "track": max(limits.track[:, 1], default=math.nan),
+        "speed_limit": max(limits.speed, default=math.nan),
+        "acceleration_limit": max(limits.acceleration, default=math.nan),
         "broken": broken_limits(plan),
         "solver": str(plan.diagnostics.get("solver", "")),
     }

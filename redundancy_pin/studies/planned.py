@@ -122,7 +122,7 @@ def between_records(plans: Plans) -> list[Record]:
 def crossing_record(plans: Plans, case: Case) -> Record:
     """Return what became of a crossing: limits broken, the shortest return, the jump on switching on."""
     plan = plans.plan(case)
-    end = max(limits.upper for limits in plan.limits.judged_by)
+    end = float(plan.limits.judged_by.track[:, 1].max())
     shortest = plans.outcome(case.with_options(return_time="shortest"))
     return {
         "case": case.name,

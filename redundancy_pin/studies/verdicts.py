@@ -184,15 +184,13 @@ def _broken(plan: Plan, peak: float, effort: float | None) -> list[tuple[float, 
 def _binding(plan: Plan, peak: float, effort: float | None, jerk: float | None) -> tuple[str, ...]:
     """Return the limits of which a plan uses all but a thousandth, the one most used first."""
     s = plan.carriers
-    lower, upper, speed, acceleration, force = (
-        np.array([getattr(limit, name) for limit in plan.limits.judged_by])
-        for name in ("lower", "upper", "speed", "acceleration", "force")
-    )
+    limits = plan.limits.judged_by
+    lower, upper = limits.track.T
     use = {
         "track": np.abs(s.s - 0.5 * (lower + upper)) / (0.5 * (upper - lower)),
-        "speed": np.abs(s.sd) / speed,
-        "acceleration": np.abs(s.sdd) / acceleration,
-        "force": np.abs(plan.carrier_force) / force,
+        "speed": np.abs(s.sd) / limits.speed,
+        "acceleration": np.abs(s.sdd) / limits.acceleration,
+        "force": np.abs(plan.carrier_force) / limits.carrier_force,
         "effort": np.array([peak / effort if effort else 0.0]),
     }
     if jerk:

@@ -6,11 +6,19 @@ The thesis's own trajectories are the functions of ``reference``.
 from redundancy_pin.arrays import Side
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.csv_file import carriers_from_csv, from_csv
-from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line, Path, PathPoint, circle_path, with_constant
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.paths import (
+    Arc,
+    ChainedPath,
+    Line,
+    Path,
+    PathPoint,
+    PoseLine,
+    circle_path,
+    with_constant,
+)
 from redundancy_pin.trajectory.points import from_points
 from redundancy_pin.trajectory.timing import (
-    PiecewiseLaw,
-    Polynomial,
     RestToRest,
     SpeedProfile,
     TimingLaw,
@@ -19,7 +27,7 @@ from redundancy_pin.trajectory.timing import (
     rest_to_rest_345,
     rest_to_rest_4567,
 )
-from redundancy_pin.trajectory.trajectory import PoseTrajectory, Trajectory, TrajectoryPoint
+from redundancy_pin.trajectory.trajectory import Trajectory, TrajectoryPoint
 from redundancy_pin.trajectory.waypoints import (
     PosePath,
     SplinePath,
@@ -35,10 +43,9 @@ __all__ = [
     "Line",
     "Path",
     "PathPoint",
-    "PiecewiseLaw",
-    "Polynomial",
+    "PiecewisePolynomial",
+    "PoseLine",
     "PosePath",
-    "PoseTrajectory",
     "RestToRest",
     "Side",
     "SpeedProfile",

@@ -194,27 +194,19 @@ def _knots(motion: TimedTrajectory) -> list[float]:
 
 
 def _from_samples(motion: PlatformMotion) -> ContinuousMotion:
-    left = np.flatnonzero(np.diff(motion.t) > 0.0)
-    if len(left) == 0:
+    if motion.t[0] == motion.t[-1]:
         raise InputError("The motion has a single instant.", remedy="Pass at least two samples.")
-    right = left + 1
-    edges = np.append(motion.t[left], motion.t[-1])
-    h = np.diff(edges)[:, None]
     values = _in_quaternions(motion) if motion.is_pose else (motion.x, motion.xd, motion.xdd)
-    start, end = (tuple(part[at] for part in values) for at in (left, right))
-    position = PiecewisePolynomial.hermite(edges, start, end)
+    position = PiecewisePolynomial.through(motion.t, *values)
     velocity = position.derivative()
-    acceleration = velocity.derivative()
+    edges = position.edges
     # second differences of positions that are rounded themselves, over h²; 60 is the factor of the quintic
-    rounding = 60.0 * np.finfo(float).eps * np.abs(motion.x).max() / np.median(h) ** 2
+    rounding = 60.0 * np.finfo(float).eps * np.abs(motion.x).max() / np.median(np.diff(edges)) ** 2
     # of the motion, not of its samples: between two at rest there may be one
     largest = max(np.abs(motion.xdd).max(), np.abs(position.derivative(2).ranges()).max())
     if rounding > DENSE * largest:
-        (_, v0, a0), (_, v1, a1) = start, end
-        cubic = np.stack([v0, v0 + h * a0 / 3.0, v1 - h * a1 / 3.0, v1])
-        velocity = PiecewisePolynomial.from_bernstein(cubic, edges)
-        acceleration = velocity.derivative()
-    polynomials = position.beside(velocity).beside(acceleration)
+        velocity = PiecewisePolynomial.through(motion.t, *values[1:])
+    polynomials = position.beside(velocity).beside(velocity.derivative())
     breaks = frozen(motion.t[motion.jumps])
     knots = frozen(np.setdiff1d(edges[1:-1], breaks))
     source = _PosesBetween(polynomials, breaks) if motion.is_pose else polynomials

@@ -25,8 +25,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from io import TextIOWrapper
-from itertools import chain, islice
+from itertools import chain
 from typing import TypeAlias
 
 import numpy as np
@@ -35,7 +34,7 @@ from numpy.typing import NDArray
 from redundancy_pin.arrays import LARGEST, Array, decimal
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.csv_cells import escape_formula, escape_value, unescape_formula
-from redundancy_pin.io.reading import opened
+from redundancy_pin.io.reading import read_text
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
 from redundancy_pin.robot import AXES, Robot
@@ -45,11 +44,8 @@ from redundancy_pin.trajectory.quaternions import poses_of, quaternions_of
 _QUATERNION_TOLERANCE = 1e-6
 """How far the norm of a quaternion may be from one: text with six digits passes; it is then normalised."""
 
-_LONGEST_LINE = 1_000_000
-"""Characters of a line."""
-
-_BLOCK = 20_000
-"""Rows that are held as text at a time."""
+_LARGEST_FILE = 1 << 30
+"""Bytes of a file, which is read as a whole: five million samples of ten columns."""
 
 _QUATERNION = ("qx", "qy", "qz", "qw")
 POSE = (*AXES[:3], *_QUATERNION)
@@ -356,24 +352,15 @@ def _match_columns(
     raise _bad(table.path, message, remedy, axes_seen=given)
 
 
-def read_table(path: str | os.PathLike[str], most: float = np.inf) -> MotionTable:
+def read_table(path: str | os.PathLike[str]) -> MotionTable:
     """Read a CSV file of a motion or of points; what it is follows from whether it has rates.
-
-    Args:
-        path: of the file.
-        most: rows that a file of points may have.
 
     Raises:
         InputError: as ``from_csv``.
     """
-    place, blocks, count = os.fspath(path), [], 0
-    with _rows(place) as (header, rows):
-        while some := list(islice(rows, _BLOCK)):
-            count += len(some)
-            if not header.rates and count > most:
-                raise _bad(place, f" has more than {most} rows.", "Take fewer points.")
-            blocks.append(_numbers(header, some, place))
-    values = np.concatenate(blocks).T
+    place = os.fspath(path)
+    header, rows = _header_and_rows(place)
+    values = _numbers(header, list(rows), place).T
     columns = {
         name: column if header.factor[name] == 1.0 else column * header.factor[name]
         for name, column in zip(header.read, values, strict=True)
@@ -385,30 +372,28 @@ def read_table(path: str | os.PathLike[str], most: float = np.inf) -> MotionTabl
 
 def has_rates(path: str | os.PathLike[str]) -> bool:
     """Return whether a CSV file is a sampled motion, by its first row; raises as ``read_table``."""
-    with _rows(os.fspath(path)) as (header, _):
-        return bool(header.rates)
+    return bool(_header_and_rows(os.fspath(path))[0].rates)
 
 
-@contextmanager
-def _rows(path: str) -> Iterator[tuple[_Header, Iterator[tuple[int, list[str]]]]]:
-    """Open a file; give its first row, and the others with their numbers. Raises as ``read_table``."""
+def _header_and_rows(path: str) -> tuple[_Header, Iterator[tuple[int, list[str]]]]:
+    """Return the first row of a file, and the others with their numbers."""
+    rows = _rows(path)
+    names, first = next(rows, None), next(rows, None)
+    if names is None or first is None:
+        remedy = "Give a row of column names (t, x, y, ..., xd, yd, ...) and at least one row of numbers."
+        raise _bad(path, " has 0 rows of numbers.", remedy)
+    cells = [unescape_formula(cell.strip()) for cell in names[1]]
+    _require_names(cells, first[1], path)
+    return _Header(cells, path), chain([first], rows)
+
+
+def _rows(path: str) -> Iterator[tuple[int, list[str]]]:
+    """Give the rows that are not empty, each with the number of its line in the file, as an editor shows it."""
+    text = read_text(path, InputError, largest=_LARGEST_FILE)
+    reader = csv.reader(io.StringIO(text, newline=""))
     try:
-        with TextIOWrapper(opened(path, InputError), "utf-8-sig", newline="") as stream:
-            reader = csv.reader(_lines(stream, path))
-            # The row number is that of the line in the file, as an editor shows it.
-            rows = ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
-            cells = [unescape_formula(cell.strip()) for _, row in islice(rows, 1) for cell in row]
-            first = list(islice(rows, 1))
-            if not first:
-                remedy = "Give a row of column names (t, x, y, ..., xd, yd, ...) and at least one row of numbers."
-                raise _bad(path, " has 0 rows of numbers.", remedy)
-            _require_names(cells, first[0][1], path)
-            yield _Header(cells, path), chain(first, rows)
-    except OSError as error:
-        raise InputError(
-            f"Cannot read {path}: {error.strerror or error}.", remedy="Check the path.", path=path
-        ) from error
-    except (UnicodeDecodeError, csv.Error) as error:
+        yield from ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
+    except csv.Error as error:
         raise _bad(path, f" is not a text file with columns: {error}.") from error
 
 
@@ -433,7 +418,7 @@ class _Header:
             raise _bad(path, " has the columns 't' and 'time'.", "Keep one of them.", column="time")
         own = [name for name in self.names if name not in _TIMES and not _RESULTS.fullmatch(name)]
         # by name what a column is of, and how often that is differentiated
-        of = {name: differentiated(name, units) for name in own}
+        of = {name: _differentiated(name, units) for name in own}
         moved = [stem for name, (stem, order) in of.items() if order and not _of_carrier(name)]
         places = [name for name in own if not of[name][1] and not _of_carrier(name)]
         if moved:  # what is no coordinate is a note
@@ -516,7 +501,7 @@ def _of_carrier(name: str) -> bool:
     return bool(match and match[1] == "s")
 
 
-def differentiated(name: str, known: Collection[str]) -> tuple[str, int]:
+def _differentiated(name: str, known: Collection[str]) -> tuple[str, int]:
     """Return of what a column is the rate (1) or the acceleration (2), and which; or the column itself, and 0."""
     if match := _INDEXED.fullmatch(name):
         return f"{match[1]}{match[3]}", len(match[2])
@@ -543,14 +528,6 @@ def sort_coordinates(names: Iterable[str]) -> list[str]:
     listed = list(names)
     first = POSE if set(_QUATERNION) & set(listed) else AXES
     return sorted(listed, key=lambda name: first.index(name) if name in first else len(first))
-
-
-def _lines(stream: TextIOWrapper, path: str) -> Iterator[str]:
-    """Give the lines of a file; one that is too long for a row of numbers is refused before it is held."""
-    while line := stream.readline(_LONGEST_LINE + 1):
-        if len(line) > _LONGEST_LINE:
-            raise _bad(path, f" has a line of more than {_LONGEST_LINE} characters.", "Write a line for each sample.")
-        yield line
 
 
 def _require_names(names: Sequence[str], first: Sequence[str], path: str) -> None:

@@ -13,7 +13,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from math import comb, factorial
+from math import comb, factorial, perm
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Legendre, Polynomial, chebyshev
@@ -72,14 +72,17 @@ class PiecewisePolynomial(Frozen):
         """The same as scipy's type."""
         return PPoly.construct_fast(self.coefficients, self.edges)
 
-    def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
-        """Return the values (N, C) at (N,) times, s; ``side`` decides at the edge of two pieces."""
+    def __call__(self, t: ArrayLike, side: Side = "right", order: int = 0) -> Array:
+        """Return the values, or a derivative, at times of any shape, s: an array of that shape followed by (C,).
+
+        ``side`` decides at the edge of two pieces; ``order`` is that of the derivative, unit of the values / s^order.
+        """
         times = np.asarray(t, dtype=np.float64)
         if side == "left":  # PPoly is continuous from the right: the float before an edge is in the piece before it
             with np.errstate(under="ignore"):  # beside zero it is the smallest number there is
                 times = np.nextafter(times, -np.inf)
         # not clip: NaN in place of extrapolation would be as slow
-        values: Array = self.ppoly(np.minimum(np.maximum(times, self.edges[0]), self.edges[-1]))
+        values: Array = self.ppoly(np.minimum(np.maximum(times, self.edges[0]), self.edges[-1]), order)
         return values
 
     @cached_property
@@ -187,22 +190,30 @@ class PiecewisePolynomial(Frozen):
 
     @staticmethod
     def hermite(edges: ArrayLike, start: tuple[Array, ...], end: tuple[Array, ...]) -> PiecewisePolynomial:
-        """Return the quintics with given values and first and second derivatives at both ends of every piece.
+        """Return the polynomials with given values and derivatives at both ends of every piece: three make quintics.
 
-        ``edges`` (P + 1,) ends of the pieces, s; ``start``: three (P, C) values, rates and second derivatives where the
-        pieces begin; ``end``: the same where they end; it need not be where the next one begins.
+        ``edges`` (P + 1,) ends of the pieces, s; ``start``: (P, C) values, rates and so on where the pieces begin;
+        ``end``: the same where they end; it need not be where the next one begins.
         """
-        h = np.diff(np.asarray(edges))[:, None]
-        (x0, v0, a0), (x1, v1, a1) = start, end
-        control = (
-            x0,
-            x0 + h * v0 / 5.0,
-            x0 + 2.0 * h * v0 / 5.0 + h * h * a0 / 20.0,
-            x1 - 2.0 * h * v1 / 5.0 + h * h * a1 / 20.0,
-            x1 - h * v1 / 5.0,
-            x1,
-        )
-        return PiecewisePolynomial.from_bernstein(np.stack(control), edges)
+        h, degree = np.diff(np.asarray(edges))[:, None], len(start) + len(end) - 1
+
+        def control(derivatives: tuple[Array, ...], step: Array) -> list[Array]:
+            # Δʲb at an end is the derivative of order j times hʲ (D − j)!/D!
+            differences = [each * (step**j / perm(degree, j)) for j, each in enumerate(derivatives)]
+            zero = np.zeros_like(differences[0])
+            return [sum((comb(i, j) * differences[j] for j in range(i + 1)), zero) for i in range(len(derivatives))]
+
+        return PiecewisePolynomial.from_bernstein(np.stack([*control(start, h), *control(end, -h)[::-1]]), edges)
+
+    @staticmethod
+    def through(t: Array, *derivatives: Array) -> PiecewisePolynomial:
+        """Return the polynomials through samples: cubics of values and rates, quintics of second derivatives too.
+
+        ``t`` (M,) times, s; one that occurs twice is a jump. ``derivatives``: (M, C) values, rates and so on.
+        """
+        left = np.flatnonzero(np.diff(t) > 0.0)
+        start, end = (tuple(part[at] for part in derivatives) for at in (left, left + 1))
+        return PiecewisePolynomial.hermite(np.append(t[left], t[-1]), start, end)
 
     @staticmethod
     def taylor(t: Array, *derivatives: Array) -> PiecewisePolynomial:

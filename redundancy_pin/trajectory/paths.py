@@ -10,6 +10,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import (
     Array,
@@ -25,6 +26,8 @@ from redundancy_pin.arrays import (
     require_side,
 )
 from redundancy_pin.errors import InputError
+from redundancy_pin.motion import require_poses
+from redundancy_pin.trajectory.quaternions import HALF_TURN_MARGIN
 
 
 class PathPoint(NamedTuple):
@@ -176,6 +179,54 @@ class Arc(Frozen, SmoothPath):
         outward = self.radial * cos + self.tangent * sin
         forward = self.tangent * cos - self.radial * sin
         return PathPoint(self.centre + self.radius * outward, forward, -outward / self.radius)
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class PoseLine(Frozen, SmoothPath):
+    """Poses whose origin moves on a straight line while they turn about an axis fixed in the world.
+
+    At p = κ · length: position p0 + κ d, rotation exp(κ [φ]×) R0; x' is the twist (d, φ)/length, in world-aligned axes
+    at the platform origin.
+
+    Attributes:
+        start, end: (4, 4) homogeneous poses in the base frame, m.
+        length: what p is at the end: one, the distance in metres, or the angle in radians.
+        screw: (6,) displacement d, m, and rotation vector φ, rad, world axes.
+
+    Raises:
+        InputError: not homogeneous poses, or poses half a turn apart.
+
+    Example:
+        >>> Trajectory(PoseLine(start, end), RestToRest(1.0, duration=2.0))
+    """
+
+    start: Array
+    end: Array
+    length: float
+    screw: Array
+    dimension = 6
+
+    def __init__(self, start: ArrayLike, end: ArrayLike, length: float = 1.0) -> None:
+        poses = np.stack([checked(start, "start", (4, 4)), checked(end, "end", (4, 4))])
+        require_poses(poses)
+        turn = Rotation.from_matrix(poses[1, :3, :3] @ poses[0, :3, :3].T).as_rotvec()
+        angle = float(np.linalg.norm(turn))
+        if angle > np.pi - HALF_TURN_MARGIN:
+            raise InputError(
+                f"The poses are {angle:.9g} rad apart: at half a turn the axis is not determined.",
+                remedy="Go through a pose in between.",
+                angle=angle,
+            )
+        screw = frozen(np.concatenate([poses[1, :3, 3] - poses[0, :3, 3], turn]))
+        assign(self, start=frozen(poses[0]), end=frozen(poses[1]), length=positive(length, "length", ""), screw=screw)
+
+    def _at(self, p: Array) -> PathPoint:
+        part = p[..., None] / self.length * self.screw
+        poses = np.tile(np.eye(4), (*p.shape, 1, 1))
+        turned = Rotation.from_rotvec(part[..., 3:].reshape(-1, 3)).as_matrix() @ self.start[:3, :3]
+        poses[..., :3, :3], poses[..., :3, 3] = turned.reshape(*p.shape, 3, 3), self.start[:3, 3] + part[..., :3]
+        tangent = np.broadcast_to(self.screw / self.length, part.shape)
+        return PathPoint(poses, tangent, np.zeros(part.shape))
 
 
 def circle_path(centre: ArrayLike, radius: float, start_angle: float = 0.0, sweep: float = 2.0 * np.pi) -> Arc:

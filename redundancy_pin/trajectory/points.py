@@ -14,18 +14,15 @@ from redundancy_pin.arrays import Array, checked, positive
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.reading import LARGEST_TEXT, read_json, read_text
 from redundancy_pin.loading import RobotLike, as_robot
-from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.motion import PlatformMotion, require_poses
 from redundancy_pin.trajectory.csv_file import (
-    MotionTable,
     checked_poses,
-    differentiated,
     in_order_of,
     read_table,
     sort_coordinates,
 )
 from redundancy_pin.trajectory.paths import Path, with_constant
 from redundancy_pin.trajectory.quaternions import quaternions_of
-from redundancy_pin.trajectory.time_optimal import fastest_law
 from redundancy_pin.trajectory.timing import SpeedProfile, TimingLaw, law_through_speeds, uniform_law
 from redundancy_pin.trajectory.trajectory import Trajectory
 from redundancy_pin.trajectory.waypoints import PosePath, SplinePath, TimedSpline, resolve_ends
@@ -153,6 +150,8 @@ def from_points(
     for name, value in (("max_speed", max_speed), ("max_acceleration", max_acceleration)):
         if value is None:
             raise InputError(f'times="time-optimal" needs {name}.', remedy="Give both limits.", name=name)
+    from redundancy_pin.trajectory.time_optimal import fastest_law  # toppra imports matplotlib
+
     return Trajectory(path, fastest_law(path, max_speed, max_acceleration))  # type: ignore[arg-type]
 
 
@@ -195,8 +194,7 @@ def _split(points: Any) -> tuple[Array, Array | None]:
         given = checked_poses(given, "points")
     if given.ndim == 2:
         return given, None
-    still = np.zeros((len(given), 6))
-    PlatformMotion(np.arange(len(given)), given, still, still)  # checks that they are poses
+    require_poses(given)
     return given[:, :3, 3], given[:, :3, :3]
 
 
@@ -214,27 +212,27 @@ def read_points(
     suffix = place.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{place} ends in neither .csv nor .json.", remedy="Name it as what it is.", path=str(place))
-    table = read_table(place, most=MOST_POINTS) if suffix == ".csv" else None
-    read = _read_json(place) if table is None else table.columns
-    if isinstance(read, tuple):
-        return read
-    columns = dict(read)
-    times = columns.pop("t", columns.pop("time", None))
+    if suffix == ".json":
+        return _read_json(place)
+    table = read_table(place)
+    columns = dict(table.columns)
+    times = columns.pop("t", None)
     speed = columns.pop("speed", None)
-    if any(differentiated(name, columns)[1] for name in columns):
+    if table.has_rates:
         raise InputError(
             f"{place} is a sampled motion: it has rates.",
             remedy="Read it with trajectory.from_csv (--motion or --trajectory on the command line).",
             path=str(place),
         )
+    if len(next(iter(columns.values()), ())) > MOST_POINTS:
+        raise InputError(f"{place} has more than {MOST_POINTS} rows.", remedy="Take fewer points.", path=str(place))
     if not columns:
         raise InputError(f"{place} has no coordinates.", remedy="Name its columns t, x, y, ....", path=str(place))
-    if table is None or robot is None:
+    if robot is None:
         _require_no_euler_angles(columns, place)
-    names = sort_coordinates(columns)
-    if robot is not None:
-        table = table or MotionTable(str(place), tuple(names), (), (), columns)
-        names = list(in_order_of(as_robot(robot), table, but_last=but_last).coordinates)
+        names = tuple(sort_coordinates(columns))
+    else:
+        names = in_order_of(as_robot(robot), table, but_last=but_last).coordinates
     return np.stack([columns[name] for name in names], axis=1), times, speed
 
 
@@ -250,8 +248,8 @@ def _require_no_euler_angles(columns: Mapping[str, Array], path: File) -> None:
         )
 
 
-def _read_json(path: File) -> Mapping[str, Array] | tuple[Array, Array | None, Array | None]:
-    """Return columns, of a list of objects, or points, times and speeds."""
+def _read_json(path: File) -> tuple[Array, Array | None, Array | None]:
+    """Return points, times and speeds of a JSON file, the latter two where it has them."""
     try:
         data = read_json(read_text(path, InputError, largest=LARGEST_TEXT))
     except ValueError as error:
@@ -266,20 +264,10 @@ def _read_json(path: File) -> Mapping[str, Array] | tuple[Array, Array | None, A
             remedy = 'Write {"points": [[x, y], ...], "t": [...]}; speed is the other key.'
             raise InputError(f"{path} {what}.", remedy=remedy, path=str(path))
         times, speed, data = data.get("t", data.get("times")), data.get("speed"), data["points"]
-    if not isinstance(data, list) or not data:
+    if not isinstance(data, list) or not data or isinstance(data[0], Mapping):
         raise InputError(f"{path} holds no list of points.", remedy="Write [[x, y], ...].", path=str(path))
-    if all(isinstance(row, Mapping) for row in data) and times is None and speed is None:
-        names = tuple(data[0])
-        if any(tuple(row) != names for row in data):
-            raise InputError(f"The points of {path} have different keys.", remedy="Give each the same.", path=str(path))
-        return {name: checked([row[name] for row in data], name, ("N",)) for name in names}
-    optional: Sequence[Array | None] = [
+    depth = 3 if isinstance(data[0], list) and data[0] and isinstance(data[0][0], list) else 2
+    optional = [
         None if part is None else checked(part, name, ("N",)) for name, part in (("t", times), ("speed", speed))
     ]
-    return np.asarray(_split_free(data)), optional[0], optional[1]
-
-
-def _split_free(data: Any) -> Array:
-    """Return the array of nested lists, of two axes or three."""
-    depth = 3 if data and isinstance(data[0], list) and data[0] and isinstance(data[0][0], list) else 2
-    return checked(data, "points", ("N", "n", "m")[:depth])
+    return checked(data, "points", ("N", "n", "m")[:depth]), optional[0], optional[1]

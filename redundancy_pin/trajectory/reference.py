@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import checked, positive
 from redundancy_pin.trajectory.csv_file import checked_poses
-from redundancy_pin.trajectory.paths import Line, Path, circle_path, with_constant
+from redundancy_pin.trajectory.paths import Line, Path, PoseLine, circle_path, with_constant
 from redundancy_pin.trajectory.timing import LEAST_RAMP_FRACTION, RestToRest, SpeedProfile
-from redundancy_pin.trajectory.trajectory import PoseTrajectory, Trajectory
+from redundancy_pin.trajectory.trajectory import Trajectory
 from redundancy_pin.trajectory.waypoints import corner_path, rounded_polygon, through_points
 
 CIRCLE_RAMP_FRACTION = 0.765
@@ -143,7 +143,7 @@ def square(
 
 def pose(
     start: ArrayLike, end: ArrayLike, duration: float = 1.0, shape: Literal["3-4-5", "4-5-6-7"] = "4-5-6-7"
-) -> PoseTrajectory:
+) -> Trajectory:
     """Return a rest-to-rest motion of a spatial platform: straight line, and rotation about a constant axis.
 
     Args:
@@ -153,13 +153,13 @@ def pose(
         shape: the rest-to-rest polynomial of the fraction travelled.
 
     Raises:
-        InputError: as ``PoseTrajectory`` and ``RestToRest``.
+        InputError: as ``PoseLine`` and ``RestToRest``.
     """
     first, last = (
         checked_poses(checked(given, name, (7,))[None], name)[0] if np.shape(given) == (7,) else given
         for name, given in (("start", start), ("end", end))
     )
-    return PoseTrajectory(first, last, RestToRest(1.0, duration, shape))
+    return Trajectory(PoseLine(first, last), RestToRest(1.0, duration, shape))
 
 
 def points(

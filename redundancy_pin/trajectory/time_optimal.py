@@ -1,15 +1,15 @@
 """The fastest timing law along a path, under limits of the platform's speed and acceleration.
 
-With w = ṗ² and u = p̈ the limits are linear at every arc length: ẋ = x' ṗ and ẍ = x' u + x'' w, while w' = 2 u. Going
-backwards from the end, the largest w from which the rest can still be braked is known at every node of a grid; going
-forwards, the largest u that keeps below it is optimal (Pham and Pham 2018, TOPP-RA). In each step of the grid u is
-constant and the limits hold at both of its ends. The lower end of the controllable set is zero here, as every limit is
-symmetric: a platform at rest may stay so. Durations agree with those of toppra 0.6.10 to 1e-6. That library is not used
-because it requires matplotlib, and because planning with carriers will need the recursion itself.
+With w = ṗ² and u = p̈ the limits are linear at every arc length: ẋ = x' ṗ and ẍ = x' u + x'' w, while w' = 2 u. toppra
+finds the optimum by reachability analysis on a grid (H. Pham and Q.-C. Pham, A new approach to time-optimal path
+parameterization based on reachability analysis, 2018). In each step of the grid u is constant and the limits hold at
+both of its ends.
 
 That optimum switches between extreme accelerations at once. Planners and motors need a continuous one, so the law is
 averaged over a short window, ``BLEND`` of the duration, by which it gets longer; then it is run as fast as the
 limits allow on dense samples.
+
+toppra imports matplotlib: this module is imported where it is used.
 """
 
 from __future__ import annotations
@@ -17,13 +17,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import toppra
 from numpy.typing import ArrayLike
 from scipy.interpolate import BPoly
+from toppra.algorithm import TOPPRA
 
 from redundancy_pin.arrays import Array, IntArray, Side, checked
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory.paths import Path
-from redundancy_pin.trajectory.timing import PiecewiseLaw
+from redundancy_pin.trajectory.timing import TimingLaw
 
 STEPS = 1000
 """Of the grid, where the path is not sharply bent: with twice as many durations change by less than 1e-4."""
@@ -62,6 +64,10 @@ _SIDES = np.round([[np.cos(angle), np.sin(angle)] for angle in 2.0 * np.pi * np.
 """(_DIRECTIONS, 2) where they are. A cosine of 6e-17 in place of zero would bound accelerations by rounding over it."""
 
 
+FAR = 1e6
+"""Square of the speed, in units of the problem, that stands for no limit: 500 times what a straight path reaches."""
+
+
 @dataclass(frozen=True)
 class _Group:
     """Coordinates whose norm is limited together: ``columns``, largest ``speed`` and ``acceleration``."""
@@ -71,7 +77,7 @@ class _Group:
     acceleration: float
 
 
-def fastest_law(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -> PiecewiseLaw:
+def fastest_law(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -> TimingLaw:
     """Return the law from rest to rest in least time, but for the window in which accelerations change.
 
     Args:
@@ -119,29 +125,53 @@ def _groups(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -> li
     return [_Group(*group) for group in zip(parts[len(limits[0])], *limits, strict=True)]
 
 
+class _Limits(toppra.constraint.LinearConstraint):  # type: ignore[misc]
+    """Rows A u + B w <= c of each step of a grid, (N, r) and (r,), and the (N + 1,) largest w, for toppra."""
+
+    def __init__(self, A: Array, B: Array, c: Array, most: Array) -> None:
+        super().__init__()
+        self.identical = True
+        self._parameters = [np.concatenate([part, part[-1:]]) for part in (A, B)], c, most
+
+    def compute_constraint_params(self, *_: object) -> tuple[Array | None, ...]:
+        """Return a, b, c of v = a u + b w + c, F and g of F v <= g, and the bounds of u and of w."""
+        (a, b), c, most = self._parameters
+        return a, b, np.zeros(a.shape), np.eye(len(c)), c, None, np.stack([np.zeros(len(most)), most], axis=1)
+
+
+class _Interval(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
+    """The places of a path from 0 to 1: its limits know the rest."""
+
+    path_interval = (0.0, 1.0)
+    dof = 1
+
+
 def _optimum(path: Path, groups: list[_Group]) -> tuple[Array, Array, Array]:
-    """Return arc lengths (N + 1,), squares of the speed there, and the (N,) accelerations between them."""
+    """Return arc lengths (N + 1,), squares of the speed there, and the (N,) accelerations between them.
+
+    Raises:
+        InputError: toppra finds none, for numbers of sizes that lose all digits.
+    """
     p = _grid(path)
     d = np.diff(p)
     starts, ends = path.evaluate(p[:-1], "right"), path.evaluate(p[1:], "left")
     A0, B0, c, most0 = _rows(starts.tangent, starts.curvature, groups)
     A1, B1, _, most1 = _rows(ends.tangent, ends.curvature, groups)
     most = np.minimum(np.append(most0, np.inf), np.append(np.inf, most1))
-    # rows of A u + B w <= c: at the start of a step, and at its end, where w is w + 2 d u
-    A = np.concatenate([A0, A1 + 2.0 * d[:, None] * B1], axis=1)
-    B = np.concatenate([B0, B1], axis=1)
-    c = np.concatenate([c, c])
-    high = np.zeros(len(p))
-    for i in range(len(d) - 1, -1, -1):
-        high[i] = _largest(A[i], B[i], c, d[i], high[i + 1], most[i])
-    w, u = np.zeros(len(p)), np.zeros(len(d))
-    for i in range(len(d)):
-        up = A[i] > 0.0
-        bound = float(((c[up] - B[i, up] * w[i]) / A[i, up]).min(initial=np.inf))
-        u[i] = min(bound, (high[i + 1] - w[i]) / (2.0 * d[i]))
-        w[i + 1] = min(max(w[i] + 2.0 * d[i] * u[i], 0.0), high[i + 1])
-        u[i] = (w[i + 1] - w[i]) / (2.0 * d[i])
-    return p, w, u
+    # at the start of a step, and at its end, where w is w + 2 d u
+    A, B = np.concatenate([A0, A1 + 2.0 * d[:, None] * B1], axis=1), np.concatenate([B0, B1], axis=1)
+    # toppra has absolute tolerances: the path gets the length 1, and the largest u the limits allow at rest is 1
+    length = path.length
+    square = length / np.abs(A0).max()
+    limits = _Limits(A / np.abs(A0).max(), B * square, np.concatenate([c, c]), np.minimum(most / square, FAR))
+    solver = TOPPRA([limits], _Interval(), gridpoints=p / length, solver_wrapper="seidel")
+    _, speed, _ = solver.compute_parameterization(0.0, 0.0)
+    if speed is None or not np.isfinite(speed).all():
+        raise InputError(
+            "No timing law was found under these limits.", remedy="Space the points more evenly, or use like limits."
+        )
+    w = speed**2 * square
+    return p, w, np.diff(w) / (2.0 * d)
 
 
 def _grid(path: Path) -> Array:
@@ -164,7 +194,10 @@ def _grid(path: Path) -> Array:
 
 
 def _rows(tangent: Array, curvature: Array, groups: list[_Group]) -> tuple[Array, Array, Array, Array]:
-    """Return A (N, r), B (N, r) and c (r,) of A u + B w <= c, and (N,) the largest w by the speeds."""
+    """Return A (N, r), B (N, r) and c (r,) of A u + B w <= c, and (N,) the largest w by the speeds.
+
+    Rows are divided by the largest acceleration: c is one, or that of a side of the polygon.
+    """
     A, B, c = [], [], []
     most = np.full(len(tangent), np.inf)
     for group in groups:
@@ -173,47 +206,19 @@ def _rows(tangent: Array, curvature: Array, groups: list[_Group]) -> tuple[Array
         with np.errstate(divide="ignore"):
             most = np.minimum(most, (group.speed / size) ** 2)
         if len(group.columns) == 1:
-            A += [first[:, 0], -first[:, 0]]
-            B += [second[:, 0], -second[:, 0]]
-            c += [group.acceleration] * 2
+            A += [first[:, 0] / group.acceleration, -first[:, 0] / group.acceleration]
+            B += [second[:, 0] / group.acceleration, -second[:, 0] / group.acceleration]
+            c += [1.0, 1.0]
             continue
         # in the plane of both: along the tangent, and across it
         along = np.einsum("ni,ni->n", first, second) / np.maximum(size, np.finfo(float).tiny)
         across = np.sqrt(np.maximum((second**2).sum(axis=1) - along**2, 0.0))
-        both = np.stack([along, across])
-        inscribed = group.acceleration * np.cos(np.pi / _DIRECTIONS)
+        both = np.stack([along, across]) / group.acceleration
         for side in _SIDES:
-            A.append(side[0] * size)
+            A.append(side[0] * size / group.acceleration)
             B.append(side @ both)
-            c.append(inscribed)
+            c.append(float(np.cos(np.pi / _DIRECTIONS)))
     return np.stack(A, axis=1), np.stack(B, axis=1), np.array(c), most
-
-
-def _largest(A: Array, B: Array, c: Array, step: float, after: float, most: float) -> float:
-    """Return the largest w <= most with a u that keeps A u + B w <= c and 0 <= w + 2 d u <= after.
-
-    The room for u, its upper less its lower bound, is a concave function of w and not negative at w = 0. Newton steps
-    from above reach its zero in as many steps as lines bound it there.
-    """
-    A = np.append(A, [2.0 * step, -2.0 * step])
-    B = np.append(B, [1.0, -1.0])
-    c = np.append(c, [after, 0.0])
-    up, down, flat = A > 0.0, A < 0.0, (A == 0.0) & (B > 0.0)
-    w = min(most, float((c[flat] / B[flat]).min(initial=np.inf)), 1e300)
-    upper = c[up] / A[up], B[up] / A[up]
-    lower = c[down] / A[down], B[down] / A[down]
-    for _ in range(100):
-        above, below = upper[0] - upper[1] * w, lower[0] - lower[1] * w
-        i, j = int(above.argmin()), int(below.argmax())
-        room = above[i] - below[j]
-        if room >= -2e-14 * max(abs(above[i]), abs(below[j])):
-            return w
-        slope = lower[1][j] - upper[1][i]
-        nearer = w - room / slope if slope < 0.0 else 0.0
-        if not nearer < w:
-            return max(w, 0.0)
-        w = max(nearer, 0.0)
-    return w
 
 
 def _durations(p: Array, w: Array) -> Array:
@@ -221,7 +226,7 @@ def _durations(p: Array, w: Array) -> Array:
     return np.asarray(2.0 * np.diff(p) / (speed[1:] + speed[:-1]))
 
 
-def _averaged(p: Array, w: Array, u: Array) -> PiecewiseLaw:
+def _averaged(p: Array, w: Array, u: Array) -> TimingLaw:
     """Return the mean of the law over a window that slides, from rest to rest: its acceleration is continuous.
 
     Its p, ṗ and p̈ are differences of ∫p, p and ṗ over the window; quintics go through them.
@@ -249,10 +254,10 @@ def _averaged(p: Array, w: Array, u: Array) -> PiecewiseLaw:
     place, rate, acceleration = ((a - b) / window for a, b in zip(ahead, behind, strict=True))
     place[0], place[-1] = 0.0, p[-1]
     states = np.stack([place, rate, acceleration], axis=1)
-    return PiecewiseLaw(BPoly.from_derivatives(nodes, states), float(p[-1]))
+    return TimingLaw(BPoly.from_derivatives(nodes, states), float(p[-1]))
 
 
-def _use(path: Path, groups: list[_Group], law: PiecewiseLaw, times: Array) -> float:
+def _use(path: Path, groups: list[_Group], law: TimingLaw, times: Array) -> float:
     """Return how much faster than the limits allow a law runs, at (N,) times and breaks; below one, how much slower."""
     breaks = np.asarray(path.breaks)
     at = law.evaluate(np.append(times, [law.time_at(float(p)) for p in breaks]))

@@ -3,80 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from math import comb
-from typing import Literal, NamedTuple, Protocol
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BPoly, PchipInterpolator
+from scipy.interpolate import BPoly, PchipInterpolator, PPoly
 from scipy.optimize import brentq
 
-from redundancy_pin.arrays import ROUNDING, Array, Frozen, assign, checked, frozen, inside, positive, read_only
+from redundancy_pin.arrays import ROUNDING, Array, Frozen, Side, assign, checked, frozen, inside, positive
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 
-@dataclass(frozen=True, eq=False)
-class Polynomial(Frozen):
-    """A scalar or vector polynomial of time on one interval.
-
-    It is kept in Bernstein form on κ = (t − t0)/(t1 − t0): boundary values are met to rounding, however short
-    or late the interval, where a power basis in t loses digits.
-
-    Attributes:
-        t0, t1: ends of the interval, s.
-        control: (degree + 1, ...) Bernstein coefficients, in the unit of the value; the trailing axes
-            are those of the value.
-    """
-
-    t0: float
-    t1: float
-    control: Array
-
-    @property
-    def degree(self) -> int:
-        """Formal degree: one less than the number of boundary conditions."""
-        return len(self.control) - 1
-
-    @property
-    def coefficients(self) -> Array:
-        """(degree + 1, ...) coefficients of κ⁰, κ¹, ... with κ = (t − t0)/(t1 − t0)."""
-        orders = range(self.degree + 1)
-        return read_only(np.array([comb(self.degree, j) * np.diff(self.control, n=j, axis=0)[0] for j in orders]))
-
-    @cached_property
-    def curve(self) -> BPoly:
-        """The same as scipy's type."""
-        return BPoly(self.control[:, None], [self.t0, self.t1])
-
-    def __call__(self, t: ArrayLike, derivative: int = 0) -> Array:
-        """Return the value, or a derivative by time.
-
-        Args:
-            t: time, s, scalar or any shape, inside [t0, t1].
-            derivative: order of the derivative, 0 for the value.
-
-        Returns:
-            Array of the shape of ``t`` followed by the shape of the value, unit of the value / s^derivative.
-
-        Raises:
-            InputError: a time outside the interval, or a negative order.
-        """
-        if derivative < 0:
-            raise InputError(f"derivative is {derivative}, expected 0 or more.", derivative=derivative)
-        times = inside(t, self.t0, self.t1, "t", "s")
-        if derivative > self.degree:
-            return np.zeros(times.shape + self.control.shape[1:])
-        return np.asarray(self.curve(times, derivative))
-
-    def piecewise(self) -> PiecewisePolynomial:
-        """Return it, of values (k,), as a function of time with one piece."""
-        return PiecewisePolynomial.from_bernstein(self.control[:, None], [self.t0, self.t1])
-
-
-def boundary_polynomial(t0: float, t1: float, start: Sequence[ArrayLike], end: Sequence[ArrayLike]) -> Polynomial:
+def boundary_polynomial(
+    t0: float, t1: float, start: Sequence[ArrayLike], end: Sequence[ArrayLike]
+) -> PiecewisePolynomial:
     """Return the polynomial of least degree with given derivatives at both ends (Parsa 2014, eqs 1.5 and 1.9).
 
     Six conditions give a quintic, eight (with jerk) a septic; the two ends need not have equally many.
@@ -87,8 +29,15 @@ def boundary_polynomial(t0: float, t1: float, start: Sequence[ArrayLike], end: S
         start: value, first, second, ... derivative at t0; each a scalar or all (k,), unit / s^order.
         end: the same at t1, of any length.
 
+    Returns:
+        A function of one piece with k values; one value for scalars.
+
     Raises:
         InputError: t1 is not after t0, no condition at all, different shapes, or values that are not finite.
+
+    Example:
+        >>> boundary_polynomial(0.0, 2.0, [0.0, 0.0], [1.0, 0.0])(1.0)
+        array([0.5])
     """
     first, last = float(t0), float(t1)
     if not (np.isfinite(last - first) and last > first):
@@ -101,18 +50,16 @@ def boundary_polynomial(t0: float, t1: float, start: Sequence[ArrayLike], end: S
             f"The boundary conditions have different shapes: {sorted(shapes)}.",
             remedy="Pass a scalar for each, or an array of one and the same length for each.",
         )
-    shape = shapes.pop()
     conditions = [
-        np.reshape([checked(np.ravel(y), f"{name}[{j}]", ("k",)) for j, y in enumerate(values)], (-1, *shape))
+        np.reshape([checked(np.ravel(y), f"{name}[{j}]", ("k",)) for j, y in enumerate(values)], (len(values), -1))
         if len(values)
-        else np.zeros((0, *shape))
+        else np.zeros((0, int(np.prod(next(iter(shapes))))))
         for name, values in (("start", start), ("end", end))
     ]
-    control = BPoly.from_derivatives([first, last], conditions).c[:, 0]
-    return Polynomial(first, last, read_only(control.copy()))
+    return PiecewisePolynomial.from_bernstein(BPoly.from_derivatives([first, last], conditions).c, [first, last])
 
 
-def rest_to_rest_345(t0: float, t1: float, start: ArrayLike, end: ArrayLike) -> Polynomial:
+def rest_to_rest_345(t0: float, t1: float, start: ArrayLike, end: ArrayLike) -> PiecewisePolynomial:
     """Return the 3-4-5 polynomial: at rest without acceleration at both ends (Parsa 2014, eq. 1.10).
 
     ``start`` and ``end`` are the values, scalar or (k,), at t0 and t1, s.
@@ -123,12 +70,12 @@ def rest_to_rest_345(t0: float, t1: float, start: ArrayLike, end: ArrayLike) -> 
     return _rest_to_rest(t0, t1, start, end, zeros=2)
 
 
-def rest_to_rest_4567(t0: float, t1: float, start: ArrayLike, end: ArrayLike) -> Polynomial:
+def rest_to_rest_4567(t0: float, t1: float, start: ArrayLike, end: ArrayLike) -> PiecewisePolynomial:
     """Return the 4-5-6-7 polynomial: at rest without acceleration or jerk at both ends; see ``rest_to_rest_345``."""
     return _rest_to_rest(t0, t1, start, end, zeros=3)
 
 
-def _rest_to_rest(t0: float, t1: float, start: ArrayLike, end: ArrayLike, zeros: int) -> Polynomial:
+def _rest_to_rest(t0: float, t1: float, start: ArrayLike, end: ArrayLike, zeros: int) -> PiecewisePolynomial:
     rest = [np.zeros(np.shape(start))] * zeros
     return boundary_polynomial(t0, t1, [start, *rest], [end, *rest])
 
@@ -147,23 +94,49 @@ class TimingPoint(NamedTuple):
     pdd: Array
 
 
-class TimingLaw(Protocol):
-    """Arc length p(t) from p(0) = 0 to p(duration) = length, increasing, with continuous p̈."""
+@dataclass(frozen=True, init=False, eq=False)
+class TimingLaw(Frozen):
+    """Arc length p(t) from p(0) = 0 to p(duration) = length, in polynomial pieces; p and ṗ are continuous.
 
-    @property
-    def length(self) -> float:
-        """Arc length at the end, m."""
+    It is kept in Bernstein form, which meets values and rates at both ends of a piece exactly: at rest is at rest.
+
+    Attributes:
+        curve: p(t), m, as scipy's type; it does not decrease.
+        length: arc length at the end, m.
+    """
+
+    curve: BPoly = field(repr=False)
+    length: float
+
+    def __init__(self, curve: BPoly, length: float) -> None:
+        assign(self, curve=curve, length=length)
+
+    @staticmethod
+    def of(curve: PiecewisePolynomial, length: float) -> TimingLaw:
+        """Return the law of a function of time with a single value, p(t), m."""
+        return TimingLaw(BPoly.from_power_basis(PPoly(curve.coefficients[:, :, 0], curve.edges)), length)
 
     @property
     def duration(self) -> float:
         """Time at the end, s."""
+        return float(self.curve.x[-1])
 
-    def evaluate(self, t: ArrayLike) -> TimingPoint:
-        """Return p, ṗ, p̈ at times t (scalar or any shape, s).
+    @property
+    def knots(self) -> Array:
+        """(c,) inner times at which pieces meet and a higher derivative may jump, s."""
+        return frozen(self.curve.x[1:-1])
+
+    def evaluate(self, t: ArrayLike, side: Side = "right") -> TimingPoint:
+        """Return p, ṗ, p̈ at times t (scalar or any shape, s); ``side`` decides where p̈ jumps.
 
         Raises:
             InputError: t outside [0, duration].
         """
+        times = inside(t, 0.0, self.duration, "t", "s")
+        if side == "left":  # the float before an edge is in the piece before it
+            times = np.nextafter(times, 0.0)
+        p, pd, pdd = (np.asarray(self.curve(times, order)) for order in range(3))
+        return TimingPoint(np.clip(p, 0.0, self.length), pd, pdd)
 
     def time_at(self, p: float) -> float:
         """Return the time, s, at which arc length p, m, is reached.
@@ -171,29 +144,6 @@ class TimingLaw(Protocol):
         Raises:
             InputError: p outside [0, length].
         """
-
-    def scaled(self, factor: float) -> TimingLaw:
-        """Return the same law run ``factor`` times as fast: p(factor · t).
-
-        Raises:
-            InputError: factor not positive.
-        """
-
-
-class PolynomialLaw:
-    """Base of the timing laws that are polynomials in pieces: they define ``length``, m, and ``curve``, p(t) from 0."""
-
-    length: float
-    curve: BPoly
-
-    def evaluate(self, t: ArrayLike) -> TimingPoint:
-        """Return p, ṗ, p̈ at times t; see ``TimingLaw.evaluate``."""
-        times = inside(t, 0.0, float(self.curve.x[-1]), "t", "s")
-        p, pd, pdd = (np.asarray(self.curve(times, order)) for order in range(3))
-        return TimingPoint(np.clip(p, 0.0, self.length), pd, pdd)
-
-    def time_at(self, p: float) -> float:
-        """Return the time, s, at which arc length p, m, is reached; see ``TimingLaw.time_at``."""
         place = float(inside(p, 0.0, self.length, "p", "m"))
         edges, reached = self.curve.x, self.curve.c[0]  # where each piece begins
         k = max(int(np.searchsorted(reached, place, side="right")) - 1, 0)
@@ -206,9 +156,17 @@ class PolynomialLaw:
             return a if beyond(a) >= 0.0 else b
         return float(brentq(beyond, a, b, xtol=1e-300, rtol=4.0 * np.finfo(float).eps))
 
+    def scaled(self, factor: float) -> TimingLaw:
+        """Return the same law run ``factor`` times as fast: p(factor · t).
 
-@dataclass(frozen=True)
-class RestToRest(PolynomialLaw):
+        Raises:
+            InputError: factor not positive.
+        """
+        return TimingLaw(BPoly(self.curve.c, self.curve.x / positive(factor, "factor", "(ratio)")), self.length)
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class RestToRest(TimingLaw):
     """A single polynomial from rest to rest over the whole length.
 
     Attributes:
@@ -220,38 +178,24 @@ class RestToRest(PolynomialLaw):
         InputError: length or duration not positive, unknown shape.
     """
 
-    length: float
-    duration: float
-    shape: Literal["3-4-5", "4-5-6-7"] = "3-4-5"
+    shape: Literal["3-4-5", "4-5-6-7"]
 
-    def __post_init__(self) -> None:
-        positive(self.length, "length", "m")
-        positive(self.duration, "duration", "s")
-        if self.shape not in ("3-4-5", "4-5-6-7"):
-            raise InputError(f"shape is {self.shape!r}, expected '3-4-5' or '4-5-6-7'.", shape=self.shape)
-
-    @property
-    def polynomial(self) -> Polynomial:
-        """The polynomial p(t), m."""
-        law = rest_to_rest_345 if self.shape == "3-4-5" else rest_to_rest_4567
-        return law(0.0, self.duration, 0.0, self.length)
-
-    @cached_property
-    def curve(self) -> BPoly:
-        """p(t), m."""
-        return self.polynomial.curve
-
-    def scaled(self, factor: float) -> RestToRest:
-        """Return the same law run ``factor`` times as fast."""
-        return RestToRest(self.length, self.duration / positive(factor, "factor", "(ratio)"), self.shape)
+    def __init__(self, length: float, duration: float, shape: Literal["3-4-5", "4-5-6-7"] = "3-4-5") -> None:
+        zeros = {"3-4-5": [0.0] * 2, "4-5-6-7": [0.0] * 3}
+        if shape not in zeros:
+            raise InputError(f"shape is {shape!r}, expected '3-4-5' or '4-5-6-7'.", shape=shape)
+        total, end = positive(length, "length", "m"), positive(duration, "duration", "s")
+        curve = BPoly.from_derivatives([0.0, end], [[0.0, *zeros[shape]], [total, *zeros[shape]]])
+        super().__init__(curve, total)
+        assign(self, shape=shape)
 
 
 LEAST_RAMP_FRACTION = 0.4
 """A quintic ramp shorter than this fraction of v T runs backwards; see ``SpeedProfile``."""
 
 
-@dataclass(frozen=True, init=False)
-class SpeedProfile(PolynomialLaw):
+@dataclass(frozen=True, init=False, eq=False)
+class SpeedProfile(TimingLaw):
     """Ramp up, cruise, ramp down (Parsa 2014, sections 3.2 and 4.2.2).
 
     The ramp up is the quintic in arc length from (0, 0, 0) to (ℓ, v, 0) in time T, the ramp down its mirror image.
@@ -277,7 +221,6 @@ class SpeedProfile(PolynomialLaw):
             range), or a path too short for both ramps (with the lengths).
     """
 
-    length: float
     speed: float
     ramp_time: float
     ramp_length: float
@@ -311,32 +254,16 @@ class SpeedProfile(PolynomialLaw):
             )
             remedy = "Lower the speed, shorten the ramps, or lengthen the path."
             raise InputError(message, remedy=remedy, length=total, ramp_length=up, end_ramp_length=down)
-        assign(self, length=total, speed=v, ramp_time=time_up, ramp_length=up)
-        assign(self, end_ramp_time=time_down, end_ramp_length=down)
+        assign(self, speed=v, ramp_time=time_up, ramp_length=up, end_ramp_time=time_down, end_ramp_length=down)
+        ends = np.cumsum([0.0, time_up, max(total - up - down, 0.0) / v, time_down])
+        states = np.array([(0.0, 0.0, 0.0), (up, v, 0.0), (total - down, v, 0.0), (total, 0.0, 0.0)])
+        kept = [0, 1, 2, 3] if ends[2] > ends[1] else [0, 1, 3]
+        super().__init__(BPoly.from_derivatives(ends[kept], states[kept]), total)
 
     @property
     def cruise_time(self) -> float:
         """Duration at constant speed, s."""
         return max(self.length - self.ramp_length - self.end_ramp_length, 0.0) / self.speed
-
-    @property
-    def duration(self) -> float:
-        """Time at the end, s."""
-        return self.ramp_time + self.cruise_time + self.end_ramp_time
-
-    @cached_property
-    def curve(self) -> BPoly:
-        """p(t), m: a quintic, a straight line where there is a cruise, and a quintic."""
-        ends = np.cumsum([0.0, self.ramp_time, self.cruise_time, self.end_ramp_time])
-        places = 0.0, self.ramp_length, self.length - self.end_ramp_length, self.length
-        states = [(p, v, 0.0) for p, v in zip(places, (0.0, self.speed, self.speed, 0.0), strict=True)]
-        kept = [0, 1, 2, 3] if ends[2] > ends[1] else [0, 1, 3]
-        return BPoly.from_derivatives(ends[kept], [states[i] for i in kept])
-
-    @property
-    def knots(self) -> Array:
-        """(2,) times at which a ramp meets the cruise, s: the jerk jumps there."""
-        return read_only(np.array([self.ramp_time, self.ramp_time + self.cruise_time]))
 
     @property
     def peak_speed(self) -> float:
@@ -347,25 +274,21 @@ class SpeedProfile(PolynomialLaw):
         up = _peak(self.ramp_length / (self.speed * self.ramp_time))
         return max(up, _peak(self.end_ramp_length / (self.speed * self.end_ramp_time))) * self.speed
 
-    def evaluate(self, t: ArrayLike) -> TimingPoint:
+    def evaluate(self, t: ArrayLike, side: Side = "right") -> TimingPoint:
         """Return p, ṗ, p̈ at times t; see ``TimingLaw.evaluate``. While it cruises nothing accelerates, exactly."""
-        ramps, times = super().evaluate(t), np.asarray(t, dtype=np.float64)
+        ramps, times = super().evaluate(t, side), np.asarray(t, dtype=np.float64)
         cruises = (times >= self.ramp_time) & (times <= self.ramp_time + self.cruise_time)
         p = self.ramp_length + self.speed * (times - self.ramp_time)
         exact = p, np.full(times.shape, self.speed), np.zeros(times.shape)
         return TimingPoint(*(np.where(cruises, one, other) for one, other in zip(exact, ramps, strict=True)))
 
-    def scaled(self, factor: float) -> SpeedProfile:
-        """Return the same profile run ``factor`` times as fast; the ramps keep their lengths."""
-        faster = positive(factor, "factor", "(ratio)")
-        return SpeedProfile(
-            self.length,
-            self.speed * faster,
-            self.ramp_time / faster,
-            self.ramp_length,
-            self.end_ramp_time / faster,
-            self.end_ramp_length,
-        )
+
+def _peak(fraction: float) -> float:
+    """Return the largest ṗ/v of a ramp of length ``fraction`` · v T."""
+    if fraction <= 1.5 * LEAST_RAMP_FRACTION:
+        return 1.0
+    k = (60.0 * fraction - 24.0) / (120.0 * fraction - 60.0)
+    return float(k**2 * (30.0 * fraction * (1.0 - k) ** 2 - 12.0 + 28.0 * k - 15.0 * k**2))
 
 
 def _require_forward(name: str, ramp: float, speed: float, time: float, length: float) -> None:
@@ -379,47 +302,12 @@ def _require_forward(name: str, ramp: float, speed: float, time: float, length: 
         raise InputError(message, remedy=remedy, name=name, least=least, most=length)
 
 
-def _peak(fraction: float) -> float:
-    """Largest ṗ/v of a ramp of length ``fraction`` · v T."""
-    if fraction <= 1.5 * LEAST_RAMP_FRACTION:
-        return 1.0
-    k = (60.0 * fraction - 24.0) / (120.0 * fraction - 60.0)
-    return float(k**2 * (30.0 * fraction * (1.0 - k) ** 2 - 12.0 + 28.0 * k - 15.0 * k**2))
-
-
-@dataclass(frozen=True, eq=False)
-class PiecewiseLaw(Frozen, PolynomialLaw):
-    """Arc length as polynomials of time, continuous up to its second derivative.
-
-    Attributes:
-        curve: p(t), m, from t = 0; increasing.
-        length: arc length at the end, m.
-    """
-
-    curve: BPoly
-    length: float
-
-    @property
-    def duration(self) -> float:
-        """Time at the end, s."""
-        return float(self.curve.x[-1])
-
-    @property
-    def knots(self) -> Array:
-        """(c,) times at which p's third derivative may jump, s."""
-        return frozen(self.curve.x[1:-1])
-
-    def scaled(self, factor: float) -> PiecewiseLaw:
-        """Return the same law run ``factor`` times as fast."""
-        return PiecewiseLaw(BPoly(self.curve.c, self.curve.x / positive(factor, "factor", "(ratio)")), self.length)
-
-
-def uniform_law(length: float, duration: float) -> PiecewiseLaw:
+def uniform_law(length: float, duration: float) -> TimingLaw:
     """Return p = length · t / duration: the law of a path that is a function of time itself."""
-    return PiecewiseLaw(BPoly([[0.0], [length]], [0.0, duration]), length)
+    return TimingLaw(BPoly([[0.0], [length]], [0.0, duration]), length)
 
 
-def law_through_speeds(lengths: ArrayLike, speeds: ArrayLike) -> PiecewiseLaw:
+def law_through_speeds(lengths: ArrayLike, speeds: ArrayLike) -> TimingLaw:
     """Return the law that passes arc lengths (N,), m, at speeds (N,), m/s, with continuous acceleration.
 
     Between two of them the speed is the cubic of time with given values and accelerations at both ends, and the
@@ -454,7 +342,7 @@ def law_through_speeds(lengths: ArrayLike, speeds: ArrayLike) -> PiecewiseLaw:
     raise InputError("No law has these speeds.", remedy="Space the points more evenly.")
 
 
-def _law(p: Array, v: Array, a: Array) -> PiecewiseLaw | None:
+def _law(p: Array, v: Array, a: Array) -> TimingLaw | None:
     """Return the law with speeds and accelerations (N,) at arc lengths; None where it would run backwards."""
     mean, bend, length = 0.5 * (v[1:] + v[:-1]), (a[:-1] - a[1:]) / 12.0, np.diff(p)
     inner = mean**2 + 4.0 * bend * length
@@ -465,4 +353,4 @@ def _law(p: Array, v: Array, a: Array) -> PiecewiseLaw | None:
     speed = np.stack([v[:-1], v[:-1] + T * a[:-1] / 3.0, v[1:] - T * a[1:] / 3.0, v[1:]])  # Bernstein
     control = np.concatenate([np.zeros((1, len(T))), np.cumsum(speed, axis=0)]) * T / 4.0 + p[:-1] - p[0]
     least, _ = PiecewisePolynomial.from_bernstein(control[:, :, None], edges).derivative().ranges()
-    return PiecewiseLaw(BPoly(control, edges), float(p[-1] - p[0])) if least.min() >= -1e-12 * v.max() else None
+    return TimingLaw(BPoly(control, edges), float(p[-1] - p[0])) if least.min() >= -1e-12 * v.max() else None

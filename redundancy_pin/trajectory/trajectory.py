@@ -7,7 +7,6 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import (
     ROUNDING,
@@ -24,9 +23,7 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
-from redundancy_pin.trajectory.paths import Path, PathPoint, SmoothPath
-from redundancy_pin.trajectory.quaternions import HALF_TURN_MARGIN
+from redundancy_pin.trajectory.paths import Path
 from redundancy_pin.trajectory.timing import TimingLaw
 
 Ends: TypeAlias = tuple[Literal["rest", "samples"], Literal["rest", "samples"]]
@@ -209,115 +206,18 @@ class Trajectory(Frozen):
         return Trajectory(self.path, self.timing.scaled(factor), ends=self.ends)
 
     def _evaluate(self, times: Array, before: BoolArray) -> TrajectoryPoint:
-        law = self.timing.evaluate(times)
-        return _travelled(self.path, (self._break_length, self._break_time), times, (law.p, law.pd, law.pdd), before)
-
-
-@dataclass(frozen=True, eq=False)
-class TimedPath(Frozen):
-    """x(p(t)) of a path and a law p(t) whose second derivative may jump where the path's does: that of a fast plan.
-
-    Attributes:
-        path: the path.
-        law: arc length p by time, m.
-        breaks: (b,) times at which the path's curvature jumps, s.
-    """
-
-    path: Path
-    law: PiecewisePolynomial
-    breaks: Array
-
-    @property
-    def duration(self) -> float:
-        """Total time, s."""
-        return self.law.end
-
-    def sample_at(self, times: ArrayLike) -> PlatformMotion:
-        """Return the motion at (N,) increasing times, s; a break that occurs twice gets both accelerations."""
-        t = np.asarray(times, dtype=np.float64)
-        before = np.append(t[1:] == t[:-1], False)
-        p, pd, pdd = (self.law.derivative(order)(t)[:, 0] for order in range(3))
-        pdd[before] = self.law.derivative(2)(t[before], "left")[:, 0]
-        point = _travelled(self.path, (self.path.breaks, self.breaks), t, (p, pd, pdd), before)
-        return PlatformMotion(t, *point, check_rates=False)
-
-
-def _travelled(
-    path: Path, breaks: tuple[Array, Array], t: Array, law: tuple[Array, ...], before: BoolArray
-) -> TrajectoryPoint:
-    """Return x, ẋ, ẍ at times (N,), from p, ṗ, p̈ there, ``before`` the jump or after it; breaks by length and time."""
-    # The segment of the path is chosen by the time, not by the arc length: p(t) is only as exact as its rounding, and
-    # must not slip across a break.
-    (lengths, instants), (p, pd, pdd) = breaks, law
-    passed, ends = np.searchsorted(instants, t, side="right"), np.array([0.0, *lengths, path.length])
-    on_break = np.append(-np.inf, instants)[passed] == t
-    p = np.where(on_break, ends[passed], np.clip(p, ends[passed], ends[passed + 1]))
-    x, tangent, curvature = path.evaluate(p, "right")
-    left = np.flatnonzero((on_break & before) | (~on_break & (p == ends[passed + 1])))
-    curvature[left] = path.evaluate(p[left], "left").curvature
-    pd, pdd = pd[:, None], pdd[:, None]
-    return TrajectoryPoint(x, tangent * pd, tangent * pdd + curvature * pd**2)
-
-
-@dataclass(frozen=True, eq=False)
-class _Screw(Frozen, SmoothPath):
-    """Poses from ``start`` (4, 4): displaced and turned in proportion to p by a ``screw`` (6,), m and rad, in all."""
-
-    start: Array
-    screw: Array
-    length: float
-    dimension = 6
-
-    def _at(self, p: Array) -> PathPoint:
-        part = p[..., None] / self.length * self.screw
-        poses = np.tile(np.eye(4), (*p.shape, 1, 1))
-        turned = Rotation.from_rotvec(part[..., 3:].reshape(-1, 3)).as_matrix() @ self.start[:3, :3]
-        poses[..., :3, :3], poses[..., :3, 3] = turned.reshape(*p.shape, 3, 3), self.start[:3, 3] + part[..., :3]
-        tangent = np.broadcast_to(self.screw / self.length, part.shape)
-        return PathPoint(poses, tangent, np.zeros(part.shape))
-
-
-@dataclass(frozen=True, init=False, eq=False, repr=False)
-class PoseTrajectory(Trajectory):
-    """The position moves on a straight line while the platform turns about an axis fixed in the world.
-
-    With κ = p(t)/length: position p0 + κ d, rotation exp(κ [φ]×) R0, twist κ̇ (d, φ) and its rate κ̈ (d, φ), in
-    world-aligned axes at the platform origin. All of it is continuous: there are no breaks.
-
-    Attributes:
-        start, end: (4, 4) homogeneous poses in the base frame, m.
-        timing: the timing law; only the fraction p / length of it is used, so its length may be
-            one, the distance in metres, or the angle in radians.
-        screw: (6,) displacement d, m, and rotation vector φ, rad, world axes.
-
-    Raises:
-        InputError: not homogeneous poses, or poses half a turn apart.
-    """
-
-    start: Array
-    end: Array
-    screw: Array
-
-    def __init__(self, start: ArrayLike, end: ArrayLike, timing: TimingLaw) -> None:
-        poses = np.stack([checked(start, "start", (4, 4)), checked(end, "end", (4, 4))])
-        # The motion checks that both are poses; nothing else here would.
-        PlatformMotion([0.0, 1.0], poses, np.zeros((2, 6)), np.zeros((2, 6)))
-        turn = Rotation.from_matrix(poses[1, :3, :3] @ poses[0, :3, :3].T).as_rotvec()
-        angle = float(np.linalg.norm(turn))
-        if angle > np.pi - HALF_TURN_MARGIN:
-            raise InputError(
-                f"The poses are {angle:.9g} rad apart: at half a turn the axis is not determined.",
-                remedy="Go through a pose in between.",
-                angle=angle,
-            )
-        screw = frozen(np.concatenate([poses[1, :3, 3] - poses[0, :3, 3], turn]))
-        assign(self, start=frozen(poses[0]), end=frozen(poses[1]), screw=screw)
-        super().__init__(_Screw(self.start, screw, timing.length), timing)
-
-    def scaled(self, factor: float) -> PoseTrajectory:
-        """Return the same motion run ``factor`` times as fast.
-
-        Raises:
-            InputError: factor not positive.
-        """
-        return PoseTrajectory(self.start, self.end, self.timing.scaled(factor))
+        """Return x, ẋ, ẍ at times (N,), ``before`` the jump or after it."""
+        p, pd, pdd = self.timing.evaluate(times)
+        if before.any():
+            pdd[before] = self.timing.evaluate(times[before], "left").pdd
+        # The segment of the path is chosen by the time, not by the arc length: p(t) is only as exact as its rounding,
+        # and must not slip across a break.
+        passed = np.searchsorted(self._break_time, times, side="right")
+        ends = np.array([0.0, *self._break_length, self.path.length])
+        on_break = np.append(-np.inf, self._break_time)[passed] == times
+        p = np.where(on_break, ends[passed], np.clip(p, ends[passed], ends[passed + 1]))
+        x, tangent, curvature = self.path.evaluate(p, "right")
+        left = np.flatnonzero((on_break & before) | (~on_break & (p == ends[passed + 1])))
+        curvature[left] = self.path.evaluate(p[left], "left").curvature
+        pd, pdd = pd[:, None], pdd[:, None]
+        return TrajectoryPoint(x, tangent * pd, tangent * pdd + curvature * pd**2)

@@ -8,11 +8,12 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
+from scipy.interpolate import BSpline, CubicSpline, PPoly, make_interp_spline
 
 from redundancy_pin.arrays import ROUNDING, Array, Frozen, assign, checked, frozen, positive
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.motion import SIX_DIGITS
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line, Path, PathPoint, SmoothPath, straight_pieces
 from redundancy_pin.trajectory.quaternions import (
     HALF_TURN_MARGIN,
@@ -175,18 +176,16 @@ def _start_offset(start: float | None, edge: float, lower: float, trim: float) -
     return offset
 
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
-_LENGTH_TOLERANCE = 1e-14
-"""Change of a panel's arc length by halving it, relative to the whole, below which it counts as converged."""
+_LENGTH_TOLERANCE = 1e-11
+"""Last Chebyshev coefficients of the speed |r'| on a piece, relative to the largest speed: its integral is then exact
+to rounding (1e-15, measured)."""
 _LEAST_RATE = 1e-4
 """|r'| below which the path counts as turning on the spot. It is about 1 elsewhere, for u is the distance between
 points; where it falls to this the radius of curvature is about 1e-8 of that distance."""
-_MOST_HALVINGS = 40
-"""At a cusp the panels shrink until their square is lost in rounding, after 25 halvings."""
 _INVERSION_TOLERANCE = 1e-14
 """Arc length, relative to the whole, to which p is met: fifty roundings."""
 _MOST_STEPS = 60
-"""Bisection alone would halve a panel to its last bit in fewer; Newton takes about four."""
+"""Bisection alone would halve a piece to its last bit in fewer; Newton takes about four."""
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -195,8 +194,8 @@ class SplinePath(Frozen, SmoothPath):
 
     The spline r(u) takes the distance between points as its parameter; its second derivative is continuous,
     so the path has no breaks. With r' its derivative by u and e = r'/|r'|:
-    x' = e, x'' = (r'' − (r''·e) e)/|r'|². The arc length comes from Gauss quadrature and is inverted by Newton
-    steps on the same quadrature, both to rounding.
+    x' = e, x'' = (r'' − (r''·e) e)/|r'|². The arc length is the integral of a fit of |r'| in polynomials, inverted by
+    Newton steps, both to rounding.
 
     Attributes:
         points: (N, n) the points, m.
@@ -211,8 +210,7 @@ class SplinePath(Frozen, SmoothPath):
     closed: bool
     length: float
     _spline: CubicSpline
-    _edges: Array
-    _arc_at_edges: Array
+    _arc: PPoly
 
     def __init__(self, points: ArrayLike, *, closed: bool = False) -> None:
         given = _near(points, "points")
@@ -223,9 +221,14 @@ class SplinePath(Frozen, SmoothPath):
         chords, _ = straight_pieces(ring)
         knots = np.concatenate([[0.0], np.cumsum(chords)])
         spline = CubicSpline(knots, ring, bc_type="periodic" if closed else "natural")
-        edges, arc_at_edges = _arc_length_table(spline, knots)
-        assign(self, points=given, closed=closed, length=float(arc_at_edges[-1]))
-        assign(self, _spline=spline, _edges=frozen(edges), _arc_at_edges=frozen(arc_at_edges))
+
+        def speed(u: Array) -> Array:
+            return np.asarray(np.linalg.norm(spline(u, 1), axis=1)[:, None])
+
+        fitted = PiecewisePolynomial.fit(speed, knots, np.empty(0), lambda v: v.max(axis=0), _LENGTH_TOLERANCE)
+        _require_direction(spline, np.union1d(fitted.edges, chebyshev_times(fitted.edges)))
+        arc = PPoly(fitted.coefficients[:, :, 0], fitted.edges).antiderivative()
+        assign(self, points=given, closed=closed, length=float(arc(knots[-1])), _spline=spline, _arc=arc)
 
     @property
     def dimension(self) -> int:
@@ -235,13 +238,12 @@ class SplinePath(Frozen, SmoothPath):
     @property
     def lengths_at_points(self) -> Array:
         """(N,) arc lengths at the points, m; one more, at the end, where the path is closed."""
-        lengths: Array = self._arc_at_edges[np.searchsorted(self._edges, self._spline.x)]
-        return lengths
+        return np.asarray(self._arc(self._spline.x))
 
     @property
     def knots(self) -> Array:
         """(c,) inner arc lengths between which the path is resolved by a few points, m: close together at a cusp."""
-        return self._arc_at_edges[1:-1]
+        return frozen(self._arc(self._arc.x[1:-1]))
 
     def _at(self, p: Array) -> PathPoint:
         u = self._parameter(p)
@@ -253,19 +255,18 @@ class SplinePath(Frozen, SmoothPath):
 
     def _parameter(self, p: Array) -> Array:
         """Return the spline parameter u at arc lengths p: Newton steps, or bisection where one leaves its bracket."""
-        panel = np.searchsorted(self._arc_at_edges, p, side="right") - 1
-        panel = np.clip(panel, 0, len(self._edges) - 2)
-        start, low, high = self._edges[panel], self._edges[panel], self._edges[panel + 1]
-        target = p - self._arc_at_edges[panel]
-        u = low + (high - low) * target / (self._arc_at_edges[panel + 1] - self._arc_at_edges[panel])
+        edges, reached = self._arc.x, self._arc.c[-1]  # where each piece begins
+        piece = np.clip(np.searchsorted(reached, p, side="right") - 1, 0, len(edges) - 2)
+        low, high = edges[piece], edges[piece + 1]
+        u = low + (high - low) * (p - reached[piece]) / (np.append(reached, self.length)[piece + 1] - reached[piece])
         for _ in range(_MOST_STEPS):
-            miss = arc_length_of(self._spline, start, u) - target
+            miss = self._arc(u) - p
             if np.abs(miss).max(initial=0.0) <= _INVERSION_TOLERANCE * self.length:
                 break
             low, high = np.where(miss < 0.0, u, low), np.where(miss > 0.0, u, high)
             newton = u - miss / np.linalg.norm(self._spline(u, 1), axis=-1)
             u = np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
-        return u
+        return np.asarray(u)
 
 
 def through_points(points: ArrayLike, *, closed: bool = False) -> SplinePath:
@@ -277,43 +278,10 @@ def through_points(points: ArrayLike, *, closed: bool = False) -> SplinePath:
     return SplinePath(points, closed=closed)
 
 
-def arc_length_of(spline: CubicSpline, lower: Array, upper: Array) -> Array:
-    """Return ∫ |r'(u)| du between lower and upper, any equal shapes, within one panel each."""
-    half = 0.5 * (upper - lower)
-    nodes = (lower + half)[..., None] + half[..., None] * _NODES
-    length: Array = half * (np.linalg.norm(spline(nodes, 1), axis=-1) @ _WEIGHTS)
-    return length
-
-
-def _arc_length_table(spline: CubicSpline, knots: Array) -> tuple[Array, Array]:
-    """Return panel edges in u and the arc length at each; a panel is halved until its length stands still."""
-    start, end = knots[:-1], knots[1:]
-    lengths = arc_length_of(spline, start, end)
-    total = lengths.sum()
-    starts, pieces = [], []
-    for _ in range(_MOST_HALVINGS):
-        middle = 0.5 * (start + end)
-        first, second = arc_length_of(spline, start, middle), arc_length_of(spline, middle, end)
-        moving = np.abs(first + second - lengths) > _LENGTH_TOLERANCE * total
-        starts += [start[~moving], middle[~moving]]
-        pieces += [first[~moving], second[~moving]]
-        start, end = np.concatenate([start[moving], middle[moving]]), np.concatenate([middle[moving], end[moving]])
-        lengths = np.concatenate([first[moving], second[moving]])
-        if len(start) == 0:
-            break
-    edges = np.concatenate([*starts, start, knots[-1:]])
-    order = np.argsort(edges)
-    arcs = np.concatenate([[0.0], np.cumsum(np.concatenate([*pieces, lengths])[order[:-1]])])
-    _require_direction(spline, edges[order], unsettled=len(start) > 0)
-    return edges[order], arcs
-
-
-def _require_direction(spline: CubicSpline, edges: Array, unsettled: bool) -> None:
-    half = 0.5 * np.diff(edges)[:, None]
-    places = np.concatenate([edges, (edges[:-1, None] + half + half * _NODES).ravel()])
+def _require_direction(spline: CubicSpline, places: Array) -> None:
     rate = np.linalg.norm(spline(places, 1), axis=-1)
     k = int(np.argmin(rate))
-    if unsettled or rate[k] < _LEAST_RATE:
+    if rate[k] < _LEAST_RATE:
         raise InputError(
             f"The spline through the points has a cusp near {np.asarray(spline(places[k])).round(6).tolist()}: "
             "its direction is not defined there.",

@@ -44,7 +44,7 @@ def test_a_plan_that_is_what_it_says_has_the_code_it_was_planned_with(code: int,
 
 def test_limits_wider_than_the_robots_are_in_table_and_json(plans, tmp_path: Path) -> None:
     path, limits = tmp_path / "plan.npz", plans[0].limits
-    wide = tuple(replace(limit, speed=99.0) for limit in limits.judged_by)
+    wide = replace(limits.judged_by, speed=np.full(3, 99.0))
     replace(plans[0], limits=replace(limits, judged_by=wide)).save(path)
     result = call("check", str(path))
     assert result.exit_code == 0

@@ -1,4 +1,4 @@
-"""``redundancy-pin export``: the files of ``Plan.to_csv`` and its like, by the suffix of their names."""
+"""``redundancy-pin export``: the files of ``PlanTable.to_csv`` and its like, by the suffix of their names."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_files_are_those_of_the_methods(name: str, method: str, plan: Plan) -> N
     told = json.loads(result.stdout)
     assert told["rows"] == np.ceil(100 * plan.t[-1]) + 1
     assert told["joints"] == [*plan.robot.actuated, *plan.robot.carriers]
-    getattr(rp.load_plan("plan.npz"), method)("other" + name, 100)
+    getattr(rp.load_plan("plan.npz").table(100), method)("other" + name)
     assert Path(name).read_bytes() == Path("other" + name).read_bytes()
 
 

@@ -10,6 +10,7 @@ from command_line import call, refused
 
 import redundancy_pin
 from redundancy_pin import load_robot
+from redundancy_pin.io import limited
 from redundancy_pin.robot.urdf import shipped_robots
 
 COMMANDS = ("reproduce", "inverse-dynamics", "singularities", "validate", "info")
@@ -136,6 +137,16 @@ def test_a_robot_without_description_and_parameters_has_no_empty_places(tmp_path
     # a continuous joint has no limits, and is at an angle all the same
     assert any("crank" in line and "0.7" in line for line in text.splitlines())
     assert '"reference": 0.7' in call("info", "--robot", tmp_path, "--json").stdout
+
+
+def test_a_strangers_file_is_read_in_a_process_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """``--untrusted`` ends a reader that takes too long, and no file is both."""
+    xacro = Path(__file__).parents[2] / "models" / "five_bar" / "robot.yaml"
+    assert call("info", "--robot", xacro, "--untrusted").stdout == call("info", "--robot", xacro).stdout
+    assert "trust and untrusted are both true" in refused("info", "--robot", xacro, "--untrusted", "--trust")
+    monkeypatch.setattr(limited, "SECONDS", 0.01)
+    for arguments in (("info", "--robot", xacro), ("new", xacro.with_name("five_bar.urdf.xacro"), "--out", "x.yaml")):
+        assert "takes more than 0.01 s" in refused(*arguments, "--untrusted")
 
 
 def test_the_reference_of_a_pose_is_position_and_angles_without_rounding() -> None:

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import cassie
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -143,7 +144,8 @@ needs_cassie = pytest.mark.skipif(not CASSIE.is_dir(), reason="example-robot-dat
 @needs_cassie
 def test_small_margins_throughout_are_no_rank_loss():
     """Cassie's margin is 3.6e-4 everywhere, an order below that of a rank loss."""
-    system = constraint_system(load_robot(CASSIE / "cassie_reduced.sdf"))
+    path = CASSIE / "cassie_reduced.sdf"
+    system = constraint_system(load_robot(path, actuated=cassie.drives(path)))
     margin = closed_around(system).projection.margin
     assert margin.max() < 0.2 * NEAR_RANK_LOSS
     assert near_rank_loss(system) < 0.2 * margin.min()
@@ -165,7 +167,8 @@ def test_small_margins_throughout_are_no_rank_loss():
 def test_cassie_is_checked_in_bounded_time(monkeypatch, name):
     """Twenty draws at most, no rank loss crossed, and every check has states."""
     monkeypatch.setattr(Follower, "pass_through", lambda *_, **__: pytest.fail("a rank loss"))
-    report = crosscheck.run([str(CASSIE / f"{name}.sdf")], samples=2)
+    path = CASSIE / f"{name}.sdf"
+    report = crosscheck.run([str(path)], samples=2, settings={"actuated": cassie.drives(path)})
     assert report.passed
     assert {row.check for row in report.rows if not row.note} == {
         "rates and accelerations of the joints",
@@ -178,7 +181,8 @@ def test_cassie_is_checked_in_bounded_time(monkeypatch, name):
 @needs_cassie
 def test_a_short_lever_neither_fails_nor_hides_a_fault(monkeypatch):
     """A pin of Cassie's plantar rod has a lever of 1e-4 m and carries 3e8 N: a case of the run as it comes, of 2000."""
-    case = random_case(str(CASSIE / "cassie.sdf"), 250, 0, vary=False)
+    path = CASSIE / "cassie.sdf"
+    case = random_case(str(path), 250, 0, vary=False, settings=(("actuated", cassie.drives(path)),))
     case = replace(case, t=case.t[::50])
 
     def deviations():

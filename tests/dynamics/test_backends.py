@@ -1,22 +1,39 @@
-"""What every backend promises: shapes, marks, refusals, and a status where a joint is beyond its range."""
+"""What every backend promises: shapes, marks, refusals, ranges of joints; and the backend that a robot gets."""
 
 from __future__ import annotations
 
+import functools
+import json
+import warnings
 from collections.abc import Callable
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import zoo
+from click.testing import CliRunner
 from machines import machine
-from scipy.optimize import brentq
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
+from redundancy_pin.cli import main
 from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
-from redundancy_pin.errors import CarrierLimitError, InputError, SingularPoseError, UnreachablePoseError
+from redundancy_pin.dynamics.default import as_dynamics
+from redundancy_pin.errors import (
+    CarrierLimitError,
+    CompilerError,
+    InputError,
+    ModelFileError,
+    SingularPoseError,
+    UnreachablePoseError,
+)
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.simulation import motion_reference
+from redundancy_pin.simulation.controllers import controller_by_name
 from redundancy_pin.status import ResultStatus, SampleStatus
+from redundancy_pin.studies.co_design import DesignTask
 from redundancy_pin.trajectory import reference
 
 BACKENDS = [rp.RneaDynamics, rp.VirtualWork, rp.CompiledDynamics]
@@ -67,89 +84,6 @@ def test_results_are_read_only_and_of_the_stated_shapes(backend: Backend, name: 
         rows, columns = ([1, 1], [1, 1]) if name == "2rpr" else ([1, 1, L], [L, L, L])
         np.testing.assert_array_equal(reduced.row_scale, rows)
         np.testing.assert_array_equal(reduced.column_scale, columns)
-
-
-@EVERY
-def test_one_solution_of_the_kinematics_serves_many_carrier_motions(backend: Backend) -> None:
-    robot = machine("3rrr")
-    motion, _ = motion_of(robot)
-    dynamics = backend(robot)
-    along = dynamics.along(motion)
-    for seed in (0, 1, 0):
-        carriers = zoo.carriers_at(robot, motion.t, seed)
-        np.testing.assert_array_equal(along.reduce(carriers).f, dynamics.reduce(motion, carriers).f)
-    left_out, parked = along.reduce(), along.reduce(rp.CarrierMotion.parked(5, 3))
-    for name in ("f", "W", "carrier_force"):
-        np.testing.assert_array_equal(getattr(left_out, name), getattr(parked, name))
-
-
-def test_a_single_sample_equals_that_sample_of_many(shipped: rp.Robot) -> None:
-    motion, carriers = motion_of(shipped)
-    dynamics, one = rp.RneaDynamics(shipped), carriers[2:3]
-    many, alone = dynamics.along(motion), dynamics.along(motion[2:3])
-    pairs = [(alone.reduce(one).f, many.reduce(carriers).f)]
-    pairs += [(getattr(alone, name)(one), getattr(many, name)(carriers)) for name in ("base_wrench", "energy")]
-    for got, want in pairs:
-        np.testing.assert_allclose(got[0], want[2], rtol=0.0, atol=1e-9 * np.abs(want).max())
-
-
-@EVERY
-@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
-def test_a_robot_without_carriers_has_empty_carrier_arrays(backend: Backend, name: str) -> None:
-    bare = zoo.robot_of(name, carriers=False)
-    along = backend(bare).along(zoo.smooth_motion(bare, 11, speed=24.0).at(np.linspace(0.0, 1.0, 5)))
-    for carriers in (None, rp.CarrierMotion(*np.zeros((3, 5, 0)))):
-        assert along.reduce(carriers).carrier_force.shape == (5, 0)
-    derivatives = along.carrier_derivatives()
-    assert derivatives.f_s.shape == (5, bare.n, 0)
-    assert derivatives.force_sdd.shape == (5, 0, 0)
-    if name == "2rpr":  # nothing else has mass by default
-        np.testing.assert_array_equal(along.reduce().f, 0.0)
-    assert np.abs(along.reduce().f - backend(zoo.robot_of(name)).along(along.motion).reduce().f).max() > 0.1
-
-
-@EVERY
-def test_type_two_poses_stay_finite(backend: Backend) -> None:
-    """B of the 2-RPR on the base line: parallel legs. In the middle of the 3-RRR's base, by symmetry, all distal links
-    point at the centre for one α: they meet in a point."""
-    flat = rp.PlatformMotion([0.0], [[0.2, 0.0]], [[0.1, 0.3]], [[0.0, 0.2]])
-
-    def turned(alpha: float) -> rp.PlatformMotion:
-        x = [[np.sqrt(3) / 2, 0.5, alpha]]
-        return rp.PlatformMotion([0.0], x, [[0.1, 0.3, -0.5]], [[0.4, 0.2, 1.0]])
-
-    def moment(alpha: float) -> float:  # of leg 1's pull about the centre
-        return float(rp.VirtualWork("3rrr").reduce(turned(alpha)).W[0, 2, 0])
-
-    for name, motion in (("2rpr", flat), ("3rrr", turned(brentq(moment, -np.pi / 2, np.pi / 2, xtol=1e-15)))):
-        reduced = backend(zoo.robot_of(name)).reduce(motion)
-        assert np.isfinite(reduced.f).all()
-        singular_values = np.linalg.svd(reduced.W[0], compute_uv=False)
-        assert singular_values[-1] < 1e-12 < 0.1 < singular_values[-2]
-
-
-@EVERY
-def test_platform_inertia_auto_is_that_of_a_disc(backend: Backend) -> None:
-    spin = rp.PlatformMotion([0.0], [[0.9, 0.5, 0.1]], [[0.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
-    auto, none = (backend(rp.load_robot("3rrr", platform_inertia=value)).reduce(spin) for value in ("auto", 0.0))
-    np.testing.assert_allclose(auto.f - none.f, [[0.0, 0.0, 0.5 * 0.5 * 0.25**2]], atol=1e-12)
-
-
-@EVERY
-@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
-def test_gravity_out_of_the_plane_enters_the_base_wrench_alone(backend: Backend, name: str) -> None:
-    robots = [zoo.robot_of(name, gravity=(0.3, -9.0, z)) for z in (2.0, 0.0)]
-    motion, carriers = motion_of(robots[0])
-    tilted, level = (backend(robot).along(motion) for robot in robots)
-    for of in ("carrier_force", "f"):
-        got, want = (getattr(along.reduce(carriers), of) for along in (tilted, level))
-        np.testing.assert_array_equal(got, want)
-    np.testing.assert_array_equal(tilted.energy(carriers), level.energy(carriers))
-    difference = tilted.base_wrench(carriers) - level.base_wrench(carriers)
-    mass = {"2rpr": 2.0, "3rrr": 3 * (1.0 + 1.0 + 3.0) + 0.5}[name]
-    np.testing.assert_allclose(difference[:, 2], 2.0 * mass)
-    np.testing.assert_array_equal(difference[:, [0, 1, 5]], 0.0)
-    assert np.abs(difference[:, 3:5]).min() > 0.0
 
 
 # --- what every backend refuses
@@ -243,19 +177,6 @@ def test_unreachable_samples_are_marked_and_the_others_unharmed(backend: Backend
     np.testing.assert_allclose(marked.f[-5:], back.f, rtol=0.0, atol=1e-11 * np.abs(back.f).max())
 
 
-def test_backends_without_a_tree_mark_what_is_out_of_reach_too() -> None:
-    """3 m beside the machine; what can be reached has the same efforts by all."""
-    robot = zoo.robot_of("3rrr")
-    t, x = np.linspace(0.0, 1.0, 3), np.tile(zoo.home_of(robot), (3, 1))
-    x[2, 0] += 3.0
-    still = rp.PlatformMotion(t, x, 0.0 * x, 0.0 * x, check_rates=False)
-    results = [rp.inverse_dynamics(backend(robot), still, unreachable="mark") for backend in BACKENDS]
-    for result in results:
-        assert (result.efforts.status == SampleStatus.UNREACHABLE).tolist() == [False, False, True]
-        assert result.status is ResultStatus.UNBOUNDED
-        np.testing.assert_allclose(result.efforts.tau, results[0].efforts.tau, atol=1e-9)
-
-
 UP = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
 STRETCHED = {"2rpr": [0.0, 0.0], "3rrr": [*(2.25 * UP), 0.0]}
 """Type I: leg 1 of the 2-RPR has no length; leg 1 of the 3-RRR is straight."""
@@ -320,19 +241,17 @@ def robot() -> rp.Robot:
     return rp.with_limits(zoo.robot_of("2rpr"), {"swivel_1": RANGE})
 
 
-@pytest.mark.parametrize("backend", ["RneaDynamics", "VirtualWork", "CompiledDynamics"])
-def test_passive_joints_beyond_their_range_are_a_status_in_every_backend(robot: rp.Robot, backend: str) -> None:
-    if backend == "CompiledDynamics":
-        pytest.importorskip("casadi")
-    make = getattr(rp, backend)
-    unlimited = rp.distribute(make(zoo.robot_of("2rpr")).reduce(LINE))
-    distribution = rp.distribute(make(robot).reduce(LINE))
+@EVERY
+def test_passive_joints_beyond_their_range_are_a_status(robot: rp.Robot, backend: Backend) -> None:
+    unlimited = rp.distribute(backend(zoo.robot_of("2rpr")).reduce(LINE))
+    distribution = rp.distribute(backend(robot).reduce(LINE))
     out = beyond(LINE) & unlimited.solved
     assert out.any()
     assert (~beyond(LINE)).any()
     assert (distribution.status == np.where(out, SampleStatus.OUT_OF_RANGE, unlimited.status)).all()
     assert (distribution.solved == unlimited.solved).all()
     np.testing.assert_array_equal(distribution.tau, unlimited.tau)
+    assert (rp.inverse_kinematics(robot, LINE).out_of_range == beyond(LINE)).all()
 
 
 def test_statuses_without_a_solution_come_first(robot: rp.Robot) -> None:
@@ -350,12 +269,6 @@ def test_statuses_without_a_solution_come_first(robot: rp.Robot) -> None:
     assert (distribution.status[3:] == SampleStatus.OUT_OF_RANGE).all()
     assert SampleStatus.OUT_OF_RANGE.solved
     assert not SampleStatus.UNREACHABLE.solved
-
-
-def test_inverse_kinematics_knows_ranges(robot: rp.Robot) -> None:
-    tree = rp.inverse_kinematics(robot, LINE)
-    assert (tree.out_of_range == beyond(LINE)).all()
-    assert tree.reachable.all()
 
 
 @pytest.mark.parametrize("ends", [(0.0, 0.0), (1.0, -1.0)])
@@ -389,3 +302,117 @@ def test_singular_instants_out_of_range_are_not_unbounded_for_that(robot: rp.Rob
     assert result.status is unlimited.status
     assert [one.unbounded for one in result.instants] == [one.unbounded for one in unlimited.instants]
     assert [one.limit for one in result.joint_limits] == [RANGE["lower"], RANGE["upper"]]
+
+
+# --- the backend that a robot gets: generated code, and RNEA with a note where no compiler is
+
+
+CIRCLE = reference.circle(speed=0.5)
+MOTION = CIRCLE.sample(dt=0.05)
+AWAY = reference.polygon([[0.2, 0.3], [0.25, 0.35], [0.3, 0.35]], radius=0.02, speed=0.3, ramp_time=0.2)
+"""A path without singular poses."""
+REMEDY = r"pip install 'redundancy_pin\[compiler\]'"
+MODELS = Path(rp.__file__).parents[1] / "models"
+
+
+@functools.cache
+def plan() -> Plan:
+    return rp.plan_switch_off(rp.VirtualWork(zoo.robot_of("2rpr")), CIRCLE, threshold=20.0, dt=0.05)
+
+
+TAKERS: dict[str, Callable[[Any], Any]] = {
+    "inverse_dynamics": lambda dynamics: rp.inverse_dynamics(dynamics, MOTION).efforts.tau,
+    "plan_switch_off": lambda dynamics: rp.plan_switch_off(dynamics, CIRCLE, threshold=20.0, dt=0.05).tau,
+    "plan_stepwise": lambda dynamics: rp.plan_stepwise(dynamics, AWAY, dt=0.05).tau,
+    "plan_stepwise, baseline": lambda dynamics: rp.plan_stepwise("2rpr", AWAY, dt=0.05, lam=0.5, baseline=dynamics).tau,
+    "plan_whole_trajectory, baseline": lambda dynamics: (
+        rp.plan_whole_trajectory("2rpr", AWAY, dt=0.05, objective="tracking", lam=0.5, baseline=dynamics).tau
+    ),
+    "plan_whole_trajectory": lambda dynamics: rp.plan_whole_trajectory(dynamics, AWAY, dt=0.05).tau,
+    "plan_time_optimal": lambda dynamics: rp.plan_time_optimal(dynamics, AWAY, effort=50.0).t,
+    "RecedingHorizon": lambda dynamics: rp.RecedingHorizon(dynamics).dynamics.reduce(MOTION).f,
+    "check_plan": lambda dynamics: rp.check_plan(plan(), dynamics).peak_effort,
+    "efforts_at": lambda dynamics: plan().efforts_at([0.1, 0.2], dynamics),
+    "base_wrench": lambda dynamics: plan().base_wrench(dynamics),
+    "DesignTask": lambda dynamics: DesignTask(dynamics, CIRCLE).dynamics.reduce(MOTION).f,
+}
+"""Whatever takes dynamics, and something that depends on the robot."""
+
+
+@pytest.mark.parametrize("name", TAKERS)
+def test_a_robot_is_as_good_as_its_generated_code(name: str) -> None:
+    robot = zoo.robot_of("2rpr")
+    expected = TAKERS[name](rp.CompiledDynamics(robot))
+    assert np.asarray(expected).size
+    np.testing.assert_array_equal(TAKERS[name](robot), expected)
+    np.testing.assert_array_equal(TAKERS[name]("2rpr"), expected)
+    for wrong in (5, rp.RneaDynamics, MOTION) if name != "plan_stepwise, baseline" else ():  # which may be efforts
+        with pytest.raises(InputError, match=f"{type(wrong).__name__} was given for the dynamics. Pass a robot"):
+            TAKERS[name](wrong)
+    with pytest.raises(ModelFileError, match="2rp"):
+        TAKERS[name]("2rp")
+
+
+def test_simulations_and_controllers_take_a_robot_for_its_generated_code() -> None:
+    robot = zoo.robot_of("five_bar", carriers=False)
+    motion = zoo.smooth_motion(robot, 0).at(np.linspace(0.0, 0.05, 51))
+
+    def run(dynamics: Any) -> Any:
+        controller = controller_by_name("computed torque", motion_reference(robot, motion), dynamics=dynamics)
+        return rp.simulate(robot, controller, duration=0.02, dynamics=dynamics)
+
+    named, given, plain = run("five_bar"), run(rp.CompiledDynamics(robot)), run(None)
+    np.testing.assert_array_equal(named.q, given.q)
+    assert named.statistics != plain.statistics or (named.q != plain.q).any()  # other code has run
+    np.testing.assert_allclose(named.q, plain.q, atol=1e-7)
+    with pytest.raises(InputError, match="int was given for the dynamics"):
+        run(5)
+
+
+def test_a_backend_stays_the_one_that_was_given() -> None:
+    robot = zoo.robot_of("2rpr")
+    for given in (rp.RneaDynamics(robot), rp.VirtualWork(robot), rp.CompiledDynamics(robot)):
+        assert as_dynamics(given) is given
+    for named in (robot, "2rpr", MODELS / "2rpr"):
+        assert isinstance(as_dynamics(named), rp.CompiledDynamics)
+    assert as_dynamics(robot).robot is robot
+
+
+@pytest.mark.usefixtures("no_compiler")
+def test_without_a_compiler_rnea_takes_its_place_and_a_note_says_so_once() -> None:
+    robot = zoo.robot_of("3rrr")
+    motion = zoo.smooth_motion(robot, 0).at(np.linspace(0.0, 1.0, 5))
+    with pytest.raises(CompilerError, match=rf"no C compiler .*{REMEDY}"):
+        rp.CompiledDynamics(robot)
+    with pytest.warns(RuntimeWarning, match=rf"no C compiler .*RNEA is used.*{REMEDY}"):
+        found = rp.inverse_dynamics(robot, motion)
+    np.testing.assert_array_equal(found.efforts.tau, rp.inverse_dynamics(rp.RneaDynamics(robot), motion).efforts.tau)
+    with warnings.catch_warnings(record=True) as notes:
+        warnings.simplefilter("default")  # as Python has it
+        assert isinstance(as_dynamics("five_bar"), rp.RneaDynamics)
+        assert isinstance(as_dynamics("2rpr"), rp.RneaDynamics)  # from another line
+    assert len(notes) == 1
+
+
+def judged_by(folder: Path, *arguments: str) -> tuple[dict[str, Any], str]:
+    plan().save(folder / "plan.npz")
+    done = CliRunner().invoke(main, ["check", str(folder / "plan.npz"), "--json", *arguments])
+    return json.loads(done.stdout), done.stderr
+
+
+def test_commands_use_generated_code_unless_a_backend_is_named(tmp_path: Path) -> None:
+    by_default, _ = judged_by(tmp_path)
+    assert by_default["backend"] == "compiled"
+    for name in ("rnea", "virtual-work", "compiled"):
+        named, _ = judged_by(tmp_path, "--backend", name)
+        assert named["backend"] == name
+        np.testing.assert_allclose(named["peak_effort"], by_default["peak_effort"], rtol=1e-9)
+
+
+@pytest.mark.usefixtures("no_compiler")
+def test_commands_say_what_to_install(tmp_path: Path) -> None:
+    facts, said = judged_by(tmp_path)
+    assert facts["backend"] == "rnea"
+    assert facts["passed"]
+    assert said.startswith("warning: ")
+    assert "pip install 'redundancy_pin[compiler]'" in said

@@ -1,31 +1,35 @@
-"""Compiled dynamics against the RNEA backend, which shares no code with it, and what can go wrong."""
+"""Compiled dynamics and casadi Functions against the RNEA backend, which shares no code with them, and Pinocchio."""
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import casadi
+import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
 import spatial_chains
 import zoo
-from examples import examples
 from flat_linkages import parallelogram, row_of_four_bars
-from hypothesis import given
-from hypothesis import strategies as st
 from machines import machine
 from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
-from redundancy_pin import trajectory
-from redundancy_pin.dynamics.compiled.closing import LARGEST_TURN, waypoints
-from redundancy_pin.dynamics.compiled.parameters import parameter_vector, trig_at
+from redundancy_pin import CompiledDynamics, RneaDynamics, inverse_kinematics, joint_reactions, symbolic, trajectory
+from redundancy_pin.dynamics.compiled.parameters import parameter_vector, topology_of, trig_at
+from redundancy_pin.dynamics.compiled.symbolic import SymbolicRobot
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
+from redundancy_pin.errors import CompilerError
+from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved
+from redundancy_pin.loading import robot_from_model
 from redundancy_pin.machine_code import CACHE
+from redundancy_pin.robot import Robot
 
 EQUAL = 1e-11
 """Relative to the largest value of the motion: what the issue of this backend asks for. Rounding is 1e-14."""
@@ -59,18 +63,6 @@ def test_every_robot_moves_as_with_rnea(name: str) -> None:
     t = np.linspace(0.0, 2.0, 300)
     for seed in range(3):
         assert_same_dynamics(compiled, zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed))
-
-
-@examples(2)
-@given(mode=st.tuples(*[st.sampled_from((1, -1))] * 3), seed=st.integers(0, 2**16))
-def test_random_machines_and_modes(mode: tuple[int, int, int], seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    sizes = {"proximal_length": rng.uniform(0.9, 1.3), "distal_length": rng.uniform(0.9, 1.3)}
-    masses = {name: float(rng.uniform(0.0, 3.0)) for name in ("proximal_mass", "distal_mass", "carrier_mass")}
-    robot = rp.load_robot("3rrr", working_mode=mode, gravity=(0.3, -9.0, 1.0), **sizes, **masses)
-    t = np.linspace(0.0, 1.0, 60)
-    compiled = rp.CompiledDynamics(robot, threads=1)
-    assert_same_dynamics(compiled, zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed))
 
 
 def test_a_carrier_that_turns_moves_as_with_rnea() -> None:
@@ -213,17 +205,299 @@ def test_a_motion_through_a_rank_loss_of_the_closures_is_that_of_the_kinematics(
         assert_equal(getattr(mine, name), getattr(theirs, name), name)
 
 
-def test_a_pose_far_away_is_approached_in_equal_turns() -> None:
-    """By the least rotation, and along a straight line; coordinates go at once."""
-    first, last, angle = np.eye(4), np.eye(4), 3.5 * LARGEST_TURN
-    turn = angle * np.array([1.0, 2.0, -2.0]) / 3.0
-    first[:3, :3] = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
-    last[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ first[:3, :3]
-    first[:3, 3], last[:3, 3] = [1.0, 2.0, 3.0], [0.0, 4.0, 3.5]
-    way = np.array(waypoints(first.ravel(), last.ravel(), True)).reshape(-1, 4, 4)
-    assert len(way) == 4
-    for share, pose in zip((0.25, 0.5, 0.75, 1.0), way, strict=True):
-        expected = (1.0 - share) * first + share * last
-        expected[:3, :3] = Rotation.from_rotvec(share * turn).as_matrix() @ first[:3, :3]
-        np.testing.assert_allclose(pose, expected, atol=1e-12)
-    assert waypoints(np.zeros(2), np.ones(2), False)[0].tolist() == [1.0, 1.0]
+@pytest.mark.parametrize("turn", [0.4, 2.2])
+def test_a_motion_may_begin_far_turned_from_the_reference(turn: float) -> None:
+    """Rows of a pose are sines of its rotation: generated code gets as far as these say the way, kinematics beyond."""
+    robot, still = machine("gough"), np.zeros((2, 6))
+    x = np.repeat(zoo.home_of(robot)[None], 2, axis=0)
+    x[:, :3, :3] = Rotation.from_rotvec([0.0, 0.0, turn]).as_matrix() @ x[:, :3, :3]
+    motion = rp.PlatformMotion(np.arange(2.0), x, still, still)
+    mine, theirs = (backend(robot).along(motion) for backend in (rp.CompiledDynamics, rp.RneaDynamics))
+    assert_equal(mine.q, theirs.q, "configurations")
+
+
+# --- robots that differ in numbers share compiled code: libraries are counted in an empty cache
+
+
+@pytest.fixture
+def without_kinematics(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Regular motions are followed by generated code alone: asking the kinematics would hide its mistakes."""
+
+    def refuse(*given: object, **named: object) -> None:
+        raise AssertionError("generated code did not follow the motion")
+
+    monkeypatch.setattr("redundancy_pin.dynamics.compiled.closing.inverse_kinematics", refuse)
+
+
+def libraries(folder: Path) -> int:
+    return len(list(folder.glob("*.so")))
+
+
+def assert_backends_agree(dynamics: rp.CompiledDynamics) -> None:
+    """Along a motion about the robot's own reference."""
+    robot, t = dynamics.robot, np.linspace(0.0, 1.0, 7)
+    assert_same_dynamics(dynamics, zoo.smooth_motion(robot, 3).at(t), zoo.carriers_at(robot, t))
+
+
+def changed_in_every_number(name: str) -> list[Robot]:
+    """The robot with one number of its file changed each; a link of two halves stays symmetric (a structural zero)."""
+    robot = rp.load_robot(name)
+    numbers = {key: value for key, value in robot.parameters.items() if type(value) is float and value}
+    halves = {key for key in numbers if key in ("distal_length", "tail_length")}
+    changes = [{key: 1.03 * numbers[key] for key in (halves if one in halves else {one})} for one in numbers]
+    return [rp.load_robot(name, **change) for change in changes]
+
+
+def payloads(name: str) -> list[Robot]:
+    """The robot with payloads on its platform, or on the first link that a closure joins."""
+    robot = rp.load_robot(name)
+    link = robot.platform.frame if robot.platform else robot.closures[0].frame_a
+    return [
+        robot.loaded(rp.Payload(link, mass, centre, inertia))
+        for mass, centre, inertia in ((0.7, (0.01, 0.02, 0.03), 0.001), (0.2, (0.0, 0.0, 0.0), 0.0))
+    ]
+
+
+@pytest.mark.usefixtures("without_kinematics")
+@pytest.mark.parametrize(("name", "loaded"), [("four_bar", 4), pytest.param("3rrr", 2, marks=pytest.mark.long)])
+def test_another_number_is_not_another_library(
+    name: str, loaded: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE, str(tmp_path))
+    first = rp.CompiledDynamics(name)
+    assert first.forward() is not None
+    assert libraries(tmp_path) == 2  # inverse and forward dynamics
+    robots = changed_in_every_number(name)
+    assert len(robots) > 5
+    for i, robot in enumerate(robots):
+        dynamics = first.for_robot(robot) if i % 2 else rp.CompiledDynamics(robot)
+        assert dynamics.forward() is not None
+        assert_backends_agree(dynamics)
+    assert_backends_agree(first)  # which none of the others has changed
+    assert libraries(tmp_path) == 2
+    assert len({topology_of(robot).text for robot in payloads(name)}) == 1
+    for robot in payloads(name):  # a link that is no platform gets another topology, once
+        dynamics = first.for_robot(robot)
+        assert dynamics.forward() is not None
+        assert_backends_agree(dynamics)
+        assert libraries(tmp_path) == loaded
+
+
+def test_another_folder_or_compiler_counts_from_when_it_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rp.CompiledDynamics("four_bar")
+    monkeypatch.setenv(CACHE, str(tmp_path))
+    rp.CompiledDynamics("four_bar")
+    assert libraries(tmp_path) == 1
+    monkeypatch.setenv("CC", "no such compiler")
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(CompilerError):
+        rp.CompiledDynamics("four_bar")
+
+
+def of_modes() -> list[Robot]:
+    return [zoo.robot_of("five_bar", working_mode=mode) for mode in ((1, 1), (-1, -1), (1, -1))]
+
+
+def of_loads() -> list[Robot]:
+    """Loads of another size, and one of another kind."""
+    robot = zoo.robot_of("four_bar")
+    joint = str(robot.model.names[1])
+    loads = [
+        rp.JointForces(joint, size, size, 0.02 * size, size, 0.1 * size, 0.01 * size, -2.0 * size)
+        for size in (1.0, 3.7)
+    ]
+    return [robot.loaded(load) for load in (*loads, rp.JointForces(joint, damping=1.0))]
+
+
+def of_gravity() -> list[Robot]:
+    """Structural zeros are compiled: gravity along y alone, and along x too."""
+    directions = ((0.0, -9.81, 0.0), (0.0, -3.7, 0.0), (1.0, -9.81, 0.0))
+    return [zoo.robot_of("four_bar", gravity=gravity) for gravity in directions]
+
+
+@pytest.mark.usefixtures("without_kinematics")
+@pytest.mark.parametrize(("robots", "last"), [(of_modes, 1), (of_loads, 2), (of_gravity, 2)])
+def test_modes_and_numbers_share_a_library_and_kinds_do_not(
+    robots: Callable[[], list[Robot]], last: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE, str(tmp_path))
+    for robot, count in zip(robots(), (1, 1, last), strict=True):
+        assert_backends_agree(rp.CompiledDynamics(robot))
+        assert libraries(tmp_path) == count
+
+
+@pytest.mark.parametrize(("size", "same"), [(1e-17, True), (1e-9, False)])
+def test_rounding_makes_no_other_topology(size: float, same: bool) -> None:
+    """Zero beside the characteristic length, the mass and the inertia, and beside 1 in a rotation."""
+    robot = rp.load_robot("four_bar")
+    body = robot.model.inertias[2]
+
+    def moved(model: pin.Model) -> None:
+        model.jointPlacements[2].translation = model.jointPlacements[2].translation + size * np.array([0.0, 0.0, 1.0])
+
+    def turned(model: pin.Model) -> None:
+        model.jointPlacements[2].rotation = model.jointPlacements[2].rotation @ pin.exp3(np.array([size, 0.0, 0.0]))
+
+    def heavier(model: pin.Model) -> None:
+        model.inertias[2] = pin.Inertia(body.mass, body.lever + size * np.array([0.0, 0.0, 1.0]), body.inertia)
+
+    for change in (moved, turned, heavier):
+        model = robot.model.copy()
+        change(model)
+        assert (topology_of(dataclasses.replace(robot, model=model)) == topology_of(robot)) is same
+
+
+def test_every_role_is_part_of_a_topology() -> None:
+    """A library under the name of another topology would be loaded, and its answers would be wrong."""
+    robot = rp.load_robot("3rrr")
+    first, *rest = robot.closures
+    platform, modes = robot.platform, robot.working_modes
+    assert platform is not None
+    assert modes is not None
+    others = [
+        {"closures": (dataclasses.replace(first, axes=first.axes[:1]), *rest)},
+        {"closures": (dataclasses.replace(first, frame_a=first.frame_b, frame_b=first.frame_a), *rest)},
+        {"platform": dataclasses.replace(platform, pointer=1)},
+        {"platform": dataclasses.replace(platform, axes=platform.axes[:2])},
+        {"actuated": robot.actuated[::-1]},
+        {"carriers": robot.carriers[::-1]},
+        {"working_modes": dataclasses.replace(modes, joints=modes.joints[::-1])},
+        {"loads": (rp.JointForces(robot.actuated[0], damping=1.0),)},
+        {"loads": (rp.Wrench(platform.frame, np.ones(6), "local"),)},
+        {"loads": (rp.Wrench(platform.frame, np.ones(6), "world"),)},
+    ]
+    texts = [topology_of(dataclasses.replace(robot, **other)).text for other in others]
+    assert len({topology_of(robot).text, *texts}) == len(others) + 1
+
+
+# --- the casadi Functions of a robot, in graphs of both kinds
+
+
+NEAR = 1e-11
+"""Relative to the largest value, or one; rounding is 1e-14."""
+
+
+def assert_near(got: object, want: np.ndarray, what: str) -> None:
+    scale = max(1.0, np.abs(want).max(initial=0.0))
+    np.testing.assert_allclose(np.array(got).reshape(want.shape), want, rtol=0.0, atol=NEAR * scale, err_msg=what)
+
+
+@pytest.mark.long_for("gough")
+@pytest.mark.parametrize("name", [*zoo.SHIPPED, *spatial_chains.CHAINS])
+def test_they_say_what_rnea_says(name: str) -> None:
+    robot = machine(name)
+    functions = symbolic(robot)
+    t = np.linspace(0.0, 1.0, 3)
+    motion, carriers = zoo.smooth_motion(robot, 1).at(t), zoo.carriers_at(robot, t, 1)
+    along = RneaDynamics(robot).along(motion)
+    reduced, tree = along.reduce(carriers), inverse_kinematics(robot, motion)
+    tau = np.linalg.solve(reduced.W, reduced.f[..., None])[..., 0]
+    reactions = joint_reactions(along, tau, carriers)
+    wrench, energy, rnea = along.base_wrench(carriers), along.energy(carriers), along.tree_effort(carriers)
+    state = zoo.system_of(robot).evaluate(tree.q)
+    r, n = state.Jc.shape[1], robot.n
+    for k in range(len(t)):
+        q, v, a = (part[k] for part in along.tree_motion(carriers))
+        still = np.zeros(r + n)
+        assert_near(functions.closure(q), np.zeros(r), "closure")
+        assert_near(functions.coordinates(q), motion.x[k], "coordinates")
+        assert_near(functions.position(q, motion.x[k]), still, "position")
+        assert_near(functions.velocity(q, v, motion.xd[k]), still, "velocity")
+        assert_near(functions.acceleration(q, v, a, motion.xdd[k]), still, "acceleration")
+        assert_near(functions.Jc(q), state.Jc[k], "Jc")
+        assert_near(functions.Jx(q), state.Jx[k], "Jx")
+        assert_near(functions.K(q), state.K[k], "K")
+        assert_near(functions.gamma(q), tree.gamma[k], "gamma")
+        assert_near(functions.rnea(q, v, a), rnea[k], "rnea")
+        assert_near(functions.f(q, v, a), reduced.f[k], "f")
+        assert_near(functions.W(q), reduced.W[k], "W")
+        assert_near(functions.carrier_force(q, v, a), reduced.carrier_force[k], "carrier force")
+        assert_near(functions.base_wrench(q, v, a), wrench[k], "base wrench")
+        assert_near(functions.energy(q, v), energy[k : k + 1], "energy")
+        efforts = (tau[k], reduced.carrier_force[k], reactions.closure_force[k])
+        assert_near(functions.balance(q, v, a, *efforts), np.zeros(robot.model.nv), "balance")
+        assert (np.array(functions.mode(q)) > 0.0).all()
+        assert (np.array(functions.alignment(q)) > 0.0).all()
+        # the bias is the rest of the acceleration rows, those of the platform included
+        rows = np.concatenate([state.Jc[k], state.Jx[k]]) @ a + np.array(functions.bias(q, v))[:, 0]
+        assert_near(rows, np.concatenate([np.zeros(r), motion.xdd[k]]), "bias")
+
+
+@pytest.mark.parametrize("name", [*zoo.SHIPPED, *spatial_chains.CHAINS])
+def test_off_the_motion_they_are_pinocchios_and_the_kinematics(name: str) -> None:
+    """The tree, whether its loops are closed or not; and what is missing to a pose that is turned away."""
+    robot, rng = machine(name), np.random.default_rng(8)
+    functions, model = symbolic(robot), robot.model.copy()
+    data, home = model.createData(), np.array(robot.q_reference)
+    for _ in range(2):
+        q = pin.integrate(model, home, rng.uniform(-0.5, 0.5, model.nv))
+        v, a = rng.normal(size=(2, model.nv))
+        assert_near(functions.rnea(q, v, a), pin.rnea(model, data, q, v, a), "rnea")
+        energy = pin.computeKineticEnergy(model, data, q, v) + pin.computePotentialEnergy(model, data, q)
+        assert_near(functions.energy(q, v), np.array([energy]), "energy")
+        # the force that holds the base is what the momentum of all changes by, less its weight
+        pin.computeCentroidalMomentumTimeVariation(model, data, q, v, a)
+        force = data.dhg.linear - data.mass[0] * model.gravity.linear
+        assert_near(-np.array(functions.base_wrench(q, v, a))[:3, 0], force, "base wrench")
+    state = zoo.system_of(robot).evaluate(home[None])
+    indicators = mode_indicator(robot, home[None])[0] * robot.working_mode if robot.working_mode else np.empty(0)
+    assert_near(functions.mode(home), indicators, "mode")
+    x = coordinates(robot, state)
+    target = moved(robot, x, rng.uniform(-0.4, 0.4, (1, robot.n)))
+    missing = -difference(robot, target, x)[0]
+    if robot.platform is not None and robot.platform.is_pose:  # the sine of the angle, about its axis
+        turn = Rotation.from_matrix(target[0, :3, :3] @ x[0, :3, :3].T).as_rotvec()
+        angle = np.linalg.norm(turn)
+        missing[3:] = -turn * np.sin(angle) / angle
+    assert_near(np.array(functions.position(home, target[0]))[-robot.n :, 0], missing, "position")
+
+
+def test_a_weld_whose_axes_changed_places_is_told_from_a_true_one() -> None:
+    """All rows vanish there, and the cosines are zero: CompiledDynamics took it for closed where they rounded up."""
+    model = pin.Model()
+    joints = (pin.JointModelRZ(), pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ(), pin.JointModelSpherical())
+    for number, joint in enumerate(joints):
+        name = ("turn", "x", "y", "z", "ball")[number]
+        index = model.addJoint(number if number > 1 else 0, joint, pin.SE3.Identity(), name)
+        model.appendBodyToJoint(index, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    for name, joint in (("hand", 1), ("end", 5)):
+        model.addBodyFrame(name, joint, pin.SE3.Identity(), 0)
+    weld = ("hand", "end", ["x", "y", "z", "rx", "ry", "rz"])
+    robot = robot_from_model(model, closures=[weld], actuated=["turn"])
+    functions, rng = symbolic(robot), np.random.default_rng(0)
+    assert (np.array(functions.alignment(np.array(robot.q_reference))) > 0.0).all()
+    false = np.concatenate([np.zeros(4), [-0.5, -0.5, -0.5, 0.5]])
+    for step in 1e-9 * rng.normal(size=(20, robot.model.nv)):
+        q = pin.integrate(robot.model, false, step)
+        assert np.abs(np.array(functions.closure(q))).max() < 1e-7
+        assert (np.array(functions.alignment(q)) < 0.0).any()
+
+
+def test_both_kinds_of_graphs_hold_them() -> None:
+    robot = machine("3rrr")
+    functions = symbolic(robot)
+    assert {field.name for field in dataclasses.fields(SymbolicRobot)} > {"f", "W", "rnea", "balance"}
+    nv = robot.model.nv
+    numbers = [np.array(robot.q_reference), np.linspace(0.1, 1.0, nv), np.linspace(-1.0, 2.0, nv)]
+    for kind in (ca.SX, ca.MX):
+        symbols = [kind.sym(name, nv) for name in "qva"]
+        f = functions.f(*symbols)
+        slope = ca.Function("slope", symbols, [f, ca.jacobian(f, symbols[2])])
+        value, by_a = slope(*numbers)
+        assert_near(value, np.array(functions.f(*numbers)), "f")
+        # linear in a
+        rest = np.array(functions.f(*numbers[:2], np.zeros(nv)))
+        assert_near(np.array(by_a) @ numbers[2][:, None] + rest, np.array(value), "f by a")
+
+
+def test_expressions_of_the_carriers_motion_have_the_values_of_rnea(shipped: Robot) -> None:
+    """Of many samples at once, each with its own influence matrix."""
+    t = np.linspace(0.0, 1.0, 4)
+    motion, carriers = zoo.smooth_motion(shipped, 5).at(t), zoo.carriers_at(shipped, t)
+    along = CompiledDynamics(shipped).along(motion)
+    f, force = along.expressions(*(ca.DM(part.T) for part in (carriers.s, carriers.sd, carriers.sdd)))
+    wanted = RneaDynamics(shipped).reduce(motion, carriers)
+    for got, want in ((f, wanted.f), (force, wanted.carrier_force)):
+        np.testing.assert_allclose(np.array(got).T, want, rtol=1e-9, atol=1e-9 * np.abs(wanted.f).max())

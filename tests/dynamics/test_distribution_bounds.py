@@ -1,4 +1,4 @@
-"""Efforts within bounds, against a general optimiser, brute force, and cases solved by hand."""
+"""Efforts within bounds and rows, against other solvers and cases by hand; closure forces against free bodies."""
 
 from __future__ import annotations
 
@@ -10,21 +10,20 @@ from examples import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
-from scipy.linalg import null_space
-from scipy.optimize import LinearConstraint, minimize
+from scipy.optimize import LinearConstraint, minimize, nnls
 
-from redundancy_pin.arrays import RANK_TOLERANCE
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.allocation import (
     FORCE_TOLERANCE,
-    fit_into_bounds,
     least_miss,
-    least_residual,
     within_bounds,
 )
+from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.dynamics.contacts import ClosureForces, closure_forces
 from redundancy_pin.dynamics.distribution import EffortRows, distribute, torque_speed_bounds
-from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.dynamics.rnea import RneaAlongMotion
 from redundancy_pin.errors import InputError
-from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.status import SampleStatus
 
 OPTIMUM = 1e-8
@@ -42,6 +41,8 @@ BY_HAND = [
     ([[1.0, 4.0]], [10.0], [1.0, 0.25], {"upper": [np.inf, 1.0]}, [6.0, 1.0]),
     ([[1.0, 4.0]], [10.0], [1.0, 0.25], {"lower": [-np.inf, 2.0]}, [2.0, 2.0]),
     ([[1.0, 1.0, 1.0]], [9.0], None, {"lower": [-9.0, 7.0, -9.0], "upper": [9.0, 7.0, 9.0]}, [1.0, 7.0, 1.0]),
+    # W τ = f returns 1/3, which is no floating-point number, with an error of a rounding
+    (np.diag([3.0, 7.0]), [1.0, 1.0], None, {"upper": [np.nextafter(1.0 / 3.0, 0.0), 1.0]}, [1.0 / 3.0, 1.0 / 7.0]),
 ]
 
 
@@ -116,45 +117,6 @@ def test_bounds_nearly_along_one_another_are_two(angle):
     np.testing.assert_allclose(z, [1.0, 3.0], rtol=1e-12 / angle)
 
 
-@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
-def test_least_residual_within_rows_of_redundant_motors_is_finite_and_least(scale):
-    """Against SLSQP, u = 0 being within all bounds."""
-    rng = np.random.default_rng(0)
-    for _ in range(10):
-        A, g = rng.normal(size=(3, 5)), 10.0 * rng.normal(size=3)
-        rows = np.concatenate([np.eye(5), rng.normal(size=(3, 5))])
-        lower, upper = -np.abs(rng.normal(size=8)), np.abs(rng.normal(size=8))
-        [residual] = least_residual(A[None], scale * g[None], scale * lower[None], scale * upper[None], rows[None])
-        best = minimize(
-            lambda u, A=A, g=g: ((A @ u - g) ** 2).sum(), np.zeros(5), jac=lambda u, A=A, g=g: 2.0 * A.T @ (A @ u - g),
-            constraints=[LinearConstraint(rows, lower, upper)], method="SLSQP", options={"ftol": 1e-14},
-        )  # fmt: skip
-        assert residual / scale == pytest.approx(np.sqrt(best.fun), abs=1e-6)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_a_least_miss_within_bounds_has_no_descent_left(seed):
-    """Efforts that are held at a value too: along none of the others the miss gets less."""
-    rng = np.random.default_rng([44, seed])
-    A, goal = rng.normal(size=(4, 5)), 3.0 * rng.normal(size=4)
-    lower = rng.uniform(-1.0, 0.5, 5)
-    upper = lower + np.where(rng.random(5) < 0.4, 0.0, rng.uniform(0.1, 1.0, 5))
-    u = least_miss(A, goal, lower, upper)
-    assert ((lower <= u) & (u <= upper)).all()
-    slope = A.T @ (A @ u - goal)
-    rounding = 1e-9 * np.linalg.norm(A) * np.linalg.norm(goal)
-    below, above = u > lower + 1e-12, u < upper - 1e-12  # where it can go but for rounding
-    assert (slope[below] <= rounding).all()
-    assert (slope[above] >= -rounding).all()
-
-
-@pytest.mark.parametrize("lower", [-2.0, 1.0])
-def test_residual_where_every_effort_is_held(lower):
-    d = distribute(reduced([[[1.0, 1.0]]], [[10.0]]), lower=[lower, lower], upper=[lower, lower])
-    assert d.status[0] == SampleStatus.BOUND_INFEASIBLE
-    assert d.residual[0] == pytest.approx(abs(10.0 - 2.0 * lower))
-
-
 @examples(40)
 @given(
     n=st.integers(1, 3),
@@ -212,19 +174,6 @@ def test_feasibility_agrees_with_linear_programming(seed, m):
     assert (d.status[0] == SampleStatus.BOUND_INFEASIBLE) == (widen > 0.0)
 
 
-def test_only_efforts_that_leave_their_bounds_change():
-    rng = np.random.default_rng(3)
-    _, W, _ = factors(rng, 200, 2, 3, [2.0, 1.0])
-    reduced_dynamics = reduced(W, rng.normal(size=(200, 2)))
-    free = distribute(reduced_dynamics)
-    d = distribute(reduced_dynamics, lower=[-0.5] * 3, upper=[0.5] * 3)
-    inside = (np.abs(free.tau) <= 0.5).all(axis=1)
-    assert inside.any()
-    assert not inside.all()
-    assert np.array_equal(d.tau[inside], free.tau[inside])
-    assert not (d.tau[~inside] == free.tau[~inside]).all(axis=1).any()
-
-
 def test_bounds_that_leave_a_single_point_are_met():
     # every actuator held at the efforts that made f: rounding must not make that infeasible
     rng = np.random.default_rng(4)
@@ -233,14 +182,6 @@ def test_bounds_that_leave_a_single_point_are_met():
     d = distribute(reduced(W, times(W, tau)), lower=tau, upper=tau)
     assert (d.status == SampleStatus.OK).all()
     assert np.array_equal(d.tau, tau)
-
-
-def test_efforts_on_their_bound_but_for_rounding_are_feasible():
-    # τ = 1/3 is not a floating-point number, and W τ = f returns it with an error of a rounding
-    W = np.array([np.diag([3.0, 7.0])])
-    d = distribute(reduced(W, [[1.0, 1.0]]), upper=[np.nextafter(1.0 / 3.0, 0.0), 1.0])
-    assert d.status[0] == SampleStatus.OK
-    assert d.tau[0, 0] <= np.nextafter(1.0 / 3.0, 0.0)
 
 
 def test_an_effort_that_the_free_direction_cannot_move_keeps_its_bound():
@@ -282,26 +223,6 @@ def test_an_actuator_with_a_tiny_lever_that_has_to_help_is_found_exactly():
     assert d.tau[0] * [lever, 1.0, 1.0] == pytest.approx([3.0, 3.0, 4.0], rel=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_regular_means_balanced_also_with_a_tiny_lever(seed):
-    random = np.random.default_rng(seed)
-    W, f = random.normal(size=(30, 2, 4)), 100.0 * random.normal(size=(30, 2))
-    W[:, :, 0] *= 1e-8
-    most = np.abs(distribute(reduced(W, f)).tau).max(axis=0)
-    d = distribute(reduced(W, f), lower=[-np.inf, *-0.3 * most[1:]], upper=[np.inf, *0.3 * most[1:]])
-    size = np.abs(W * np.nan_to_num(d.tau)[:, None]).max(axis=(1, 2)) + np.linalg.norm(f, axis=1)
-    assert (d.residual[d.solved] < 1e-5 * size[d.solved]).all()
-
-
-def test_bounds_that_miss_the_equations_by_rounding_count_as_met():
-    matrix, half = np.array([[[1.0, 1.0]]]), np.array([[1.0, 1.0]])
-    for short, met in ((5e-10, True), (1e-8, False)):
-        upper = np.array([[1.0, 1.0 - short]])
-        u = fit_into_bounds(matrix, half, np.array([1]), np.ones(2), np.full((1, 2), -np.inf), upper)
-        assert np.isfinite(u).all() == met
-        assert not (u > upper).any()
-
-
 @given(seed=st.integers(0, 2**32 - 1), bounded=st.booleans())
 @examples(25)
 def test_preferred_efforts_are_missed_least(seed, bounded):
@@ -327,18 +248,6 @@ def test_preferred_efforts_are_missed_least(seed, bounded):
         assert weights @ (efforts.tau[k] - preferred[k]) ** 2 <= optimum.fun + 1e-7
 
 
-def test_a_squeeze_is_held_exactly_whatever_the_force_does():
-    """Efforts along W δ = 0 change nothing, so all of those preferred stay: by a pseudoinverse."""
-    rng = np.random.default_rng(4)
-    W = rng.normal(size=(5, 3, 4))
-    problem = reduced(W, rng.normal(size=(5, 3)))
-    free = np.array([np.linalg.svd(one)[2][-1] for one in W])
-    unsqueezed, squeezed = distribute(problem), distribute(problem, preferred=20.0 * free)
-    np.testing.assert_allclose(squeezed.tau - unsqueezed.tau, 20.0 * free, atol=1e-9)
-    assert (squeezed.status == unsqueezed.status).all()
-    np.testing.assert_allclose(squeezed.residual, 0.0, atol=1e-9)
-
-
 def test_forces_and_torques_are_preferred_as_they_are_counted():
     """Forces in N beside torques in N·m: Σ (τ − τ⁰)² / scale² is least where W τ = f, so (τ − τ⁰) / scale² is Wᵀ y."""
     rng = np.random.default_rng(6)
@@ -356,63 +265,204 @@ def test_bounds_of_a_motor_fall_with_its_speed():
     assert lower.tolist() == [[-4.0, -4.0, -2.0, -4.0]]
     with pytest.raises(InputError, match="no_load"):
         torque_speed_bounds([[1.0]], 4.0, 0.0)
-    with pytest.raises(InputError, match="preferred"):
-        distribute(reduced(np.ones((1, 1, 2)), np.ones((1, 1))), preferred=[np.inf, 0.0])
 
 
-@pytest.mark.parametrize("size", [1.0, 3.0])
-@pytest.mark.parametrize("side", ["lower", "upper"])
-def test_a_bound_that_nothing_moves_may_be_missed_by_rounding_of_the_size_at_stake(side, size):
-    """The first of two efforts is given, the second free: it misses its bound by the tolerance, and a little."""
-    start, null, bounded = np.array([size, 0.0]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0], [0.3, 2.0]])
-    low, high = np.array([-np.inf, 1.0]), np.array([np.inf, 9.0])
-    for miss, kept in ((0.9 * RANK_TOLERANCE, True), (1.1 * RANK_TOLERANCE, False), (0.5, False)):
-        if side == "lower":
-            low[0] = size + miss
-        else:
-            high[0] = size - miss
-        z = within_bounds(start, null, bounded, low, high)
-        assert (z is not None) == kept
-        if kept:
-            np.testing.assert_allclose(2.0 * z, [max(1.0 - 0.3 * size, 0.0)], atol=1e-9)
-
-
-def test_residual_of_infeasible_bounds_is_the_least_within_them():
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_residual_of_infeasible_bounds_and_rows_is_the_least_within_them(scale):
+    """Against scipy's BVLS, one effort held; with rows against SLSQP. Efforts of 0 are within all the rows."""
     rng = np.random.default_rng(2)
-    _, W, _ = factors(rng, 5, 2, 3, [2.0, 1.0])
-    f = times(W, rng.normal(size=(5, 3))) * 50.0
-    d = distribute(reduced(W, f), lower=[-1.0, 0.5, -2.0], upper=[1.0, 0.5, 2.0])  # the second is held at 0.5
+    W, f = rng.normal(size=(10, 3, 5)), 50.0 * rng.normal(size=(10, 3))
+    lower, upper = -rng.uniform(0.5, 2.0, 5), rng.uniform(0.5, 2.0, 5)
+    lower[1] = upper[1] = 0.5
+    d = distribute(reduced(W, scale * f), lower=scale * lower, upper=scale * upper)
     assert (d.status == SampleStatus.BOUND_INFEASIBLE).all()
-    grid = np.linspace(-1.0, 1.0, 401)
-    box = np.stack(np.broadcast_arrays(grid[:, None], 0.5, 2.0 * grid[None, :]), axis=-1).reshape(-1, 3)
-    brute = np.linalg.norm(np.einsum("Nij,bj->Nbi", W, box) - f[:, None, :], axis=2).min(axis=1)
-    assert (d.residual <= brute + 1e-9).all()
-    assert d.residual == pytest.approx(brute, abs=2.0 * 0.01)  # ‖W‖ times the diagonal of half a grid cell
+    free = np.arange(5) != 1
+    best = [
+        scipy.optimize.lsq_linear(A[:, free], g - 0.5 * A[:, 1], (lower[free], upper[free]), method="bvls", tol=1e-14)
+        for A, g in zip(W, f, strict=True)
+    ]
+    np.testing.assert_allclose(d.residual / scale, [np.sqrt(2.0 * one.cost) for one in best], rtol=1e-8)
+    rows = np.concatenate([np.eye(5), rng.normal(size=(3, 5))])
+    low, high = -np.abs(rng.normal(size=8)), np.abs(rng.normal(size=8))
+    d = distribute(reduced(W, scale * f), rows=[EffortRows(rows, scale * low, scale * high)])
+    for k, (A, g) in enumerate(zip(W, f, strict=True)):
+        least = minimize(
+            lambda u, A=A, g=g: ((A @ u - g) ** 2).sum(), np.zeros(5), jac=lambda u, A=A, g=g: 2.0 * A.T @ (A @ u - g),
+            constraints=[LinearConstraint(rows, low, high)], method="SLSQP", options={"ftol": 1e-14},
+        )  # fmt: skip
+        assert d.residual[k] / scale == pytest.approx(np.sqrt(least.fun), rel=1e-6)
+    held = distribute(reduced([[[1.0, 1.0]]], [[10.0 * scale]]), lower=[scale, scale], upper=[scale, scale])
+    assert held.residual[0] == pytest.approx(8.0 * scale)
 
 
-def test_preload_against_backlash_presses_every_gear_to_its_side():
-    """A five-bar with a third motor: bounds one side of zero, against the segment of all solutions, by hand."""
-    shipped = zoo.robot_of("five_bar")
-    robot = zoo.driven_by(shipped, *shipped.actuated, "elbow_1")
-    t = np.linspace(0.0, 2.0 * np.pi, 60)
-    x = zoo.home_of(robot) + 0.03 * np.stack([np.sin(3 * t), 1 - np.cos(3 * t)], axis=1)
-    xd, xdd = (0.03 * np.stack(pair, axis=1) for pair in (
-        (3 * np.cos(3 * t), 3 * np.sin(3 * t)), (-9 * np.sin(3 * t), 9 * np.cos(3 * t))
-    ))  # fmt: skip
-    machine = RneaDynamics(robot).reduce(PlatformMotion(t, x, xd, xdd))
-    free = distribute(machine)
-    solutions = null_space(machine.W[0])  # one direction, whose signs say which way each motor is pressed
-    assert solutions.shape == (3, 1)
-    side, least = np.sign(solutions[:, 0]), 0.2
-    assert (free.tau * side < least).any(axis=0).any()  # else there is nothing to show
-    lower, upper = np.where(side > 0, least, -np.inf), np.where(side > 0, np.inf, -least)
-    pressed = distribute(machine, lower=lower, upper=upper)
-    assert pressed.solved.all()
-    assert (pressed.tau * side >= least).all()
-    for k, (W, f) in enumerate(zip(machine.W, machine.f, strict=True)):
-        direction = null_space(W)[:, 0]
-        direction *= np.sign(direction @ side)
-        assert (direction * side > 0.0).all()
-        some = np.linalg.lstsq(W, f, rcond=None)[0]  # the shortest, for equal scales of three torques
-        push = max(0.0, float(((least - some * side) / (direction * side)).max()))
-        np.testing.assert_allclose(pressed.tau[k], some + push * direction, atol=1e-8 * np.abs(some).max())
+# --- rows of efforts: contacts and closure forces
+
+
+EXACT = 1e-12
+CONDITIONS = 1e-5  # relative; DAQP keeps conditions to 1e-6
+
+
+Gripping = tuple[RneaAlongMotion, ReducedDynamics, ClosureForces, EffortRows]
+
+
+@pytest.fixture(scope="module")
+def gripping() -> Gripping:
+    """A five-bar with all four hinges driven: two arms that hold a point between them, and squeeze it."""
+    five_bar = zoo.robot_of("five_bar")
+    robot = rp.robot_from_model(
+        five_bar.model,
+        closures=[{"name": "grip", "frames": ["tip_2", "end_effector"], "axes": ["x", "y"]}],
+        actuated=["base_1", "elbow_1", "base_2", "elbow_2"],
+        carriers=five_bar.carriers,
+        independent=five_bar.platform,
+        reference=np.array(five_bar.q_reference),
+    )
+    along = rp.RneaDynamics(robot).along(zoo.smooth_motion(five_bar, 1).at(np.linspace(0.0, 1.0, 6)))
+    force = closure_forces(along)
+    return along, along.reduce(), force, force.rows(force.component("grip", "x"), 20.0, 20.0)
+
+
+def least(W: Array, f: Array, rows: EffortRows, k: int) -> Array:
+    """Return the τ of least norm with W τ = f and the rows, by non-negative least squares (Lawson and Hanson 1974)."""
+    C = rows.matrix[k] if rows.matrix.ndim == 3 else rows.matrix
+    low, high = (side[k] if np.ndim(side) == 2 else np.broadcast_to(side, len(C)) for side in (rows.lower, rows.upper))
+    A, low, high = np.concatenate([W, C]), np.concatenate([f, low]), np.concatenate([f, high])
+    G = np.concatenate([A[np.isfinite(low)], -A[np.isfinite(high)]])
+    h = np.concatenate([low[np.isfinite(low)], -high[np.isfinite(high)]])
+    size = np.linalg.norm(G, axis=1)
+    G, h = G / size[:, None], h / size
+    multipliers, left = nnls(np.concatenate([G.T, h[None] / np.abs(h).max()]), np.eye(W.shape[1] + 1)[-1])
+    assert left > 1e-9  # else nothing keeps them
+    pressed = multipliers > 0.0
+    return np.asarray(np.linalg.lstsq(G[pressed], h[pressed], rcond=None)[0])
+
+
+def test_a_squeeze_holds_exactly_and_costs_least(gripping: Gripping) -> None:
+    along, reduced, force, squeeze = gripping
+    distribution = rp.distribute(reduced, rows=[squeeze])
+    assert distribution.solved.all()
+    reactions = rp.joint_reactions(along, distribution.tau)
+    assert np.abs(reactions.closure_force[:, 0] - 20.0).max() < 1e-6
+    assert np.abs(reactions.closure_force - force.at(distribution.tau)).max() < 1e-8
+    assert np.abs(np.einsum("nij,nj->ni", reduced.W, distribution.tau) - reduced.f).max() < 1e-8
+    for k in range(len(reduced.f)):
+        oracle = least(reduced.W[k], reduced.f[k], squeeze, k)
+        assert np.abs(distribution.tau[k] - oracle).max() < CONDITIONS * np.abs(oracle).max()
+    free = rp.distribute(reduced)
+    assert np.linalg.norm(free.tau) < np.linalg.norm(distribution.tau)
+
+
+def test_contacts_stay_in_their_cones_and_motors_in_their_bounds(gripping: Gripping) -> None:
+    along, reduced, force, _ = gripping
+    cone = force.friction_cone("grip", 0.5, normal="x", least=5.0)
+    upper = np.abs(rp.distribute(reduced, rows=[cone]).tau).max(axis=0) * [1.5, 0.95, 1.5, 1.5]  # one motor is weak
+    distribution = rp.distribute(reduced, rows=[cone], lower=-upper, upper=upper)
+    assert distribution.solved.all()
+    normal, tangent = rp.joint_reactions(along, distribution.tau).closure_force.T
+    assert (normal > 5.0 - 1e-6).all()
+    assert (np.abs(tangent) < 0.5 * normal + 1e-6).all()
+    assert (np.abs(distribution.tau) <= upper).all()
+    assert (np.abs(distribution.tau[:, 1]) > 0.99 * upper[1]).any()
+    bounds = EffortRows(np.eye(4), -upper, upper)
+    for k in range(len(reduced.f)):
+        both = EffortRows(*(np.concatenate(parts) for parts in zip(
+            (cone.matrix[k], cone.lower[k], np.full(len(cone.lower[k]), np.inf)),
+            (bounds.matrix, bounds.lower, bounds.upper), strict=True)))  # fmt: skip
+        oracle = least(reduced.W[k], reduced.f[k], both, 0)
+        assert np.abs(distribution.tau[k] - oracle).max() < 1e-4 * np.abs(oracle).max()
+
+
+def test_conditions_that_cannot_be_kept_are_a_status(gripping: Gripping) -> None:
+    along, reduced, force, squeeze = gripping
+    distribution = rp.distribute(reduced, rows=[squeeze], lower=-0.5, upper=0.5)
+    assert (distribution.status == SampleStatus.BOUND_INFEASIBLE).all()
+    assert np.isnan(distribution.tau).all()
+    # equal rows that contradict each other have no residual at all
+    other = force.rows(force.component("grip", "x"), 30.0, 30.0)
+    assert np.isinf(rp.distribute(reduced, rows=[squeeze, other]).residual).all()
+    # a robot without choice keeps rows or does not
+    five_bar = zoo.robot_of("five_bar")
+    own = rp.RneaDynamics(five_bar).reduce(along.motion)
+    efforts = rp.distribute(own).tau
+    limit = float(np.median(efforts[:, 0]))
+    kept = rp.distribute(own, rows=[EffortRows(np.array([[1.0, 0.0]]), np.array([-np.inf]), np.array([limit]))])
+    assert ((kept.status == SampleStatus.BOUND_INFEASIBLE) == (efforts[:, 0] > limit + 1e-9)).all()
+
+
+def foot() -> ClosureForces:
+    """A point foot in a plane: what holds it are the two efforts themselves."""
+    return ClosureForces(("x of foot", "z of foot"), np.zeros((1, 2)), np.eye(2)[None])
+
+
+@pytest.mark.parametrize("sides", [3, 4, 5, 8])
+def test_a_cone_in_a_plane_is_the_same_to_both_sides_whatever_the_number_of_sides(sides: int) -> None:
+    cone = foot().friction_cone("foot", 0.5, sides=sides)
+    tangential = np.linspace(-1.0, 1.0, 401)
+    held = [bool((cone.matrix[0] @ [x, 1.0] >= cone.lower[0] - EXACT).all()) for x in tangential]
+    assert held == (np.abs(tangential) <= 0.5 + EXACT).tolist()
+
+
+@pytest.mark.parametrize("sides", [3, 4, 8])
+def test_a_cone_in_space_is_a_pyramid_with_its_edges_on_coulombs_cone(sides: int) -> None:
+    force = ClosureForces(("x of foot", "y of foot", "z of foot"), np.zeros((1, 3)), np.eye(3)[None])
+    cone = force.friction_cone("foot", 0.5, sides=sides)
+
+    def held(radius: float, angle: Array) -> list[bool]:
+        forces = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.ones_like(angle)])
+        return [bool(one) for one in (cone.matrix[0] @ forces >= cone.lower[0][:, None]).all(axis=0)]
+
+    around = np.linspace(-np.pi, np.pi, 97)
+    edges = (2.0 * np.arange(sides) + 1.0) * np.pi / sides
+    assert all(held(0.5 * (1.0 - 1e-9), edges))
+    assert all(held(0.5 * (1.0 - 1e-9) * np.cos(np.pi / sides), around))
+    assert not any(held(0.5 * (1.0 + 1e-9), around))
+
+
+WRONG_CONES = [
+    {"friction": "a"},
+    {"friction": np.inf},
+    {"sides": 3.5},
+    {"sides": "x"},
+    {"least": np.nan},
+    {"least": [1, 2]},
+]
+WRONG_ROWS = [
+    ([1, 2, 3], 0, 1),
+    ("x", 0, 1),
+    ([1, 0], 2, 1),
+    ([1, 0], np.nan, 1),
+    ([1, 0], [0, 0, 0], 1),
+    ([np.nan, 0], 0, 1),
+]
+
+
+def test_cones_and_rows_of_no_sense_are_refused() -> None:
+    for wrong in WRONG_CONES:
+        with pytest.raises(InputError):
+            foot().friction_cone(**{"closure": "foot", "friction": 0.5, **wrong})
+    for direction, lower, upper in WRONG_ROWS:
+        with pytest.raises(InputError):
+            foot().rows(direction, lower, upper)
+    with pytest.raises(InputError, match="no closure row 'y of foot'"):
+        foot().friction_cone("foot", 0.5, normal="y")
+    with pytest.raises(InputError, match="friction is -1"):
+        foot().friction_cone("foot", -1.0)
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (None, "rows is None"),
+        (EffortRows(np.eye(4), np.zeros(4), np.ones(4)), r"rows is one EffortRows. Pass a list .* rows=\[squeeze\]"),
+        ([EffortRows("x", 0, 1)], "matrix is not an array"),
+        ([EffortRows(np.eye(4), np.ones(4), np.zeros(4))], "lower is above upper"),
+        ([EffortRows(np.eye(3), np.zeros(3), np.ones(3))], "matrix has shape"),
+        ([5], "Rows of efforts was expected"),
+    ],
+)
+def test_rows_that_do_not_fit_are_refused(gripping: Gripping, rows: object, message: str) -> None:
+    along, reduced, _, _ = gripping
+    with pytest.raises(InputError, match=message):
+        rp.distribute(reduced, rows=rows)
+    with pytest.raises(InputError, match="RNEA dynamics along a motion"):
+        closure_forces(along.robot)

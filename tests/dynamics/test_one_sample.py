@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import inspect
-import itertools
 import tracemalloc
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -249,20 +248,6 @@ def test_ranges_of_passive_joints_may_be_counted_from_another_turn(backend: Back
         assert dynamics.torque(x, [0.1, 0.0], [0.0, 1.0]).status is status
 
 
-def test_efforts_that_grow_towards_type_one_have_a_small_serial_margin() -> None:
-    """The first leg of the five-bar nearly stretched: W is far from singular, the margin goes with the root."""
-    still, margins = np.zeros(2), []
-    rnea, compiled = rp.RneaDynamics(zoo.robot_of("five_bar")), rp.CompiledDynamics(zoo.robot_of("five_bar"))
-    for reach in (0.8, 1.0 - 1e-4, 1.0 - 1e-6):
-        x = [0.25, np.sqrt(reach**2 - 0.0625)]
-        one, other = (dynamics.torque(x, still, still + 1.0) for dynamics in (rnea, compiled))
-        assert one.margin > 0.1
-        assert other.serial_margin == pytest.approx(one.serial_margin, rel=1e-6)
-        margins.append(one.serial_margin)
-    assert margins[0] > 0.1
-    assert margins[1] / margins[2] == pytest.approx(10.0, rel=0.05)
-
-
 def test_wrenches_and_other_loads_are_felt() -> None:
     pushed = machine("3rrr").loaded(
         rp.Wrench("platform", np.array([3.0, -2.0, 0.0, 0.0, 0.0, 0.7])),
@@ -313,24 +298,6 @@ def test_accelerations_are_pinocchio_s(name: str) -> None:
         want = constrained(robot, state.q, state.v, force + pushed)
         assert status is SampleStatus.OK
         np.testing.assert_allclose(a, want, rtol=0.0, atol=1e-8 * np.abs(want).max())
-
-
-@pytest.mark.parametrize("name", ["3rrr", "continuous", LARGE[2]])
-def test_accelerations_under_the_torques_of_a_motion_are_those_of_the_motion(name: str) -> None:
-    robot, dynamics = machine(name), dynamics_of(name)
-    t = np.linspace(0.0, 1.0, 12)
-    motion, carriers = zoo.smooth_motion(robot, 3).at(t), zoo.carriers_at(robot, t, 3)
-    tree = rp.inverse_kinematics(robot, motion)
-    for k in range(len(t)):
-        q, v, a = np.array(tree.q[k]), np.array(tree.v[k]), np.array(tree.a[k])
-        q[robot.carrier_position], v[robot.carrier_velocity] = carriers.s[k], carriers.sd[k]
-        a[robot.carrier_velocity] = carriers.sdd[k]
-        torque = dynamics.torque(
-            motion.x[k], motion.xd[k], motion.xdd[k], carriers.s[k], carriers.sd[k], carriers.sdd[k]
-        )
-        got = dynamics.acceleration(q, v, torque.tau, torque.carrier_force)
-        assert got.status is SampleStatus.OK
-        np.testing.assert_allclose(got.a, a, rtol=0.0, atol=1e-9 * np.abs(tree.a).max())
 
 
 def test_accelerations_without_an_answer_have_a_status() -> None:
@@ -400,41 +367,6 @@ def test_redundant_motors_that_contradict_each_other_have_no_pose(name: str) -> 
     assert dynamics.joint_state(q0[at], rate).status is SampleStatus.OK
 
 
-def test_the_branch_is_that_of_the_start() -> None:
-    """The end-effector of a 2-RPR lies above or below its base for the same legs."""
-    robot, dynamics, still = machine("2rpr"), dynamics_of("2rpr"), np.zeros((1, 2))
-    at = actuated_positions(robot)
-    for side in (1.0, -1.0):
-        motion = rp.PlatformMotion([0.0], [[0.24, 0.19 * side]], still, still)
-        start = rp.inverse_kinematics(robot, motion).q[0]
-        legs = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.25, 0.2 * side]], still, still)).q[0, at]
-        for given in (start, None):  # then by the sample before
-            got = dynamics.joint_state(legs, start=given)
-            assert got.status is SampleStatus.OK
-            np.testing.assert_allclose(got.x, [0.25, 0.2 * side], rtol=0.0, atol=1e-12)
-
-
-@pytest.mark.parametrize("name", ["five_bar", "3rrr", "delta"])
-def test_motors_that_jump_lead_where_small_steps_do(name: str) -> None:
-    """Farther than Newton's method gets in two steps; in random directions, to where the steps are still regular."""
-    dynamics, random = dynamics_of(name), np.random.default_rng(4)
-    robot = dynamics.robot
-    start, jumps = np.array(robot.q_reference), 0
-    motors = actuated_positions(robot)
-    for direction in random.normal(size=(40, robot.m)):
-        way = start[motors] + np.linspace(0.0, 1.2, 60)[1:, None] * direction / np.linalg.norm(direction)
-        dynamics.joint_state(start[motors], start=start)
-        states = map(dynamics.joint_state, way)
-        stepped = list(itertools.takewhile(lambda state: state.status is SampleStatus.OK, states))
-        if len(stepped) > 30:
-            dynamics.joint_state(start[motors], start=start)
-            jumped = dynamics.joint_state(way[len(stepped) - 1])
-            assert jumped.status is SampleStatus.OK
-            np.testing.assert_allclose(jumped.q, stepped[-1].q, rtol=0.0, atol=1e-9)
-            jumps += 1
-    assert jumps > 10
-
-
 def test_from_far_away_it_is_that_branch_or_none() -> None:
     """The end-effector of the 2-RPR stays above its base, whatever legs are asked for at once."""
     robot, dynamics, rng = machine("2rpr"), dynamics_of("2rpr"), np.random.default_rng(0)
@@ -491,12 +423,14 @@ def test_arguments_of_any_kind_are_taken_and_others_refused(backend: Backend) ->
         want, strided = call(*given), [np.repeat(part, 2)[::2] for part in given]
         assert not strided[0].flags.c_contiguous
         listed = [part.tolist() for part in given]
-        for other in (call(*strided), call(*listed), call(*listed[:2], *given[2:])):
+        unmasked = [np.ma.masked_array(part) for part in given]
+        for other in (call(*strided), call(*listed), call(*listed[:2], *given[2:]), call(*unmasked)):
             assert_alike(other, want, rounding, rounding)
         for i, (name, part) in enumerate(zip(inspect.signature(call).parameters, given, strict=False)):
             with pytest.raises(InputError, match=rf"^{name} has shape"):
                 call(*given[:i], part[:-1], *given[i + 1 :])
-            wrong: list[Any] = [part[None], np.append(part, 0.0), "text"]
+            masked = np.ma.masked_array(part, mask=np.arange(len(part)) == 0)
+            wrong: list[Any] = [part[None], np.append(part, 0.0), "text", masked]
             for no_number in (1j, None, "1"):
                 wrong += [no_number, [no_number] * len(part)]
             for bad in wrong:
@@ -509,10 +443,26 @@ def test_arguments_of_any_kind_are_taken_and_others_refused(backend: Backend) ->
         assert_alike(call(*fewer), call(*fewer, 0.0), rounding, rounding)
 
 
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
+def test_masked_starts_are_refused(backend: type[Dynamics]) -> None:
+    dynamics = backend(machine("3rrr"))
+    q = np.array(dynamics.robot.q_reference)
+    for call, given in calls_of(dynamics):
+        if call in (dynamics.torque, dynamics.joint_state):
+            with pytest.raises(InputError, match="masked"):
+                call(*given, start=np.ma.masked_array(q, mask=np.arange(len(q)) == 0))
+            assert call(*given, start=np.ma.masked_array(q)).status is SampleStatus.OK
+
+
 @ALL
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_whatever_is_not_finite_is_a_status(backend: Backend, bad: float) -> None:
-    """In every argument, and in the time; ``sample``, which has no status, refuses it."""
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -1e200])
+def test_whatever_is_not_finite_or_too_large_is_a_status(backend: Backend, bad: float) -> None:
+    """In every argument, and in the time; ``sample``, which has no status, refuses it.
+
+    Squares of 1e200 are not finite; generated code scales by powers of two, and has a wider range.
+    """
+    if bad == -1e200 and backend is rp.CompiledDynamics:
+        return
     robot = machine("3rrr")
     if backend is not rp.VirtualWork:
         robot = robot.loaded(rp.Wrench("platform", lambda t, x, xd: np.zeros((len(t), 6))))
@@ -527,7 +477,7 @@ def test_whatever_is_not_finite_is_a_status(backend: Backend, bad: float) -> Non
                         call(*wrong)
                 else:
                     assert call(*wrong).status is SampleStatus.NOT_FINITE
-        if call in (dynamics.torque, dynamics.acceleration):
+        if call in (dynamics.torque, dynamics.acceleration) and not np.isfinite(bad):
             assert call(*given, t=bad).status is SampleStatus.NOT_FINITE
         if call != dynamics.sample:
             assert call(*given).status is SampleStatus.OK
@@ -582,28 +532,6 @@ def test_carriers_that_a_robot_does_not_have_are_refused(backend: type[Dynamics]
             dynamics.joint_state(zero, zero, [0.1])
 
 
-@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
-def test_masked_numbers_are_refused(backend: type[Dynamics]) -> None:
-    dynamics = backend(machine("five_bar"))
-    robot, masked = dynamics.robot, np.ma.masked_array
-    home, zero, track = zoo.home_of(robot), np.zeros(robot.n), np.zeros(robot.k)
-    given = {"x": home, "xd": zero, "xdd": zero, "s": track, "sd": track, "sdd": track, "start": robot.q_reference}
-    calls: list[tuple[Any, dict[str, Any]]] = [(dynamics.torque, given)]
-    if isinstance(dynamics, rp.CompiledDynamics):
-        q, v = np.array(robot.q_reference), np.zeros(robot.model.nv)
-        motors = {"position": q[actuated_positions(robot)], "velocity": np.zeros(robot.m), "s": track, "sd": track}
-        calls += [
-            (dynamics.joint_state, {**motors, "start": q}),
-            (dynamics.acceleration, {"q": q, "v": v, "tau": np.zeros(robot.m), "carrier_force": track}),
-        ]
-    for call, values in calls:
-        assert call(**values).status is SampleStatus.OK
-        for name, value in values.items():
-            with pytest.raises(InputError, match="masked"):
-                call(**{**values, name: masked(value, mask=np.arange(len(value)) == 0)})
-            assert call(**{**values, name: masked(value)}).status is SampleStatus.OK
-
-
 # --- memory
 
 
@@ -643,15 +571,3 @@ def test_forces_whose_squares_overflow_are_as_many_times_as_large(backend: Backe
     slow, fast = (dynamics.torque(x, [scale, 2.0 * scale, scale], zero) for scale in (1e20, 1e90))
     assert fast.status is slow.status is SampleStatus.OK
     np.testing.assert_allclose(fast.tau * 1e-140, slow.tau, rtol=EQUAL)
-
-
-@pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.VirtualWork])
-def test_torques_of_what_is_beyond_1e100_have_a_status(backend: Backend) -> None:
-    """Its squares are not finite; generated code scales by powers of two, and has a wider range."""
-    dynamics = backend("3rrr")
-    given = [zoo.home_of(dynamics.robot), *np.zeros((5, 3))]
-    for i, part in enumerate(given):
-        for k in range(len(part)):
-            wrong = [one.copy() for one in given]
-            wrong[i][k] = -1e200
-            assert dynamics.torque(*wrong).status is SampleStatus.NOT_FINITE

@@ -254,31 +254,3 @@ def test_a_length_that_is_left_out_is_that_of_the_reference() -> None:
     apart = [0.3 + 0.2 * np.cos(1.4) - 0.1 * np.cos(1.0), 0.2 * np.sin(1.4) - 0.1 * np.sin(1.0)]
     assert rod.length == pytest.approx(np.hypot(*apart), rel=1e-14)
     np.testing.assert_allclose(robot.q_reference, [1.0, 1.4], atol=1e-12)
-
-
-def test_a_delta_on_rods_is_the_shipped_one_with_rods_of_mass_zero() -> None:
-    """Three joints a leg fewer; the same assembly modes, W, f and efforts."""
-    shipped = rp.load_robot("delta", rod_mass=0.0)
-    model, length = shipped.model, float(shipped.parameters["rod_length"])
-    passive = [model.getJointId(f"{name}_{leg}") for leg in (1, 2, 3) for name in ("swing", "sway")]
-    tree = pin.buildReducedModel(model, passive, np.array(shipped.q_reference))
-    kept = [model.joints[model.getJointId(name)].idx_q for name in list(tree.names)[1:]]
-    robot = rp.robot_from_model(
-        tree,
-        actuated=list(shipped.actuated),
-        closures=[Closure(f"rod {i}", f"arm_{i}_end", f"corner_{i}", ("distance",), length) for i in (1, 2, 3)],
-        independent=shipped.platform,
-        reference=shipped.q_reference[kept],
-        characteristic_length=shipped.characteristic_length,
-    )
-    assert (tree.nv, robot.n) == (6, 3)
-    modes, same = (rp.assembly_modes(each, [0.2, 0.1, 0.15]).x for each in (robot, shipped))
-    assert len(modes) == 2
-    np.testing.assert_allclose(modes, same, atol=1e-9)
-    motion = zoo.smooth_motion(shipped, 5).at(np.linspace(0.0, 1.0, 6))
-    theirs = rp.RneaDynamics(shipped).reduce(motion)
-    for dynamics in (rp.RneaDynamics(robot), rp.CompiledDynamics(robot)):
-        ours = dynamics.reduce(motion)
-        np.testing.assert_allclose(ours.W, theirs.W, atol=1e-10)
-        np.testing.assert_allclose(ours.f, theirs.f, atol=1e-10)
-        np.testing.assert_allclose(rp.distribute(ours).tau, rp.distribute(theirs).tau, rtol=1e-9, atol=1e-9)

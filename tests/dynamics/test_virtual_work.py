@@ -1,8 +1,15 @@
-"""Closed forms of the 2-RPR and the 3-RRR: closure in all modes, reach, rates; and machines that have none."""
+"""Closed forms of the 2-RPR and the 3-RRR; and every backend against Lagrange's equations for point masses.
+
+Nothing of that oracle knows a velocity or force formula: every body is replaced by point masses with the same mass,
+centre and inertia (a slender rod by Simpson's 1:4:1, a disc by three points on a ring). Their positions are written
+down as functions of q = (x, s), and the rest is differentiation: complex steps, exact to rounding, for the first
+derivative of positions; central differences of order eight for the derivatives of kinetic energy and of momentum.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -12,9 +19,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import redundancy_pin as rp
-from redundancy_pin.arrays import CLOSURE_TOLERANCE
-from redundancy_pin.dynamics.virtual_work import three_rrr, two_rpr
-from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry, inverse_displacement
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
+from redundancy_pin.dynamics.base import DynamicsAlongMotion
+from redundancy_pin.dynamics.virtual_work import two_rpr
+from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry, ThreeRrrMechanism, inverse_displacement
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.robot.urdf import models_root
@@ -74,49 +82,6 @@ def test_all_modes_of_the_three_rrr_close_or_report_how_far_the_corner_is(pose, 
         side = np.sin(legs.theta[:, 0] - np.arctan2(*(A - G).T[::-1]))
         clear = within & (np.abs(side) > 1e-6)
         np.testing.assert_array_equal(np.sign(side)[clear], np.array(mode)[clear])
-
-
-def test_thesis_formulas_for_theta_and_jacobian():
-    """Angles by arc cosine and the Jacobian's entries as printed (Parsa 2014, eq. 2.22-2.38)."""
-    pose, mode = np.array([1.0, 0.4, 0.3]), (1, -1, 1)
-    legs = inverse_displacement(UNEQUAL, pose[None], mode)
-    l1, l2, l3 = 1.2, 0.9, 0.3
-    for i in range(3):
-        xA, yA = corners(UNEQUAL, pose)[i] - UNEQUAL.base_points[i]
-        rho = np.hypot(xA, yA)
-        theta = np.arctan2(yA, xA) + mode[i] * np.arccos((l1**2 + rho**2 - l2**2) / (2 * l1 * rho))
-        phi = pose[2] + PHI[i]
-        a, b = xA - l1 * np.cos(theta), yA - l1 * np.sin(theta)
-        c, d = l1 * (xA * np.sin(theta) - yA * np.cos(theta)), l3 * (a * np.sin(phi) - b * np.cos(phi))
-        assert abs(np.exp(1j * theta) - np.exp(1j * legs.theta[i, 0])) < ROUNDING
-        np.testing.assert_allclose(legs.jacobian[:, i, 0], -np.array([a, b, d]) / c, atol=ROUNDING)
-        np.testing.assert_allclose(legs.c[i, 0], c, atol=ROUNDING)
-
-
-UNEQUAL_LENGTHS = {"base_radius": 0.9, "platform_radius": 0.3, "proximal_length": 1.2, "distal_length": 0.9}
-
-CASES = [(mode, {}) for legs in (2, 3) for mode in product((1, -1), repeat=legs)]
-
-CASES += [(mode, UNEQUAL_LENGTHS) for mode in product((1, -1), repeat=3)]
-
-
-@pytest.mark.parametrize(("mode", "lengths"), CASES)
-def test_rates_of_all_joints_are_differences_of_their_positions(mode, lengths):
-    name, tolerance = ("2rpr", 2e-5) if len(mode) == 2 else ("3rrr", 2e-6)
-    robot = rp.load_robot(name, working_mode=mode, **lengths)
-    path, t, h = zoo.smooth_motion(robot, 2, speed=2.0), np.linspace(0.0, 2.0, 40), 1e-4
-    here = path.at(t)
-    before, middle, after = (rp.VirtualWork(robot).along(path.at(t + k * h))._dynamics for k in (-1, 0, 1))
-    parked = (np.zeros((robot.m, len(t))),) * 3
-    kinds = two_rpr.TwoRprMechanism if name == "2rpr" else three_rrr.ThreeRrrMechanism
-    for joint in kinds.joints:
-        low, now, high = (each.joint(joint, parked) for each in (before, middle, after))
-        # angles are in (−π, π]
-        up, down = (np.remainder(each.position - now.position + np.pi, 2 * np.pi) - np.pi for each in (high, low))
-        # order two: h² = 1e-8 times third and fourth derivatives of up to 1e3 and 1e2; rounding / h² = 1e-8
-        np.testing.assert_allclose(now.rate, (up - down) / (2 * h), atol=tolerance)
-        np.testing.assert_allclose(now.acceleration, (up + down) / h**2, atol=tolerance)
-        np.testing.assert_allclose(np.einsum("jN,Nj->N", now.unit_rate, here.xd), now.rate, atol=ROUNDING * 10)
 
 
 @pytest.mark.parametrize(("beyond", "reached"), [(0.5 * CLOSURE_TOLERANCE, True), (1e-9, False), (0.3, False)])
@@ -189,3 +154,302 @@ def test_one_sample_has_no_spring_that_counts_turns_and_the_slack_of_tracks_of_a
     for s, status in ((upper * (1.0 + 1e-15), "ok"), (upper * (1.0 + 1e-6), "out_of_range")):
         for backend in (rp.VirtualWork, rp.RneaDynamics):
             assert backend(plain).torque(x, still, still, [s, 0.0, 0.0]).status.label == status
+
+
+# --- every backend against Lagrange's equations for point masses
+
+
+COMPLEX_STEP = 1e-30
+CENTRAL = ((1, 4 / 5), (2, -1 / 5), (3, 4 / 105), (4, -1 / 280))
+STEP = 2e-3
+"""Step of the central differences: the error is of the order (step / length of variation)^8, far below rounding
+over step, 1e-13."""
+
+
+def derivative(function: Callable[[float], np.ndarray], step: float = STEP) -> np.ndarray:
+    """Derivative at 0 by central differences of order eight."""
+    return sum(weight * (function(k * step) - function(-k * step)) for k, weight in CENTRAL) / step
+
+
+@dataclass(frozen=True)
+class PointMasses:
+    """``positions`` maps q (complex allowed) to (P, 2); ``masses`` is (P,)."""
+
+    masses: np.ndarray
+    positions: Callable[[np.ndarray], np.ndarray]
+
+    def velocities(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        """(P, 2) velocities."""
+        return self.positions(q + 1j * COMPLEX_STEP * qd).imag / COMPLEX_STEP
+
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
+        """(P, 2, len(q)) derivatives of the positions."""
+        return np.stack([self.velocities(q, direction) for direction in np.eye(len(q))], axis=2)
+
+    def kinetic(self, q: np.ndarray, qd: np.ndarray) -> float:
+        """Kinetic energy."""
+        return 0.5 * float(self.masses @ (self.velocities(q, qd) ** 2).sum(axis=1))
+
+    def energy(self, q: np.ndarray, qd: np.ndarray, gravity: np.ndarray) -> float:
+        """Kinetic plus potential energy, zero height at the origin."""
+        return self.kinetic(q, qd) - float(self.masses @ self.positions(q) @ gravity[:2])
+
+    def momentum(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        """(3,) linear momentum and angular momentum about the origin."""
+        r, v = self.positions(q), self.velocities(q, qd)
+        return np.array([*(self.masses @ v), self.masses @ (r[:, 0] * v[:, 1] - r[:, 1] * v[:, 0])])
+
+    def generalised_force(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+        """d/dt (dT/dq̇) - dT/dq + dU/dq at a state and acceleration."""
+
+        def conjugate(t: float) -> np.ndarray:
+            q_t, qd_t = q + qd * t + 0.5 * qdd * t * t, qd + qdd * t
+            return np.einsum("p,pcj,pc->j", self.masses, self.jacobian(q_t), self.velocities(q_t, qd_t))
+
+        def kinetic_gradient(direction: np.ndarray) -> float:
+            return float(derivative(lambda h: np.asarray(self.kinetic(q + h * direction, qd))))
+
+        weight = np.einsum("p,pcj,c->j", self.masses, self.jacobian(q), gravity[:2])
+        return derivative(conjugate) - np.array([kinetic_gradient(e) for e in np.eye(len(q))]) - weight
+
+    def base_wrench(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+        """(6,) weight less the rate of momentum, moments about the origin."""
+        rate = derivative(lambda t: self.momentum(q + qd * t + 0.5 * qdd * t * t, qd + qdd * t))
+        r = np.column_stack([self.positions(q), np.zeros(len(self.masses))])
+        weight = self.masses[:, None] * gravity
+        total = np.concatenate([weight.sum(axis=0), np.cross(r, weight).sum(axis=0)])
+        return total - np.array([rate[0], rate[1], 0.0, 0.0, 0.0, rate[2]])
+
+
+def rod(mass: float) -> list[float]:
+    """Masses of the two ends and the middle that stand for a slender rod."""
+    return [mass / 6, 4 * mass / 6, mass / 6]
+
+
+def angle_of(v: np.ndarray) -> complex:
+    """atan2 for a complex step: the step rides along in the imaginary part, to first order."""
+    re, im = v.real, v.imag
+    return np.arctan2(re[1], re[0]) + 1j * (re[0] * im[1] - re[1] * im[0]) / (re @ re)
+
+
+def arccos(value: complex) -> complex:
+    """Arc cosine for a complex step."""
+    return np.arccos(value.real) - 1j * value.imag / np.sqrt(1.0 - value.real**2)
+
+
+def two_rpr_masses(parameters: dict, mode: tuple[int, int]) -> PointMasses:
+    """The 2-RPR as point masses; q = (x, y, s1, s2)."""
+    p = parameters
+    masses = [p["end_effector_mass"]]
+    for _ in range(2):
+        masses += rod(p["cylinder_mass"]) + rod(p["piston_mass"]) + [p["carrier_mass"] if p["carriers"] else 0.0]
+
+    def positions(q: np.ndarray) -> np.ndarray:
+        B = q[:2]
+        points = [B]
+        for leg in range(2):
+            A = np.array([leg * p["base_distance"], 0.0])
+            u = mode[leg] * (B - A) / np.sqrt(((B - A) ** 2).sum())
+            n = np.array([-u[1], u[0]])
+            points += [A + k * p["cylinder_length"] * u for k in (0.0, 0.5, 1.0)]
+            points += [B - k * p["piston_length"] * u for k in (0.0, 0.5, 1.0)]
+            points += [A + p["track_offset"] * u + (1, -1)[leg] * q[2 + leg] * n]
+        return np.array(points)
+
+    return PointMasses(np.array(masses), positions)
+
+
+def three_rrr_masses(parameters: dict, mode: tuple[int, int, int]) -> PointMasses:
+    """The 3-RRR as point masses; q = (x, y, α, s1, s2, s3). Angles by eq. 2.22-2.27 of the thesis."""
+    p = parameters
+    l1, l2, l3, R = (p[k] for k in ("proximal_length", "distal_length", "platform_radius", "base_radius"))
+    given = p["platform_inertia"]
+    gyration = l3 * np.sqrt(0.5) if given == "auto" else np.sqrt(given / p["platform_mass"])
+    tail = p["tail_length"] if p["carriers"] else 0.0
+    masses = [p["platform_mass"] / 3] * 3
+    for _ in range(3):
+        masses += rod(p["proximal_mass"]) + rod(p["distal_mass"]) + [p["carrier_mass"] if p["carriers"] else 0.0]
+
+    def u(angle: complex) -> np.ndarray:
+        return np.array([np.cos(angle), np.sin(angle)])
+
+    def positions(q: np.ndarray) -> np.ndarray:
+        P, alpha = q[:2], q[2]
+        points = [P + gyration * u(alpha + k * 2 * np.pi / 3) for k in range(3)]
+        for leg in range(3):
+            G = R * np.array([(0, 0), (np.sqrt(3), 0), (np.sqrt(3) / 2, 1.5)][leg])
+            A = P - l3 * u(alpha + (np.pi / 6, 5 * np.pi / 6, -np.pi / 2)[leg])
+            rho = np.sqrt(((A - G) ** 2).sum())
+            theta = angle_of(A - G) + mode[leg] * arccos((l1**2 + rho**2 - l2**2) / (2 * l1 * rho))
+            B = G + l1 * u(theta)
+            along = (A - B) / l2
+            points += [G + k * l1 * u(theta) for k in (0.0, 0.5, 1.0)]
+            points += [B + (-tail + k * (l2 + tail)) * along for k in (0.0, 0.5, 1.0)]
+            points += [B + q[3 + leg] * along]
+        return np.array(points) if np.iscomplexobj(q) else np.array(points).real
+
+    return PointMasses(np.array(masses), positions)
+
+
+AGREEMENT = 1e-8
+"""Relative to the largest effort of the sample. Central differences over a step of 2e-3 round at 1e-13, and the poses
+keep a margin of 0.3 to type I."""
+
+STATES = 12
+SEEDS = range(8)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A random machine in random states, one row each; q = (x, s), a carrier for each leg: of mass 0 if it has none."""
+
+    backend: type[rp.VirtualWork] | type[rp.CompiledDynamics]
+    robot: rp.Robot
+    oracle: PointMasses
+    q: Array
+    qd: Array
+    qdd: Array
+
+    @property
+    def along(self) -> DynamicsAlongMotion:
+        """The dynamics along the platform's states."""
+        parts = (part[:, : self.robot.n] for part in (self.q, self.qd, self.qdd))
+        motion = rp.PlatformMotion(np.arange(float(len(self.q))), *parts, check_rates=False)
+        return self.backend(self.robot).along(motion)
+
+    @property
+    def carriers(self) -> rp.CarrierMotion:
+        """The carriers' states."""
+        n, k = self.robot.n, self.robot.k
+        parts = (part[:, n : n + k] for part in (self.q, self.qd, self.qdd))
+        return rp.CarrierMotion(*parts, check_rates=False)
+
+    def states(self) -> Iterator[tuple[Array, Array, Array]]:
+        """Iterate over (q, qd, qdd)."""
+        return zip(self.q, self.qd, self.qdd, strict=True)
+
+    def moved(self, t: float) -> Case:
+        """Return the case after a time of its accelerations, s."""
+        return replace(self, q=self.q + self.qd * t + 0.5 * self.qdd * t**2, qd=self.qd + self.qdd * t)
+
+
+def numbers_of(name: str, seed: int) -> dict[str, object]:
+    """Return random arguments of a model, carriers and the disc's inertia among them."""
+    rng = np.random.default_rng(seed)
+    if name == "2rpr":
+        names = ("track_offset", "carrier_mass", "end_effector_mass", "cylinder_mass", "cylinder_length")
+        names += ("piston_mass", "piston_length", "base_distance")
+        return {key: float(rng.uniform(0.1, 1.5)) for key in names} | {"carriers": seed % 4 != 3}
+    names = ("proximal_mass", "distal_mass", "platform_mass", "carrier_mass", "tail_length")
+    parameters: dict[str, object] = {key: float(rng.uniform(0.3, 1.5)) for key in names}
+    parameters |= {key: float(rng.uniform(1.0, 1.5)) for key in ("proximal_length", "distal_length")}
+    parameters |= {"platform_radius": float(rng.uniform(0.1, 0.4)), "base_radius": float(rng.uniform(0.8, 1.2))}
+    return parameters | {"carriers": seed % 4 != 3, "platform_inertia": "auto" if seed % 2 else 0.05}
+
+
+def poses_of(robot: rp.Robot, rng: np.random.Generator) -> Array:
+    """Return poses anywhere, away from type I."""
+    if robot.name == "2rpr":
+        height = rng.uniform(0.5, 2, STATES) * rng.choice([1, -1], STATES)
+        return np.column_stack([rng.uniform(-1, 2, STATES), height])
+    centre = float(robot.parameters["base_radius"]) * np.array([np.sqrt(3) / 2, 0.5])
+    tries = np.column_stack([centre + rng.uniform(-1, 1, (2000, 2)), rng.uniform(-np.pi, np.pi, 2000)])
+    legs = ThreeRrrMechanism(robot.parameters, robot.gravity, robot.working_mode).legs(tries)
+    x = tries[(legs.margin > 0.3).all(axis=0)][:STATES]
+    assert len(x) == STATES
+    return x
+
+
+def case_of(backend: type[rp.VirtualWork] | type[rp.CompiledDynamics], name: str, seed: int) -> Case:
+    """Return closed forms at poses anywhere, and what follows a branch along a motion."""
+    rng = np.random.default_rng(seed)
+    mode = tuple(rng.choice([1, -1], 2 if name == "2rpr" else 3).tolist())
+    gravity = rng.uniform(-10.0, 10.0, 3)
+    robot = rp.load_robot(name, working_mode=mode, gravity=tuple(gravity), **numbers_of(name, seed))
+    oracle = (two_rpr_masses if name == "2rpr" else three_rrr_masses)(dict(robot.parameters), mode)
+    if backend is rp.VirtualWork:
+        x, (xd, xdd) = poses_of(robot, rng), rng.uniform(-2, 2, (2, STATES, robot.n))
+    else:
+        motion = zoo.smooth_motion(robot, seed).at(np.linspace(0.0, 1.0, STATES))
+        x, xd, xdd = motion.x, motion.xd, motion.xdd
+    s, (sd, sdd) = rng.uniform(-1, 1, (STATES, robot.m)), rng.uniform(-2, 2, (2, STATES, robot.m))
+    return Case(backend, robot, oracle, np.hstack([x, s]), np.hstack([xd, sd]), np.hstack([xdd, sdd]))
+
+
+CASES = [(rp.VirtualWork, name, seed) for name in ("2rpr", "3rrr") for seed in SEEDS]
+CASES += [(rp.CompiledDynamics, name, seed) for name in ("2rpr", "3rrr") for seed in (1, 2, 3)]
+
+
+@pytest.fixture(params=CASES, ids=lambda p: f"{p[0].__name__}-{p[1]}-{p[2]}")
+def case(request: pytest.FixtureRequest) -> Case:
+    return case_of(*request.param)
+
+
+def assert_close(got: Array, want: Array, tolerance: float = AGREEMENT) -> None:
+    scale = max(1.0, np.abs(want).max(initial=0.0))
+    np.testing.assert_allclose(got, want, rtol=0, atol=tolerance * scale)
+
+
+@pytest.mark.long_for(
+    *(f"VirtualWork-{name}-{seed}" for name in ("2rpr", "3rrr") for seed in range(2, 8)),
+    *(f"CompiledDynamics-{name}-{seed}" for name in ("2rpr", "3rrr") for seed in (2, 3)),
+)
+def test_efforts_and_base_wrench_obey_lagrange(case: Case) -> None:
+    reduced, wrench = case.along.reduce(case.carriers), case.along.base_wrench(case.carriers)
+    for k, state in enumerate(case.states()):
+        got = np.concatenate([reduced.f[k], reduced.carrier_force[k]])
+        assert_close(got, case.oracle.generalised_force(*state, case.robot.gravity)[: len(got)])
+        assert_close(wrench[k], case.oracle.base_wrench(*state, case.robot.gravity))
+
+
+def test_energy_is_that_of_the_point_masses_and_grows_by_the_power(case: Case) -> None:
+    got = case.along.energy(case.carriers)
+    want = [case.oracle.energy(q, qd, case.robot.gravity) for q, qd, _ in case.states()]
+    assert_close(got, np.array(want), 1e-12)  # both exact but for rounding
+    reduced, carriers = case.along.reduce(case.carriers), case.carriers
+    power = (reduced.f * case.qd[:, : case.robot.n]).sum(axis=1) + (reduced.carrier_force * carriers.sd).sum(axis=1)
+
+    def energy_at(t: float) -> Array:
+        moved = case.moved(t)
+        return moved.along.energy(moved.carriers)
+
+    assert_close(power, derivative(energy_at))
+
+
+def test_derivatives_by_the_carriers(case: Case) -> None:
+    """f is quadratic in (s, ṡ) and affine in s̈, as are the forces: central differences are exact for any step."""
+    along, carriers = case.along, case.carriers
+    exact = along.carrier_derivatives(carriers)
+    for which in ("s", "sd", "sdd"):
+        for leg in range(case.robot.k):
+            up, down = (
+                along.reduce(replace(carriers, **{which: getattr(carriers, which) + step * np.eye(case.robot.k)[leg]}))
+                for step in (0.5, -0.5)
+            )
+            assert_close(getattr(exact, f"f_{which}")[:, :, leg], up.f - down.f, 1e-12)
+            assert_close(getattr(exact, f"force_{which}")[:, :, leg], up.carrier_force - down.carrier_force, 1e-12)
+
+
+def test_W_is_the_derivative_of_the_actuated_joints(case: Case) -> None:
+    """Lengths of legs and angles of cranks in closed form, by complex steps (Parsa 2014, eqs. 2.3 and 2.22)."""
+    robot, W = case.robot, case.along.reduce().W
+    for x, own in zip(case.q[:, : robot.n], W, strict=True):
+        for row, direction in zip(own, np.eye(robot.n), strict=True):
+            want = actuated(robot, x + 1j * COMPLEX_STEP * direction).imag / COMPLEX_STEP
+            assert_close(row, want, 1e-11)
+
+
+def actuated(robot: rp.Robot, x: Array) -> Array:
+    """Return (m,) the actuated joints at coordinates (n,), complex ones too."""
+    sizes, joints = {key: value for key, value in robot.parameters.items() if isinstance(value, float)}, []
+    for leg, mode in enumerate(robot.working_mode):
+        if robot.name == "2rpr":
+            joints.append(mode * np.sqrt((x[0] - leg * sizes["base_distance"]) ** 2 + x[1] ** 2))
+            continue
+        hinge = sizes["base_radius"] * np.array([(0, 0), (np.sqrt(3), 0), (np.sqrt(3) / 2, 1.5)][leg])
+        turned = x[2] + (np.pi / 6, 5 * np.pi / 6, -np.pi / 2)[leg]
+        corner = x[:2] - sizes["platform_radius"] * np.array([np.cos(turned), np.sin(turned)]) - hinge
+        rho, first = np.sqrt((corner**2).sum()), sizes["proximal_length"]
+        cosine = (first**2 + rho**2 - sizes["distal_length"] ** 2) / (2 * first * rho)
+        joints.append(angle_of(corner) + mode * arccos(cosine))
+    return np.array(joints)

@@ -97,7 +97,7 @@ def test_it_is_the_file_that_bends_springs(name: str) -> None:
 
 def test_we_read_what_the_file_says() -> None:
     """As it is, hinge and all: the springs that the package bends are those that geometry bends."""
-    robot = rp.load_robot(FILES["cassie_v2.sdf"])
+    robot = rp.load_robot(FILES["cassie_v2.sdf"], actuated=cassie.drives(FILES["cassie_v2.sdf"]))
     row = dict(zip(robot.independent_joints, np.eye(robot.n), strict=True))
     x = (-0.3 * row["left-knee-op"] + 0.13 * row["left-tarsus-spring-joint"])[None]
     q = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], x, 0 * x, 0 * x)).q[0]

@@ -1,4 +1,4 @@
-"""Following a branch: each step ends where assembly closes, on the branch of the start, or is refused."""
+"""Following a branch: each step is on the branch of the start or refused, also where the closures lose rank."""
 
 from __future__ import annotations
 
@@ -9,49 +9,31 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-import spatial_chains
 import zoo
-from flat_linkages import row_of_four_bars
-from folding import folding_four_bar
+from change_point_oracle import change_point
+from flat_linkages import Loop, parallelogram, random_loop, row_of_four_bars, several_on_one_crank
+from folding import folding_four_bar, joint, rocker_angle, rocker_motion
 
 import redundancy_pin as rp
-from redundancy_pin.errors import InputError, SingularPoseError
-from redundancy_pin.kinematics.assembly import assemble, integrate
+from redundancy_pin.dynamics.compiled import CompiledDynamics
+from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.dynamics.reactions import joint_reactions
+from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.errors import InputError, SingularPoseError, WorkingModeError
 from redundancy_pin.kinematics.branch import (
-    LONGEST_STEP,
     BranchEnd,
     ClosedState,
     Follower,
     follower,
-    follows,
-    known_state,
 )
-from redundancy_pin.kinematics.coordinates import moved, with_independent_joints
+from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.coordinates import mode_indicator, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.kinematics.margins import closed_around
-from redundancy_pin.robot import Payload, Robot
-from redundancy_pin.robot.scales import velocity_unit
+from redundancy_pin.kinematics.margins import NEAR_RANK_LOSS, near_rank_loss
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.robot import Payload
+from redundancy_pin.singularities.classify import classify_motion
 from redundancy_pin.status import SampleStatus
-
-
-@pytest.mark.parametrize("name", [*zoo.SHIPPED, *spatial_chains.CHAINS])
-def test_a_pose_nearby_is_the_one_that_assembly_closes(name: str) -> None:
-    """Three steps on, also where axes of a closure coincide: nothing is turned over."""
-    robot = spatial_chains.chain_of(name) if name in spatial_chains.CHAINS else zoo.robot_of(name)
-    system, own, rng = zoo.system_of(robot), follower(robot), np.random.default_rng(5)
-    here = own.home
-    for _ in range(3):
-        increment = rng.uniform(-0.02, 0.02, robot.n) * robot.characteristic_length
-        x = moved(robot, here.x, increment)
-        reached = own.advance(here, x)
-        assert isinstance(reached, ClosedState)
-        guess = integrate(robot.model, here.q[None], (here.gamma @ increment)[None])
-        expected = assemble(system, guess, x[None])
-        np.testing.assert_allclose(reached.q, expected.q[0], rtol=0.0, atol=1e-12)
-        np.testing.assert_allclose(reached.gamma, expected.gamma[0], rtol=0.0, atol=1e-10)
-        np.testing.assert_allclose(reached.W, expected.gamma[0][robot.actuated_velocity].T, rtol=0.0, atol=1e-12)
-        assert reached.margin == pytest.approx(expected.projection.margin[0], rel=1e-10)
-        here = reached
 
 
 @pytest.mark.parametrize("independent", [{"joints": ["a", "b"]}, {"platform": "tip", "axes": ["x", "y"]}])
@@ -115,45 +97,6 @@ def test_a_branch_that_ends_says_why_and_where(x: np.ndarray, status: SampleStat
     assert isinstance(own.advance(own.home, end.last.x), ClosedState)
 
 
-def test_coordinates_and_rates_of_another_shape_are_refused() -> None:
-    own = follower(zoo.robot_of("five_bar"))
-    home, short = own.home, along(0.4)
-    for call in (own.advance, own.step, lambda here, x: own.pass_through(here, x, *np.zeros((2, 2)))):
-        with pytest.raises(InputError, match=r"x has shape \(1,\), expected \(2,\)"):
-            call(home, short)
-    with pytest.raises(InputError, match=r"x has shape \(1,\), expected \(2,\)"):
-        own.close(home.q, short)
-    with pytest.raises(InputError, match=r"q has shape \(3,\)"):
-        own.state_at(np.zeros(3))
-    with pytest.raises(InputError, match="complex"):
-        own.advance(home, home.x + 1j)
-    with pytest.raises(InputError, match=r"xd has shape \(\), expected \(2,\)"):
-        own.rates(home, np.array(1.0), along(0.0, 0.0))
-    with pytest.raises(InputError, match="xdd has 1 value"):
-        own.rates(home, along(0.0, 0.0), along(np.nan, 0.0))
-
-
-@pytest.mark.parametrize("names", [("five_bar", "delta"), ("five_bar", "four_bar"), ("3rrr", "delta")])
-def test_a_state_of_another_robot_is_refused_by_names(names: tuple[str, str]) -> None:
-    own, other = (follower(zoo.robot_of(name)) for name in names)
-    for go_on in (own.advance, own.follow, own.step):
-        with pytest.raises(InputError, match=f"{other.robot.name}.*{own.robot.name}"):
-            go_on(other.home, own.home.x)
-    motion = rp.PlatformMotion([0.0], own.home.x[None], *np.zeros((2, 1, own.robot.n)))
-    with pytest.raises(InputError, match=f"{other.robot.name}.*{own.robot.name}"):
-        inverse_kinematics(own.robot, motion, start=other.home, mark_unreachable=True)
-
-
-def test_a_state_of_the_same_robot_with_other_motors_is_refused() -> None:
-    """The same tree and loops, but other independent coordinates."""
-    robot = zoo.robot_of("five_bar")
-    driven = follower(with_independent_joints(robot, robot.actuated))
-    with pytest.raises(InputError, match="no closed state"):
-        driven.advance(follower(robot).home, driven.home.x)
-    loaded = follower(robot.loaded(Payload(robot.platform.frame if robot.platform else "", 1.0)))
-    assert isinstance(loaded.advance(follower(robot).home, loaded.home.x + 0.01), ClosedState)
-
-
 def test_a_state_keeps_no_array_that_others_change() -> None:
     own = follower(zoo.robot_of("five_bar"))
     x = np.array(own.home.x) + 0.01
@@ -163,33 +106,6 @@ def test_a_state_keeps_no_array_that_others_change() -> None:
         assert state is not None
         assert state.x[0] == own.home.x[0] + 0.01
         assert not any(part.flags.writeable for part in (state.x, state.q, state.gamma, state.inverse))
-
-
-def test_a_known_state_says_how_far_it_is_from_closed() -> None:
-    robot = zoo.robot_of("five_bar")
-    home = follower(robot).home
-    assert known_state(robot, home.x, home.q, home.gamma).residual < 1e-11
-    assert known_state(robot, home.x, home.q + 2.0 * np.eye(len(home.q))[3], home.gamma).residual > 0.1
-    assert np.isnan(known_state(robot, home.x, home.q * np.nan, home.gamma).residual)
-
-
-@pytest.mark.parametrize("factor", [np.diag([2.0, 2.0, 2.0, 1.0]), np.diag([1.0, 1.0, -1.0, 1.0]), 2.0 * np.eye(4)])
-def test_a_matrix_that_is_no_pose_is_refused(factor: np.ndarray) -> None:
-    own = follower(zoo.robot_of("gough"))
-    with pytest.raises(InputError, match="not a homogeneous pose"):
-        own.advance(own.home, own.home.x @ factor)
-
-
-def test_where_the_closures_lose_rank_and_no_branch_goes_on_it_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Follower, "pass_through", lambda *_: None)
-    own = follower(folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5)))
-    end = own.advance(own.home, along(np.pi))
-    assert isinstance(end, BranchEnd)
-    assert end.status is SampleStatus.TYPE_I
-    assert end.rank_lost
-    assert not end.is_final
 
 
 @pytest.mark.parametrize("beside", [0.0, 1e-6, -1e-6])
@@ -206,29 +122,6 @@ def test_no_plain_step_leads_to_a_rank_loss(beside: float, tmp_path: Path) -> No
     assert passed.state.interpolated
     with pytest.raises(SingularPoseError, match="pass_through"):
         own.rates(passed.state, np.ones(1), np.zeros(1))
-
-
-@pytest.mark.parametrize("size", [1.0, 2.0**5])
-def test_the_way_to_a_pose_takes_steps_of_a_fraction_of_the_machine(
-    size: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    names = ("base_distance", "proximal_length", "distal_length", "tail_length")
-    plain = zoo.robot_of("five_bar").parameters
-    robot = rp.load_robot("five_bar", carriers=True, **{name: size * float(plain[name]) for name in names})
-    own, targets, step = follower(robot), [], Follower.step
-
-    def counted(self: Follower, here: ClosedState, x: np.ndarray) -> ClosedState | None:
-        targets.append(np.array(x))
-        return step(self, here, x)
-
-    monkeypatch.setattr(Follower, "step", counted)
-    spacing = LONGEST_STEP * robot.characteristic_length
-    home, along = own.home.x, np.array([0.6, -0.8])
-    for way, steps in ((0.0, 1), (0.5, 1), (0.99, 1), (1.01, 2), (1.99, 2), (2.5, 3)):
-        targets.clear()
-        assert isinstance(own.advance(own.home, home + way * spacing * along), ClosedState)
-        expected = home + np.linspace(0.0, way, steps + 1)[1:, None] * spacing * along
-        np.testing.assert_allclose(targets, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("length", [1.0, 2.0**5])
@@ -248,25 +141,6 @@ def test_a_step_across_a_rank_loss_stays_on_the_smooth_branch(length: float, sid
         np.testing.assert_allclose(reached.gamma[:, 0], turn, atol=1e-7)
 
 
-def test_configurations_around_the_reference_are_near_it(shipped: Robot) -> None:
-    """Those along the branch by 0.4 rad or characteristic lengths of the joint that moves farthest, before closing."""
-    reference, q = np.array(shipped.q_reference), closed_around(zoo.system_of(shipped)).q
-    unit = velocity_unit(shipped)
-    far = np.array([np.abs(pin.difference(shipped.model, reference, one) / unit).max() for one in q])
-    assert far[0] < 1e-9
-    along = far[1 + len(far) // 2 :]
-    assert 0.3 < along.min() <= along.max() < 0.5
-
-
-def test_a_step_follows_if_it_is_what_the_trapezoidal_rule_predicts() -> None:
-    """q̇ = Γ ẋ with Γ = 1 and then 3: an increment of 0.1 moves q by 0.2, not back, by nothing, or thrice as far."""
-    system = zoo.system_of(zoo.robot_of("five_bar"))
-    nv = system.robot.model.nv
-    gamma0, gamma1 = np.full((4, nv, 1), 1.0), np.full((4, nv, 1), 3.0)
-    step = np.array([0.2, -0.2, 0.0, 0.6])[:, None] * np.ones(nv)
-    assert follows(system, step, gamma0, gamma1, np.full((4, 1), 0.1)).tolist() == [True, False, False, False]
-
-
 @pytest.mark.parametrize("excess", [1e-6, 1e-7, 1e-8, 1e-9])
 @pytest.mark.parametrize("count", [2, 7, 40])
 def test_no_branch_is_changed_where_two_nearly_touch(excess: float, count: int, tmp_path: Path) -> None:
@@ -282,3 +156,323 @@ def test_no_branch_is_changed_where_two_nearly_touch(excess: float, count: int, 
             break
         here = reached
         assert np.sign(np.sin(here.q[coupler])) == side
+
+
+def test_states_and_coordinates_that_do_not_fit_are_refused() -> None:
+    """Another shape, no pose, another robot, or the same tree and loops with other independent coordinates."""
+    own, gough = follower(zoo.robot_of("five_bar")), follower(zoo.robot_of("gough"))
+    home, short = own.home, along(0.4)
+    for call in (own.advance, own.step, lambda here, x: own.pass_through(here, x, *np.zeros((2, 2)))):
+        with pytest.raises(InputError, match=r"x has shape \(1,\), expected \(2,\)"):
+            call(home, short)
+    for call, message in (
+        (lambda: own.close(home.q, short), r"x has shape \(1,\), expected \(2,\)"),
+        (lambda: own.state_at(np.zeros(3)), r"q has shape \(3,\)"),
+        (lambda: own.advance(home, home.x + 1j), "complex"),
+        (lambda: own.rates(home, np.array(1.0), along(0.0, 0.0)), r"xd has shape \(\), expected \(2,\)"),
+        (lambda: own.rates(home, along(0.0, 0.0), along(np.nan, 0.0)), "xdd has 1 value"),
+    ):
+        with pytest.raises(InputError, match=message):
+            call()
+    for factor in (np.diag([2.0, 2.0, 2.0, 1.0]), np.diag([1.0, 1.0, -1.0, 1.0]), 2.0 * np.eye(4)):
+        with pytest.raises(InputError, match="not a homogeneous pose"):
+            gough.advance(gough.home, gough.home.x @ factor)
+    motion = rp.PlatformMotion([0.0], home.x[None], *np.zeros((2, 1, 2)))
+    for name in ("delta", "four_bar"):
+        other = follower(zoo.robot_of(name)).home
+        for go_on in (own.advance, own.follow, own.step):
+            with pytest.raises(InputError, match=f"{name}.*five_bar"):
+                go_on(other, home.x)
+        with pytest.raises(InputError, match=f"{name}.*five_bar"):
+            inverse_kinematics(own.robot, motion, start=other, mark_unreachable=True)
+    driven = follower(with_independent_joints(own.robot, own.robot.actuated))
+    with pytest.raises(InputError, match="no closed state"):
+        driven.advance(home, driven.home.x)
+    loaded = follower(own.robot.loaded(Payload("end_effector", 1.0)))
+    assert isinstance(loaded.advance(home, loaded.home.x + 0.01), ClosedState)
+
+
+# --- poses where the closures lose rank: the branch goes on with its tangent
+
+
+POSITION = 1e-12
+RATE = 1e-9
+"""What Newton's rounding leaves next to the pose, and the eighth-order differences of the closed form."""
+ACCELERATION = 1e-7
+
+PARALLELOGRAM = (0.3, 0.2, 0.3, 0.2)
+LINKAGES = {
+    "folding": ((0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5)),
+    "parallelogram": (PARALLELOGRAM, (1.0, 1.0, 2.0)),
+    "antiparallelogram": (PARALLELOGRAM, (1.0, -2.5, -2.0)),
+    "equal sides": ((0.3, 0.3, 0.3, 0.3), (1.0, 1.0, 2.0)),
+    "kite": ((0.3, 0.2, 0.2, 0.3), (1.0, 2.0, 2.0)),
+}
+SAMPLES = {
+    "one at the pose": np.linspace(-1.0, 1.0, 101),
+    "back, one at the pose": np.linspace(1.0, -1.0, 101),
+    "one beside it": np.linspace(-1.0, 1.0, 101) + 3e-7,
+    "one a little further": np.linspace(-1.0, 1.0, 101) + 2e-4,
+    "coarse": np.linspace(-1.0, 1.0, 10) + 0.033,
+    "dense": np.linspace(-2e-2, 2e-2, 401),
+    "from the pose on": np.linspace(0.0, 1.0, 51),
+    "at the pose alone": np.zeros(2),
+    "to the pose from afar": np.array([-2.0, 0.0]),
+    "to the pose from the other side": np.array([0.3 - np.pi, 0.0]),
+}
+RATE_OF_CRANK, SECOND_RATE = 2.0, 0.7
+
+
+def turning(crank: np.ndarray) -> PlatformMotion:
+    size = (len(crank), 1)
+    t = np.arange(len(crank)) * 0.01
+    return PlatformMotion(t, crank[:, None], np.full(size, RATE_OF_CRANK), np.full(size, SECOND_RATE))
+
+
+@pytest.mark.parametrize(
+    ("modes", "mark"),
+    [
+        (True, False),
+        *(pytest.param(*both, marks=pytest.mark.long) for both in ((False, False), (False, True), (True, True))),
+    ],
+)
+@pytest.mark.parametrize(
+    ("linkage", "samples"),
+    [  # every linkage, and every kind of samples, once in make test
+        pytest.param(
+            linkage,
+            samples,
+            marks=() if linkage == "parallelogram" or i == k or (i, k) in ((0, 8), (0, 9)) else pytest.mark.long,
+        )
+        for i, linkage in enumerate(LINKAGES)
+        for k, samples in enumerate(SAMPLES)
+    ],
+)
+def test_a_four_bar_goes_through_its_flat_pose_on_its_branch(
+    linkage: str, samples: str, modes: bool, mark: bool, tmp_path: Path
+) -> None:
+    lengths, guess = LINKAGES[linkage]
+    offsets = SAMPLES[samples]
+    # behind the pose a declared mode is on the other branch: start on the side where the reference is
+    if modes and offsets[0] > 0.0:
+        guess = (guess[0] + 4.0, guess[1] + 3.0, guess[2])
+    robot = folding_four_bar(tmp_path, lengths, guess, modes=modes)
+    motion = turning(np.pi + offsets)
+    tree = inverse_kinematics(robot, motion, mark_unreachable=mark)
+    angle, rate, second = rocker_motion(robot, lengths, motion.x[:, 0], motion.xd[:, 0], motion.xdd[:, 0])
+    rocker = joint(robot, "rocker")
+    assert tree.reachable.all()
+    assert tree.residual.max() < 1e-14
+    assert np.abs(np.sin((tree.q[:, rocker] - angle) / 2.0)).max() < POSITION
+    assert np.abs(tree.v[:, rocker] - rate).max() < RATE
+    assert np.abs(tree.a[:, rocker] - second).max() < ACCELERATION
+    np.testing.assert_allclose(tree.v, np.einsum("nvi,ni->nv", tree.gamma, motion.xd), atol=RATE)
+    alone = inverse_kinematics(robot, motion, mark_unreachable=mark, positions_only=True)
+    assert np.abs(np.sin((alone.q[:, rocker] - angle) / 2.0)).max() < POSITION
+
+
+@pytest.mark.long_for("1e-06-501", "1e-06-51", "1e-08-501", "1e-08-10", "1e-08-51", "1e-10-501", "1e-10-10")
+@pytest.mark.parametrize("samples", [10, 51, 501])
+@pytest.mark.parametrize("excess", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
+def test_branches_that_all_but_touch_are_not_taken_for_one_another(samples: int, excess: float, tmp_path: Path) -> None:
+    """Longer by so little, the linkage comes within its root of the flat pose and turns back: no tangent crosses."""
+    (g, a, b, c), guess = LINKAGES["folding"]
+    lengths = (g, a, b, c + excess)
+    robot = folding_four_bar(tmp_path, lengths, guess)
+    side = np.sign(np.sin(robot.q_reference[joint(robot, "coupler")]))
+    motion = turning(np.linspace(np.pi - 1.0, np.pi + 1.0, samples))
+    tree = inverse_kinematics(robot, motion)
+    assert (np.sign(np.sin(tree.q[:, joint(robot, "coupler")])) == side).all()
+    home = np.array([robot.q_reference[joint(robot, "crank")]])
+    sign = min(
+        (1, -1),
+        key=lambda s: abs(np.sin(rocker_angle(lengths, s)(home)[0] - robot.q_reference[joint(robot, "rocker")])),
+    )
+    # at the tightest turn Newton knows the angle to rounding over the root of the excess
+    error = np.sin((tree.q[:, joint(robot, "rocker")] - rocker_angle(lengths, sign)(motion.x[:, 0])) / 2.0)
+    assert np.abs(error).max() < 1e-15 / np.sqrt(excess) * 10.0 + 1e-12
+
+
+def test_efforts_are_continuous_through_the_flat_pose(tmp_path: Path) -> None:
+    """The power of the crank is the rate of the energy, at the pose and beside it."""
+    robot = folding_four_bar(tmp_path, *LINKAGES["folding"])
+    dynamics = RneaDynamics(robot)
+    step = 1e-3
+    offsets = step * np.arange(-4, 5)
+    # crank angle π + 2 (t − 1): the differences around each sample span the pose
+    for t in (1.0, 1.0 + 1e-7, 1.0 + 1e-4, 0.998, 1.3):
+        times = t + offsets
+        size = (len(times), 1)
+        motion = PlatformMotion(
+            times, np.pi + RATE_OF_CRANK * (times - 1.0)[:, None], np.full(size, RATE_OF_CRANK), np.zeros(size)
+        )
+        along = dynamics.along(motion)
+        weights = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0.0, 4 / 5, -1 / 5, 4 / 105, -1 / 280]) / step
+        efforts = distribute(along.reduce())
+        assert efforts.status[4] == SampleStatus.OK
+        assert efforts.tau[4, 0] * RATE_OF_CRANK == pytest.approx(along.energy() @ weights, abs=1e-8)
+
+
+def test_reactions_are_not_made_up_where_the_closures_determine_none(tmp_path: Path) -> None:
+    """Flat, the linkage can be prestressed: closure forces are undetermined, and least squares would hide it."""
+    robot = folding_four_bar(tmp_path, *LINKAGES["folding"])
+    along = RneaDynamics(robot).along(turning(np.pi + np.linspace(-0.5, 0.5, 5)))
+    assert classify_motion(along.tree, tolerance=1e-7).type_i.tolist() == [False, False, True, False, False]
+    reactions = joint_reactions(along, distribute(along.reduce()).tau)
+    assert np.isnan(reactions.closure_force).any(axis=1).tolist() == [False, False, True, False, False]
+    assert np.isnan(reactions.joint_wrench).any(axis=(1, 2)).tolist() == [False, False, True, False, False]
+    # the tangent of the other branch is a virtual motion too there, and nothing balances the forces along it
+    assert (reactions.residual < 1e-9).tolist() == [True, True, False, True, True]
+
+
+def test_a_crank_beyond_half_a_turn_starts_in_its_mode(tmp_path: Path) -> None:
+    """Multistart keeps the turn of the joint that the motion prescribes."""
+    robot = folding_four_bar(tmp_path, *LINKAGES["folding"], modes=True)
+    tree = inverse_kinematics(robot, turning(np.linspace(4.1, 4.2, 5)))
+    np.testing.assert_allclose(tree.q[:, joint(robot, "crank")], tree.motion.x[:, 0], atol=POSITION)
+    assert (mode_indicator(robot, tree.q) > 0.0).all()
+
+
+def flat_sides(robot: rp.Robot, offset: float) -> list[list[ClosedState]]:
+    """Return the points before and behind the flat pose with the coupler on either side: [before, behind][side]."""
+    own, coupler, sides = follower(robot), joint(robot, "coupler"), []
+    for crank in (np.pi - offset, np.pi + offset):
+        both = np.array(sorted(rp.assembly_modes(robot, [crank]).q, key=lambda q: -np.sin(q[coupler])))
+        both[:, joint(robot, "crank")] = crank
+        sides.append([own.close(q, np.array([crank])) for q in both])
+    return sides
+
+
+@pytest.mark.parametrize("excess", [1e-3, 1e-5, 1e-7, 0.0])
+def test_only_a_smooth_branch_through_a_rank_loss_is_a_crossing(excess: float, tmp_path: Path) -> None:
+    """The coupler changes over where the linkage folds flat; where it almost does, no branch leads there."""
+    g, a, b, c = LINKAGES["folding"][0]
+    robot = folding_four_bar(tmp_path, (g, a, b, c + excess), LINKAGES["folding"][1])
+    before, behind = flat_sides(robot, 0.02)
+    own = follower(robot)
+    for side in (0, 1):
+        assert own.crosses(before[side], behind[1 - side]) == (excess == 0.0)
+        assert not own.crosses(before[side], behind[side])
+        assert not own.crosses(before[side], replace(before[side], x=before[side].x + 1e-3))
+
+
+@pytest.mark.parametrize("beside", [1e-1, 1e-2, 1e-3])
+def test_a_reference_beside_a_pose_where_three_loops_are_flat_costs_no_digits(beside: float) -> None:
+    """Parallelograms side by side: all cranks turn alike, couplers against them."""
+    robot = row_of_four_bars(3)
+    turn = np.array([1.0 if name.startswith("crank") else -1.0 for name in list(robot.model.names)[1:]])
+    robot = replace(robot, q_reference=beside * turn)
+    assert near_rank_loss(constraint_system(robot)) == NEAR_RANK_LOSS
+    crank = np.linspace(beside, -1.02 * beside, 41)[:, None]
+    rate = np.ones_like(crank)
+    tree = inverse_kinematics(robot, PlatformMotion(np.arange(41.0), crank, 2.0 * rate, 3.0 * rate, check_rates=False))
+    for values, expected in ((tree.q, crank * turn), (tree.v, 2.0 * rate * turn), (tree.a, 3.0 * rate * turn)):
+        np.testing.assert_allclose(values, expected, atol=1e-6)
+
+
+def random_crank(seed: int) -> tuple[list[Loop], float, np.ndarray]:
+    """Return one to three loops with flat poses up to 0.3 rad apart, the crank's angle at the reference, and angles."""
+    rng = np.random.default_rng(seed)
+    apart = 10.0 ** rng.uniform(-4.0, -0.5) if rng.random() < 0.9 else 0.0
+    loops = [random_loop(rng, float(apart * turn)) for turn in (0.0, *rng.uniform(-1.0, 1.0, seed % 3))]
+    start, count = float(rng.uniform(0.7, 2.4)), int(rng.choice([51, 401, 2001]))
+    first, last = start, start - float(rng.uniform(2.5, 5.0))
+    if rng.random() < 0.3:
+        first = float(rng.uniform(1e-3, 0.2))
+        last = -first
+    return loops, start, np.linspace(first, last, count)
+
+
+def require_closed_form(
+    loops: list[Loop], start: float, crank: np.ndarray, dynamics: type[RneaDynamics | CompiledDynamics] = RneaDynamics
+) -> bool:
+    """Judge configurations and efforts by each loop's branch; return whether the motion was taken."""
+    robot = several_on_one_crank(loops, start)
+    second, size = 0.7, (len(crank), 1)
+    rate = (crank[-1] - crank[0]) * 1.0
+    motion = PlatformMotion(
+        np.linspace(0.0, 1.0, len(crank)), crank[:, None], np.full(size, rate), np.full(size, second), check_rates=False
+    )
+    try:
+        reduced = dynamics(robot).along(motion).reduce()
+    except (SingularPoseError, WorkingModeError):
+        return False
+    effort = np.full(len(crank), second * (1.0 - len(loops)) / 3.0)  # each loop's inertia has the crank's in it
+    tree = inverse_kinematics(robot, motion) if dynamics is RneaDynamics else None
+    for i, (coupler, rocker, ground, towards, side) in enumerate(loops):
+        branch = change_point((1.0, coupler, rocker, ground), side)
+        inertia, slope = (np.array(part((crank - towards)[None])).ravel() for part in (branch.inertia, branch.slope))
+        effort += inertia * second + 0.5 * slope * rate**2
+        if tree is not None:
+            ends = np.array(branch.angles((crank - towards)[None])).T
+            turned = np.exp(1j * (tree.q[:, joint(robot, f"rocker_{i}")] - towards))
+            np.testing.assert_allclose(turned, ends[:, 0] + 1j * ends[:, 1], atol=NEAR_RANK_LOSS * 1e-6)
+    np.testing.assert_allclose(reduced.f[:, 0], effort, atol=SHARE * np.abs(effort).max())
+    return True
+
+
+SHARE = 1e-5
+"""Of the largest effort: what rounding may take next to a rank loss before a pose is refused."""
+
+
+def test_a_branch_with_a_kink_halfway_between_two_poses_is_not_taken_for_the_smooth_one() -> None:
+    """The trapezoidal rule does not tell them apart there, and no determinant changes its sign on it."""
+    loop = 0.5701468583888362, 1.0, 0.5701468583888362, 0.0, -1
+    crank = np.linspace(1.7852898927714493, -2.7920864903877467, 51)
+    assert require_closed_form([loop], float(crank[0]), crank)
+
+
+@pytest.mark.parametrize("seed", [109, 164])
+def test_two_loops_that_are_flat_within_one_step_stay_on_their_branches(seed: int) -> None:
+    """The sign of the determinant of all rows is the same behind both."""
+    assert require_closed_form(*random_crank(seed))
+
+
+@pytest.mark.parametrize("beside", [0.0, 1e-4, 5e-3])
+def test_a_loop_that_rests_at_or_beside_its_flat_pose_while_another_goes_through(beside: float) -> None:
+    robot, turning = parallelogram("second"), np.linspace(0.05, -0.05, 11)
+    x = np.stack([turning, np.full(11, beside)], axis=1)
+    t = np.linspace(0.0, 1.0, 11)
+    xd, xdd = np.tile([-0.1, 0.0], (11, 1)), np.tile([0.7, -0.3], (11, 1))
+    tree = inverse_kinematics(robot, PlatformMotion(t, x, xd, xdd, check_rates=False))
+    for name, column, sign in (("crank_1", 0, 1.0), ("coupler_1", 0, -1.0), ("second_1", 1, 1.0), ("beam", 1, -1.0)):
+        at = joint(robot, name)
+        np.testing.assert_allclose(tree.q[:, at], sign * x[:, column], atol=POSITION)
+        np.testing.assert_allclose(tree.v[:, at], sign * xd[:, column], atol=RATE)
+        np.testing.assert_allclose(tree.a[:, at], sign * xdd[:, column], atol=1e-5)
+
+
+@pytest.mark.parametrize("length", [2.0**-6, 1.0, 2.0**6])
+@pytest.mark.parametrize(("rate", "second", "nearest"), [(0.0, 0.0, 1e-5), (1e-9, 1.0, 1e-5), (-1.0, 0.0, 1e-3)])
+def test_how_near_a_rank_loss_may_be_is_an_angle_in_any_unit_of_length(
+    length: float, rate: float, second: float, nearest: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of Γ rounding takes 1e-16 over the square of the angle, of accelerations by rates 1e-16 over its cube.
+
+    Of either 1e-5 is too much: at 3e-6 and at 2e-4, but for a factor of what the margin is per angle.
+    """
+    monkeypatch.setattr(Follower, "pass_through", lambda *_: None)
+    robot = row_of_four_bars(1, crank=length, coupler=length)
+    for beside, taken in ((0.01 * nearest, False), (0.1 * nearest, False), (nearest, True), (10.0 * nearest, True)):
+        rates = np.full((2, 1), rate), np.full((2, 1), second)
+        motion = PlatformMotion(np.array([0.0, 1.0]), np.array([[1.0], [beside]]), *rates, check_rates=False)
+        if taken:
+            assert inverse_kinematics(robot, motion).q[1, 1] == pytest.approx(-beside, abs=1e-9)
+        else:
+            with pytest.raises(SingularPoseError, match=r"sample 1 \(t = 1 s, x = .* the closures lose rank"):
+                inverse_kinematics(robot, motion)
+            # where no line of nodes is good enough, Newton's method closes all the same
+            if beside >= 1e-5:
+                q = inverse_kinematics(robot, motion, positions_only=True).q
+                assert q[1, 1] == pytest.approx(-beside, abs=1e-10)
+
+
+@pytest.mark.long
+def test_random_loops_on_one_crank_are_right_or_refused() -> None:
+    assert sum(require_closed_form(*random_crank(seed)) for seed in range(300)) >= 285
+
+
+@pytest.mark.long
+def test_machine_code_is_right_there_or_refuses() -> None:
+    """It carries nothing across a rank loss."""
+    assert sum(require_closed_form(*random_crank(seed), CompiledDynamics) for seed in range(200)) >= 20

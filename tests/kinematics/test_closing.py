@@ -1,4 +1,4 @@
-"""Loops closed from far away, the search for a pose in the working mode, and the turns of what is found."""
+"""Loops closed from far away and at a pose, Γ and its margin, and the search for a pose in the working mode."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from written import J, urdf_of, write_robot
 
 from redundancy_pin import load_robot
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
-from redundancy_pin.errors import DeclarationError, WorkingModeError
-from redundancy_pin.kinematics import inverse_kinematics as branch
-from redundancy_pin.kinematics import multistart as search_module
+from redundancy_pin.errors import DeclarationError
+from redundancy_pin.kinematics.assembly import (
+    assemble,
+)
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.closing import close, closed_near
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import in_working_mode, working_modes
-from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
-from redundancy_pin.kinematics.multistart import draw_starts, mixed_legs, multistart, wrapped
+from redundancy_pin.kinematics.coordinates import coordinates, difference, working_modes
+from redundancy_pin.kinematics.multistart import multistart, wrapped
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.changes import with_limits
-from redundancy_pin.robot.scales import position_unit
+from redundancy_pin.robot.scales import position_unit, row_scale
 
 TURN = 2.0 * np.pi
 AXES = np.eye(3)
@@ -134,63 +134,6 @@ def test_the_gap_that_is_left_is_what_bars_lack(tmp_path: Path) -> None:
     assert 1.0 / np.sqrt(2.0) <= caught.value.details["residual"] <= 1.01
 
 
-def test_behind_an_obstacle_the_search_takes_over() -> None:
-    """The straight way of the 2-RPR from home runs through the base hinge of leg 1, where the branch ends."""
-    robot = zoo.robot_of("2rpr")
-    system = zoo.system_of(robot)
-    behind = -0.5 * zoo.home_of(robot)
-    q = point_on_branch(system, behind).q
-    assert in_working_mode(robot, q[None])[0]
-    slides = [zoo.index(robot, f"slide_{leg}") for leg in (1, 2)]
-    np.testing.assert_allclose(q[slides], [np.hypot(*behind), np.hypot(*(behind - [0.5, 0.0]))], atol=1e-10)
-
-
-def test_only_other_modes_close_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fault injected: the search finds closed configurations, but none that counts as the right mode."""
-    robot = zoo.robot_of("five_bar")
-    nowhere = lambda robot, q: np.zeros(len(q), dtype=bool)  # noqa: E731
-    monkeypatch.setattr(branch, "in_working_mode", nowhere)
-    monkeypatch.setattr(search_module, "in_working_mode", nowhere)
-    with pytest.raises(WorkingModeError, match=r"closes only in other working modes than \+- of five_bar") as caught:
-        point_on_branch(zoo.system_of(robot), zoo.home_of(robot), sample=2)
-    assert caught.value.details["sample"] == 2
-    assert "working_mode" in caught.value.remedy
-
-
-def test_search_prefers_the_solution_nearest_to_the_guess(shipped: Robot) -> None:
-    system = zoo.system_of(shipped)
-    q, gap, closed = multistart(system, np.array(shipped.q_reference), zoo.home_of(shipped))
-    assert closed
-    assert gap < CLOSURE_TOLERANCE
-    np.testing.assert_allclose(q, shipped.q_reference, atol=1e-9)
-
-
-def test_search_finds_the_same_of_its_mode_every_time_from_a_guess_in_another() -> None:
-    robot = zoo.robot_of("3rrr", working_mode=(1, -1, 1))
-    guess = np.array(zoo.robot_of("3rrr", working_mode=(-1, 1, -1)).q_reference)
-    first, second = (multistart(zoo.system_of(robot), guess, zoo.home_of(robot)) for _ in range(2))
-    assert first.in_mode
-    np.testing.assert_array_equal(working_modes(robot, first.q[None])[0], [1, -1, 1])
-    np.testing.assert_array_equal(first.q, second.q)
-
-
-def test_search_returns_angles_within_a_turn() -> None:
-    robot = zoo.robot_of("3rrr")
-    wound = np.array(robot.q_reference)
-    wound[robot.actuated_velocity] += 2 * np.pi
-    q, _, closed = multistart(zoo.system_of(robot), wound, zoo.home_of(robot))
-    assert closed
-    assert np.abs(q).max() <= np.pi
-
-
-def test_search_turns_joints_all_around_whatever_the_characteristic_length() -> None:
-    """A characteristic length of exactly 1 m must not make angles look like lengths."""
-    robot = replace(zoo.robot_of("3rrr"), characteristic_length=1.0, working_mode=(-1, -1, -1))
-    q, _, closed = multistart(ConstraintSystem(robot), np.array(robot.q_reference), zoo.home_of(zoo.robot_of("3rrr")))
-    assert closed
-    np.testing.assert_array_equal(working_modes(robot, q[None])[0], [-1, -1, -1])
-
-
 @pytest.mark.long_for("mode0", "mode1")
 @pytest.mark.parametrize("mode", [(-1, -1, -1, -1, -1, -1), (1, -1, 1, 1, -1, -1), (-1, 1, 1, -1, 1, 1)])
 def test_every_mode_of_six_legs_is_found_for_other_lengths(mode: tuple[int, ...]) -> None:
@@ -203,16 +146,122 @@ def test_every_mode_of_six_legs_is_found_for_other_lengths(mode: tuple[int, ...]
     np.testing.assert_array_equal(np.sign(lengths), mode)
 
 
-def test_legs_are_not_mixed_where_one_is_right_in_none() -> None:
-    robot = zoo.robot_of("3rrr", working_mode=(1, 1, 1))
-    other = zoo.robot_of("3rrr", working_mode=(-1, 1, 1))
-    guess, q = np.array(robot.q_reference), np.array(other.q_reference)
-    assert mixed_legs(robot, q[None], guess) is None
-    assert mixed_legs(robot, q[None][:0], guess) is None
-    third = np.array(zoo.robot_of("3rrr", working_mode=(1, -1, 1)).q_reference)
-    mixed = mixed_legs(robot, np.array([q, third]), guess)
-    np.testing.assert_array_equal(working_modes(robot, mixed[None])[0], [1, 1, 1])
-    assert np.abs(zoo.system_of(robot).evaluate(mixed[None]).phi).max() < CLOSURE_TOLERANCE
+# --- closing at a pose, Γ and its margin
+
+
+# K of these machines has condition numbers below 1e3: the residual of its inverse stays below 1e3 roundings.
+
+
+@pytest.mark.parametrize("name", zoo.SHIPPED)
+def test_bad_guesses_end_closed_at_the_target_or_say_that_they_did_not(name: str) -> None:
+    """Random guesses one radian (or metre) off. Plain Newton loses 3 to 13 % of them on all but the 2-RPR."""
+    robot = zoo.robot_of(name)
+    system, target = zoo.system_of(robot), np.repeat(zoo.home_of(robot)[None], 400, axis=0)
+    assembled = assemble(system, zoo.random_tree(robot, 5, 400)[0], target)
+    state = system.evaluate(assembled.q)
+    away = difference(robot, target, coordinates(robot, state)) * row_scale(robot)
+    off = np.concatenate([state.phi, away], axis=1)
+    np.testing.assert_array_equal(assembled.closed, np.abs(off).max(axis=1) < CLOSURE_TOLERANCE)
+    np.testing.assert_allclose(assembled.residual, np.abs(off).max(axis=1), atol=1e-15)
+    assert assembled.closed.mean() > 0.975
+
+
+def test_newton_ends_where_full_steps_would_run_in_circles() -> None:
+    """From a nearly stretched leg a full Newton step throws the elbow over several turns; the line search does not."""
+    robot = zoo.robot_of("five_bar")
+    system = zoo.system_of(robot)
+    stretched = assemble(system, robot.q_reference[None], np.array([[0.25, np.sqrt(1 - 0.25**2) - 1e-7]])).q
+    target = np.array([[0.25, 0.3]])
+    assembled = assemble(system, stretched, target)
+    assert assembled.closed.all()
+    q, full = stretched.copy(), []
+    for _ in range(3):
+        state = system.evaluate(q)
+        k = np.concatenate([state.Jc, state.Jx], axis=1)[0][:, system.pose_columns]
+        residual = np.concatenate([-state.phi, target - coordinates(robot, state)], axis=1)[0]
+        step = np.zeros(robot.model.nv)
+        step[system.pose_columns] = np.linalg.solve(k, residual)
+        full.append(np.abs(step).max())
+        q = q + step
+    assert full[0] > 100 * np.pi  # the case is necessary
+    # the elbows stay within a turn of where they were
+    assert np.abs(assembled.q - stretched).max() < 2 * np.pi
+
+
+def test_gap_out_of_reach_compares_with_geometry() -> None:
+    """Both legs of the five-bar are short of the target; the rows of closure and target share the shortage.
+
+    The largest of four rows is at least the larger shortage over two pairs of axes, 1 / (2√2) of it. The line search
+    stops near the best; full steps would fling the legs about and leave nearly twice the shortage.
+    """
+    robot = zoo.robot_of("five_bar")
+    rng = np.random.default_rng(0)
+    angle, beyond = rng.uniform(0.2, np.pi - 0.2, 300), rng.uniform(0.05, 1.0, 300)
+    target = [0.25, 0.0] + (1.25 + beyond)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    short = np.stack([np.linalg.norm(target - hinge, axis=1) - 1.0 for hinge in ([0.0, 0.0], [0.5, 0.0])]).max(axis=0)
+    assembled = assemble(zoo.system_of(robot), np.repeat(robot.q_reference[None], 300, axis=0), target)
+    assert not assembled.closed.any()
+    assert np.all(assembled.residual > short / (2 * np.sqrt(2)))
+    assert np.all(assembled.residual < 1.1 * short)
+
+
+def test_closing_alone_changes_the_guess_as_little_as_possible() -> None:
+    """With neither target nor actuators the change is normal to the closed set, to second order in its length."""
+    robot = zoo.robot_of("3rrr")
+    system = zoo.system_of(robot)
+    closed = zoo.random_closed(robot, 22, 5)
+    push = np.zeros_like(closed)
+    push[:, system.pose_columns] = 1e-4 * np.random.default_rng(1).uniform(-1, 1, (5, len(system.pose_columns)))
+    assembled = assemble(system, closed + push)
+    assert assembled.closed.all()
+    change = assembled.q - closed - push
+    jc = system.evaluate(assembled.q).Jc
+    _, _, right = np.linalg.svd(jc[:, :, system.pose_columns])
+    tangent = right[:, jc.shape[1] :]
+    along = np.einsum("ntv,nv->nt", tangent, change[:, system.pose_columns])
+    assert np.abs(change).max() > 1e-6
+    assert np.abs(along).max() < 100 * 1e-4**2
+
+
+def test_redundant_rows_still_close() -> None:
+    """The hinge chain with its guess turned back and forth: rank-deficient steps are minimum-norm, not refused."""
+    robot = zoo.robot_of("five_bar")
+    system = zoo.system_of(robot)
+    folded = np.array(robot.q_reference)
+    for name in ("elbow_1", "elbow_2"):
+        folded[zoo.index(robot, name)] = 0.0
+    assembled = assemble(system, folded[None])
+    assert assembled.closed.all()
+
+
+def test_carriers_keep_their_positions() -> None:
+    robot = zoo.robot_of("3rrr")
+    guess = np.array(robot.q_reference)[None] + 0.01
+    guess[0, robot.carrier_position] = [0.3, -0.2, 0.1]
+    assembled = assemble(zoo.system_of(robot), guess, zoo.home_of(robot)[None])
+    np.testing.assert_array_equal(assembled.q[0, robot.carrier_position], [0.3, -0.2, 0.1])
+
+
+def test_the_search_finds_its_mode_from_any_guess() -> None:
+    """From another mode, from angles a turn further, and where a characteristic length of 1 m looks like a radian."""
+    plain = zoo.robot_of("3rrr")
+    wound = np.array(plain.q_reference)
+    wound[plain.actuated_velocity] += TURN
+    for mode, guess, size in (
+        (plain.working_mode, np.array(plain.q_reference), plain.characteristic_length),
+        (plain.working_mode, wound, plain.characteristic_length),
+        ((1, -1, 1), np.array(zoo.robot_of("3rrr", working_mode=(-1, 1, -1)).q_reference), plain.characteristic_length),
+        ((-1, -1, -1), np.array(plain.q_reference), 1.0),
+    ):
+        robot = replace(plain, working_mode=mode, characteristic_length=size)
+        (q, residual, in_mode), again = (multistart(ConstraintSystem(robot), guess, zoo.home_of(plain)) for _ in "ab")
+        assert in_mode
+        assert residual < CLOSURE_TOLERANCE
+        np.testing.assert_array_equal(working_modes(robot, q[None])[0], mode)
+        assert np.abs(q).max() <= np.pi
+        np.testing.assert_array_equal(q, again.q)
+        if mode == plain.working_mode:  # the nearest to the guess
+            np.testing.assert_allclose(q, plain.q_reference, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -220,60 +269,23 @@ def test_legs_are_not_mixed_where_one_is_right_in_none() -> None:
     [
         # within half a turn, whatever the turn; half a turn itself is the positive one
         ((-10.0, 10.0), 1.0 + 2 * TURN, None, 1.0),
-        ((-10.0, 10.0), -1.0 - 3 * TURN, None, -1.0),
-        ((-10.0, 10.0), np.pi, None, np.pi),
         ((-10.0, 10.0), -np.pi, None, np.pi),
-        ((-10.0, 10.0), 3.0, None, 3.0),
-        ((-10.0, 10.0), -3.0, None, -3.0),
         ((-10.0, 10.0), 4.0, None, 4.0 - TURN),
-        # allowed as it is: the guess does not count
-        ((-10.0, 10.0), 1.0, 7.0, 1.0),
+        # allowed as it is, also at the limit: the guess does not count
+        ((1.0, 2.0), 2.0, 7.0, 2.0),
         # beyond a limit: the turn of the guess, where that is within
-        ((3.5, 6.0), 4.0, 4.5, 4.0),
-        ((3.5, 6.0), 4.0 - TURN, 4.5, 4.0),
-        ((-6.0, -3.5), -4.0, -4.5, -4.0),
         ((-6.0, -3.5), TURN - 4.0, -4.5, -4.0),
         ((9.0, 14.0), 4.0, 10.0, 4.0 + TURN),
-        # not within there either
         ((3.5, 3.9), 4.0, 4.5, 4.0 - TURN),
-        # the very limit is within
-        ((1.0, 2.0), 1.0, 7.0, 1.0),
-        ((1.0, 2.0), 2.0, 7.0, 2.0),
-        ((4.0, 6.0), 4.0, 4.0, 4.0),
         ((3.5, 4.0), 4.0, 4.0, 4.0),
     ],
 )
-def test_passive_angles_are_of_the_turn_that_is_allowed(limits, angle, guess, expected):
-    """Exactly at limits the numbers are moved by their own rounding, so that these are of whole floats."""
+def test_passive_angles_are_of_the_turn_that_is_allowed(limits, angle, guess, expected) -> None:
     robot = with_limits(zoo.robot_of("five_bar"), {"elbow_1": {"lower": limits[0], "upper": limits[1]}})
     at = zoo.index(robot, "elbow_1")
-    q = np.array(robot.q_reference)[None].copy()
-    q[0, at] = angle
+    q = np.array(robot.q_reference)
+    q[at] = angle
     near = None if guess is None else np.array(robot.q_reference)
     if near is not None:
         near[at] = guess
-    found = wrapped(robot, q, near)
-    assert found[0, at] == pytest.approx(expected, abs=1e-14)
-    assert q[0, at] == angle  # what was given stays
-
-
-@pytest.mark.parametrize("name", ["five_bar", "2rpr", "3rrr"])
-@pytest.mark.parametrize("spread", [0.2, 1.5])
-def test_scattered_configurations_are_as_far_away_as_is_said(name, spread):
-    """Angles by the spread in rad, slides by the spread of the characteristic length; carriers stay."""
-    robot = zoo.robot_of(name)
-    system = zoo.system_of(robot)
-    q = np.array(robot.q_reference)
-    away = draw_starts(system, q, 2000, np.random.default_rng(1), turn=spread, slide=spread) - q
-    for number, joint in enumerate(robot.model.joints):
-        if not number or joint.nq != 1:
-            continue
-        most = np.abs(away[:, joint.idx_q]).max()
-        if joint.idx_v in robot.carrier_velocity:
-            assert most == 0.0
-        else:
-            size = robot.characteristic_length if "P" in str(joint.shortname()).removeprefix("JointModel") else 1.0
-            # the largest of 2000 even numbers is within 1 % of their bound
-            assert 0.99 * spread * size < most <= spread * size * (1.0 + 1e-12)
-            # as many to either side, within three deviations of the mean
-            assert abs(away[:, joint.idx_q].mean()) < 3.0 * spread * size / np.sqrt(3.0 * 2000)
+    assert wrapped(robot, q[None], near)[0, at] == pytest.approx(expected, abs=1e-14)

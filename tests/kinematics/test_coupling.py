@@ -179,13 +179,6 @@ def test_forward_dynamics_and_derivatives(robot: Robot) -> None:
         ConstraintDynamics(robot)
 
 
-def test_a_gear_counts_turns(robot: Robot) -> None:
-    lifted = rp.inverse_kinematics(
-        robot, rp.PlatformMotion([0.0, 1.0], [[0.3, 0.2], [0.4, 1.4]], np.zeros((2, 2)), np.zeros((2, 2)))
-    )
-    np.testing.assert_allclose(lifted.q[1], by_hand(np.array([0.4, 1.4]))[0], atol=1e-12)
-
-
 def test_from_a_model_and_held_joints(robot: Robot) -> None:
     given = [("slide", "arm", CAM.coef), robot.couplings[1], {"joint": "elbow", "of": "arm", "polynomial": [0.1, -2.0]}]
     roles = {"actuated": ["arm", "rotor"], "independent": ["arm", "lid"]}

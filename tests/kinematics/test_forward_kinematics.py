@@ -253,41 +253,6 @@ def test_redundant_motors_lead_through_singularities_of_some_of_them(five_bar: r
     assert np.abs(solution.xdd - motion.xdd).max() < 1e-9
     through = np.einsum("nij,nj->ni", solution.jacobian, ud)
     assert np.abs(through - motion.xd).max() < 1e-10
-    # others take over behind the first sample at which the margin is half of what it was when they began to be followed
-    followed = np.abs(solution.jacobian).max(axis=1) > 0.0
-    handed = np.flatnonzero((followed[1:] != followed[:-1]).any(axis=1))
-    assert len(handed)
-    for first, last in zip([0, *(handed[:-1] + 1)], handed, strict=True):
-        margin = solution.margin[first : last + 1]
-        assert margin[-1] < 0.5 * margin[0] <= margin[1:-1].min(initial=np.inf)
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"start": 0.1}, "start does not close"),
-        ({"actuated": [[2.0]]}, "actuated has shape"),
-        ({"actuated": [1e4 * np.pi, 1.0]}, "whole turns between samples"),
-        ({"actuated": [1.0, -2e6 * np.pi]}, "whole turns between samples"),
-        ({"actuated": [0.0, 1e15]}, "where in a turn"),
-        ({"actuated": [0.0, -1e90]}, "where in a turn"),
-        *(({"actuated": wrong}, None) for wrong in ("x", [[1, 2], [3]], [1.0], 10**400, [np.nan, 0.0])),
-        *(({"rates": wrong}, None) for wrong in ("x", [[1, 2], [3]], [1.0], 10**400, [np.nan, 0.0])),
-    ],
-)
-def test_motors_of_no_sense_are_refused(five_bar: rp.Robot, given: dict[str, object], message: str | None) -> None:
-    if "start" in given:
-        given = {"start": np.array(five_bar.q_reference) + given["start"]}
-    with pytest.raises(InputError, match=message):
-        rp.forward_kinematics(five_bar, **{"actuated": motors(five_bar, five_bar.q_reference), **given})
-
-
-def test_robots_and_searches_of_no_sense_are_refused(five_bar: rp.Robot) -> None:
-    weak = replace(five_bar, actuated=five_bar.actuated[:1])
-    with pytest.raises(UnsupportedRobotError, match="1 main actuators and 2 freedoms"):
-        rp.forward_kinematics(weak, motors(five_bar, five_bar.q_reference)[:1])
-    with pytest.raises(InputError):
-        rp.assembly_modes(five_bar, np.ones(2), most_starts="x")
 
 
 def test_angles_of_the_platform_count_the_turns_between_far_samples_and_from_call_to_call() -> None:
@@ -329,48 +294,6 @@ def test_thousands_of_turns_of_one_motor_take_no_longer_than_three() -> None:
     assert many.status_labels.tolist() == ["out_of_range"]
 
 
-def geared(ratio: float) -> rp.Robot:
-    """Return a motor that turns a joint on its shaft by a gear, and the platform with both."""
-    model = pin.Model()
-    for parent, name in enumerate(("motor", "geared")):
-        zoo.add_body(model, parent, pin.JointModelRZ(), 0.0, 0.0, name)
-    model.addBodyFrame("tip", 2, pin.SE3.Identity(), 0)
-    return rp.robot_from_model(
-        model,
-        actuated=["motor"],
-        closures=[],
-        couplings=[rp.robot.Coupling("gears", "geared", "motor", (0.0, ratio))],
-        independent={"platform": "tip", "axes": ["rz"]},
-        reference={"platform": [0.1 * (1.0 + ratio)], "guess": {"motor": 0.1, "geared": 0.1 * ratio}},
-    )
-
-
-@pytest.mark.parametrize("ratio", [2.0, -3.0, 0.5])
-def test_what_turns_with_the_motor_turns_as_often(ratio: float) -> None:
-    """A gear of ratio 1 : 2 is back after a turn of the motor, one of 2 : 1 after two."""
-    robot = geared(ratio)
-    u = np.array([[0.7], [20_001.3], [19_990.2]])
-    solution = rp.forward_kinematics(robot, u)
-    np.testing.assert_allclose(solution.q, u * [1.0, ratio], rtol=1e-12, atol=1e-9)
-    np.testing.assert_allclose(solution.x, u * (1.0 + ratio), rtol=1e-12, atol=1e-9)
-
-
-def test_turns_that_never_repeat_lose_the_branch() -> None:
-    """With a ratio of √2 / 10; motions are marked there, or refused with the sample."""
-    robot = geared(0.1 * np.sqrt(2.0))
-    far = [[0.3], [1e5], [0.4]]
-    there = rp.forward_kinematics(robot, far)
-    assert there.status_labels.tolist() == ["ok", "branch_lost", "branch_lost"]
-    assert np.isnan(there.residual).tolist() == [False, True, False]
-    motion = rp.PlatformMotion([0.0, 1.0, 2.0], far, np.zeros((3, 1)), np.zeros((3, 1)), check_rates=False)
-    driven = replace(robot, platform=None, independent_joints=("motor",))
-    marked = rp.inverse_kinematics(driven, motion, mark_unreachable=True)
-    assert marked.reachable.tolist() == [True, False, True]
-    with pytest.raises(UnreachablePoseError, match="do not repeat") as caught:
-        rp.inverse_kinematics(driven, motion)
-    assert caught.value.details["sample"] == 1
-
-
 @pytest.mark.parametrize(("most", "attempts"), [(None, 512), (1, 128), (128, 128), (129, 256), (3000, 512)])
 def test_motors_that_no_configuration_has_are_given_up(five_bar: rp.Robot, most: int | None, attempts: int) -> None:
     """The proximal links point away from each other: 1.5 m are left for two distal links of 0.5 m."""
@@ -407,3 +330,22 @@ def test_modes_are_said_with_their_ranges_margins_and_hits(five_bar: rp.Robot) -
     again = rp.assembly_modes(narrow, u)
     assert again.in_range.tolist() == (again.q[:, at] > 0.5 * (low + high)).tolist()
     assert sorted(again.in_range) == [False, True]
+
+
+def test_motors_robots_and_searches_of_no_sense_are_refused(five_bar: rp.Robot) -> None:
+    home, wrong = motors(five_bar, five_bar.q_reference), ("x", [[1, 2], [3]], [1.0], 10**400, [np.nan, 0.0])
+    for given, message in (
+        ({"start": np.array(five_bar.q_reference) + 0.1}, "start does not close"),
+        ({"actuated": [[2.0]]}, "actuated has shape"),
+        ({"actuated": [1e4 * np.pi, 1.0]}, "whole turns between samples"),
+        ({"actuated": [1.0, -2e6 * np.pi]}, "whole turns between samples"),
+        ({"actuated": [0.0, 1e15]}, "where in a turn"),
+        ({"actuated": [0.0, -1e90]}, "where in a turn"),
+        *(({name: value}, None) for name in ("actuated", "rates") for value in wrong),
+    ):
+        with pytest.raises(InputError, match=message):
+            rp.forward_kinematics(five_bar, **{"actuated": home, **given})
+    with pytest.raises(UnsupportedRobotError, match="1 main actuators and 2 freedoms"):
+        rp.forward_kinematics(replace(five_bar, actuated=five_bar.actuated[:1]), home[:1])
+    with pytest.raises(InputError):
+        rp.assembly_modes(five_bar, np.ones(2), most_starts="x")

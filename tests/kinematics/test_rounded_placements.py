@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
+from loop_oracle import Loops
 from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
@@ -257,51 +258,18 @@ FORMATS: dict[str, Callable[[Path, Machine], Robot]] = {
 # --- the exact machine, by plain Pinocchio ----------------------------------------------------------------------------
 
 
-class Plane:
-    """Inverse dynamics of an exact machine whose loops are closed in the plane x, y."""
-
-    def __init__(self, machine: Machine) -> None:
-        self.model, ids = pin.Model(), {"ground": 0}
-        self.model.gravity.linear = GRAVITY
-        for body in machine.bodies:
-            kind = pin.JointModelPrismaticUnaligned if body.slides else pin.JointModelRevoluteUnaligned
-            ids[body.name] = self.model.addJoint(ids[body.parent], kind(body.axis), body.place, body.name)
-            self.model.appendBodyToJoint(ids[body.name], body.inertia, pin.SE3.Identity())
-        self.ends = [
-            tuple(
-                self.model.addFrame(pin.Frame(f"{k}{side}", ids[end.body], end.place, pin.FrameType.OP_FRAME))
-                for end, side in zip(ends, "ab", strict=True)
-            )
-            for k, ends in enumerate(machine.hinges)
-        ]
-        self.driven = [self.model.joints[ids[name]].idx_v for name in machine.driven]
-        self.data = self.model.createData()
-
-    def rows(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return residuals, Jacobian and its rate times v of the loops, then of the driven joints."""
-        model, data, axes = self.model, self.data, pin.LOCAL_WORLD_ALIGNED
-        pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-        pin.computeJointJacobians(model, data, q)
-        pin.updateFramePlacements(model, data)
-        gaps, rows, bias = [], [], []
-        for a, b in self.ends:
-            gaps.append((data.oMf[b].translation - data.oMf[a].translation)[:2])
-            rows.append(np.subtract(*(pin.getFrameJacobian(model, data, each, axes)[:2] for each in (b, a))))
-            accelerations = (pin.getFrameClassicalAcceleration(model, data, each, axes).linear for each in (b, a))
-            bias.append(np.subtract(*accelerations)[:2])
-        rows.append(np.eye(model.nv)[self.driven])
-        return np.concatenate(gaps), np.concatenate(rows), np.concatenate([*bias, np.zeros(len(self.driven))])
-
-    def torque(self, x: np.ndarray, xd: np.ndarray, xdd: np.ndarray) -> np.ndarray:
-        q, still, n = np.zeros(self.model.nq), np.zeros(self.model.nv), len(x)
-        for _ in range(20):
-            gap, K, _ = self.rows(q, still)
-            q = q + np.linalg.solve(K, np.concatenate([-gap, x - q[self.driven]]))
-        v = np.linalg.solve(K, np.concatenate([np.zeros(len(K) - n), xd]))
-        _, K, bias = self.rows(q, v)
-        a = np.linalg.solve(K, np.concatenate([np.zeros(len(K) - n), xdd]) - bias)
-        # Kᵀ (λ, τ) = rnea
-        return np.linalg.solve(K.T, pin.rnea(self.model, self.data, q, v, a))[-n:]
+def in_plane(machine: Machine) -> Loops:
+    """Return the exact machine with its loops closed in the plane x, y."""
+    model, ids = pin.Model(), {"ground": 0}
+    model.gravity.linear = GRAVITY
+    for body in machine.bodies:
+        kind = pin.JointModelPrismaticUnaligned if body.slides else pin.JointModelRevoluteUnaligned
+        ids[body.name] = model.addJoint(ids[body.parent], kind(body.axis), body.place, body.name)
+        model.appendBodyToJoint(ids[body.name], body.inertia, pin.SE3.Identity())
+    for k, ends in enumerate(machine.hinges):
+        for end, side in zip(ends, "ab", strict=True):
+            model.addFrame(pin.Frame(f"{side}_{k}", ids[end.body], end.place, pin.FrameType.OP_FRAME))
+    return Loops(model, [(f"a_{k}", f"b_{k}") for k in range(len(machine.hinges))], machine.driven)
 
 
 def samples(n: int) -> list[np.ndarray]:
@@ -311,7 +279,7 @@ def samples(n: int) -> list[np.ndarray]:
 
 def error(machine: Machine, dynamics: object) -> float:
     """Return the largest difference of efforts from the exact machine's, relative to the largest effort."""
-    exact = Plane(machine)
+    exact = in_plane(machine)
     want = np.array([exact.torque(*motion) for motion in samples(len(machine.driven))])
     got = [dynamics.torque(*motion) for motion in samples(len(machine.driven))]
     assert {each.status for each in got} <= {SampleStatus.OK, SampleStatus.NEAR_SINGULAR}
@@ -342,37 +310,13 @@ def test_rounded_placements(name: str, kind: str, tmp_path: Path) -> None:
     assert 2e-3 < caught.value.details["residual"] < 0.1
 
 
-@pytest.mark.parametrize(
-    ("name", "kind", "seed", "is_taken"),
-    [
-        ("2rpr", "urdf", 1000, False),
-        ("2rpr", "urdf", 1011, False),
-        ("five_bar", "sdf", 1002, False),
-        ("five_bar", "sdf", 1000, True),
-        ("five_bar", "sdf", 1006, True),
-    ],
-)
-def test_between_rounded_and_wrong(name: str, kind: str, seed: int, is_taken: bool, tmp_path: Path) -> None:
-    """Placements off by 1e-3 are taken where the loops open by less than rounding, and are never another machine."""
-    exact = drawn(name)
-    wrong = off(exact, 1e-3, np.random.default_rng(seed))
-    if not is_taken:
-        with pytest.raises(DeclarationError, match="redundant except for") as caught:
-            FORMATS[kind](tmp_path, wrong)
-        assert 1e-3 < caught.value.details["residual"] < 1e-2
-        return
-    robot = FORMATS[kind](tmp_path, wrong)
-    assert robot.independent_joints == exact.driven
-    assert error(exact, rp.RneaDynamics(robot)) < AMPLIFIED * 1e-3
-
-
 @pytest.mark.parametrize("kind", ["urdf", "yaml", "sdf"])
 def test_what_is_taken_turns_round(kind: str, tmp_path: Path) -> None:
     """A tilted coupler, drawn with its loop open: refused, or the machine of the file with efforts all round."""
     exact = drawn("four_bar")
     x, one = np.linspace(-3.0, 3.0, 13)[:, None], np.ones((13, 1))
     motion, taken, want = rp.PlatformMotion(x[:, 0], x, one, 0.0 * one), [], np.zeros(0)
-    for tilt in (0.0, 2e-4, *np.linspace(3e-4, 2e-3, 18), 1e-2):
+    for tilt in (0.0, 2e-4, *np.linspace(3e-4, 2e-3, 9), 1e-2):
         off_by = pin.SE3(pin.exp3(np.array([tilt, 0.0, 0.0 if kind == "sdf" else 0.2])), np.zeros(3))
         bodies = [each._replace(place=each.place * off_by) if each.name == "coupler" else each for each in exact.bodies]
         try:

@@ -9,18 +9,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
-from spatial_chains import CHAINS, RCCC_TWISTS, chain_of
-from written import J, urdf_of, write_robot
+from loop_oracle import Loops
+from spatial_chains import CHAINS, chain_of
+from written import urdf_of, write_robot
 
+import redundancy_pin as rp
 from redundancy_pin import PlatformMotion, RneaDynamics, distribute, forward_kinematics, load_robot
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import AXES, Robot
 
 CLOSED = 1e-11  # the package's own closure tolerance, here measured by Pinocchio
-STEP = 1e-5
-DIFFERENCES = 2e-8  # STEP² times third derivatives of order 10², and 1e-15 / STEP
 
 
 def swing(robot: Robot, t: np.ndarray) -> PlatformMotion:
@@ -85,51 +84,6 @@ def test_any_coordinate_of_the_rocker_has_the_efforts_of_the_crank(axis: str, tm
     np.testing.assert_allclose(distribute(got).tau[0], distribute(want).tau[2], rtol=1e-6)
 
 
-def test_rccc_axes_obey_the_spherical_four_bar() -> None:
-    """Duffy's cosine law: the axes' directions form a spherical quadrilateral, whatever the slides do."""
-    robot = chain_of("cylindrical")
-    q = inverse_kinematics(robot, swing(robot, np.linspace(0.0, 1.2, 15))).q
-    crank, turn_2 = (q[:, zoo.index(robot, name)] for name in ("crank", "turn_2"))
-    alpha, beta, gamma, delta = RCCC_TWISTS
-    # axis 1 = z of the base, axis 4 = z of the pivot; axes 3 and 4 keep the angle gamma
-    axis_4 = np.array([0.0, -np.sin(delta), np.cos(delta)])
-    about_z = np.array([[np.cos(crank), -np.sin(crank)], [np.sin(crank), np.cos(crank)]])
-    inner = np.array([np.sin(beta) * np.sin(turn_2), -np.sin(beta) * np.cos(turn_2), np.full_like(crank, np.cos(beta))])
-    y = np.cos(alpha) * inner[1] - np.sin(alpha) * inner[2]
-    z = np.sin(alpha) * inner[1] + np.cos(alpha) * inner[2]
-    axis_3 = np.array([about_z[0, 0] * inner[0] + about_z[0, 1] * y, about_z[1, 0] * inner[0] + about_z[1, 1] * y, z])
-    np.testing.assert_allclose(axis_4 @ axis_3, np.cos(gamma), atol=CLOSED)
-
-
-def test_a_hinge_turned_over_is_not_closed() -> None:
-    """Opposite hinge axes make all five rows vanish; only the misalignment tells."""
-    robot = chain_of("hinge")
-    system = zoo.system_of(robot)
-    rng = np.random.default_rng(2)
-    q = robot.q_reference + rng.uniform(-np.pi, np.pi, (200, robot.model.nq))
-    assembled = assemble(system, q, np.full((200, 1), 0.6))
-    upright = np.array([placement.rotation[2, 2] for placement in relative_placements(robot, assembled.q)])
-    rows_vanish = np.abs(assembled.state.phi).max(axis=1) < CLOSED
-    over = rows_vanish & (upright < 0.0)
-    assert over.any()
-    assert not assembled.closed[over].any()
-    np.testing.assert_allclose(assembled.residual[over], np.pi * robot.characteristic_length, atol=1e-6)
-    assert assembled.closed[rows_vanish & (upright > 0.0)].all()
-
-
-def test_continuous_joints_move_like_revolute_ones() -> None:
-    endless, bounded = chain_of("continuous"), zoo.robot_of("four_bar")
-    t = np.linspace(0.0, 2.0, 60)
-    # the crank turns four times: the coordinate leaves (−π, π], which continuous joints cannot hold
-    angle, rate = (1.0 + 4 * np.pi * t)[:, None], np.full((60, 1), 4 * np.pi)
-    motion = PlatformMotion(t, angle, rate, np.zeros((60, 1)))
-    one, two = inverse_kinematics(endless, motion), inverse_kinematics(bounded, motion)
-    for joint in ("crank", "rocker", "coupler"):
-        i, j = (robot.model.joints[robot.model.getJointId(joint)].idx_v for robot in (endless, bounded))
-        np.testing.assert_allclose(one.v[:, i], two.v[:, j], atol=1e-9)
-        np.testing.assert_allclose(one.a[:, i], two.a[:, j], atol=1e-8)
-
-
 @pytest.mark.parametrize("turns", [0, 1])
 def test_forward_kinematics_of_a_continuous_motor(turns: int) -> None:
     robot = chain_of("continuous")
@@ -139,35 +93,6 @@ def test_forward_kinematics_of_a_continuous_motor(turns: int) -> None:
     np.testing.assert_allclose(solution.q[0, at : at + 2], [np.cos(1.2), np.sin(1.2)], atol=CLOSED)
 
 
-def test_a_bennett_linkage_is_named_as_over_constrained(tmp_path: Path) -> None:
-    """It moves with one freedom, though Grübler counts −2: three of the five hinge rows are redundant.
-
-    Link lengths are in the ratio of the sines of the twists; Bennett's relation of the half angles closes it.
-    """
-    alpha, beta, first = 0.5, 0.9, 0.8
-    a, b = np.sin(alpha), np.sin(beta)
-    joints = [
-        J("hinge_1", "revolute", "base", "link_1"),
-        J("hinge_2", "revolute", "link_1", "link_2", (a, 0, 0), (alpha, 0, 0)),
-        J("hinge_3", "revolute", "link_2", "link_3", (b, 0, 0), (beta, 0, 0)),
-        J("tip_mount", "fixed", "link_3", "tip", (a, 0, 0), (alpha, 0, 0)),
-        # the fourth link, seen from hinge 1 against its direction
-        J("pivot_mount", "fixed", "base", "pivot", (-b, 0, 0), (-beta, 0, 0)),
-    ]
-    ratio = np.sin((beta + alpha) / 2) / np.sin((beta - alpha) / 2)
-    second = float(2 * np.arctan(ratio / np.tan(first / 2)))
-    guess = {"hinge_1": first, "hinge_2": second, "hinge_3": 2 * np.pi - first}
-    declaration = {
-        "closures": [{"name": "last hinge", "frames": ["pivot", "tip"], "axes": ["x", "y", "z", "rx", "ry"]}],
-        "actuated": ["hinge_1"],
-        "independent": {"joints": ["hinge_1"]},
-        "reference": {"joints": {"hinge_1": first}, "guess": guess},
-    }
-    with pytest.raises(DeclarationError, match=r"over-constrained.*-2 freedoms.*3 row.*'last hinge'") as caught:
-        load_robot(write_robot(tmp_path, urdf_of(joints), declaration))
-    assert caught.value.details["rank"] == 2
-
-
 def test_a_planar_four_bar_closed_by_a_hinge_names_the_rows_to_take_out(tmp_path: Path) -> None:
     joints, declaration = CHAINS["continuous"]
     hinge = {"frames": ["crank_tip", "coupler_tip"], "axes": ["x", "y", "z", "rx", "ry"]}
@@ -175,3 +100,65 @@ def test_a_planar_four_bar_closed_by_a_hinge_names_the_rows_to_take_out(tmp_path
     with pytest.raises(DeclarationError, match=r"z of .*, rx of .*, ry of ") as caught:
         load_robot(write_robot(tmp_path, urdf_of(joints), hinged))
     assert caught.value.details["freedoms"] == -2
+
+
+# --- the spin of a rod between two balls of the tree is held
+
+
+CRANK, ROD, ROCKER = 0.1, 0.2, np.array([0.02, 0.0, 0.2])
+"""m: the crank from the origin along x, a rod on a ball, a rocker on a second ball; two points lead the rocker."""
+
+PIVOT = np.array([CRANK + ROD, 0.0, 0.0]) + ROCKER
+
+SMALL = f"""<mujoco model="small"><compiler angle="radian"/><worldbody>
+<body name="crank"><joint name="motor" axis="0 1 0"/><inertial pos="0.05 0 0" mass="0.2" diaginertia="1e-4 2e-4 2e-4"/>
+<body name="rod" pos="{CRANK} 0 0"><joint name="near" type="ball"/>
+<inertial pos="0.1 0 0" mass="0.3" diaginertia="1e-5 1e-3 1e-3"/>
+<body name="rocker" pos="{ROD} 0 0"><joint name="far" type="ball"/>
+<inertial pos="0 0 0.1" mass="0.25" diaginertia="5e-4 5e-4 1e-5"/>
+<site name="p" pos="0.02 0.05 0.2"/><site name="m" pos="0.02 -0.05 0.2"/></body></body></body>
+<site name="wp" pos="{PIVOT[0]} 0.05 {PIVOT[2]}"/><site name="wm" pos="{PIVOT[0]} -0.05 {PIVOT[2]}"/>
+</worldbody><equality><connect site1="p" site2="wp"/><connect site1="m" site2="wm"/></equality>
+<actuator><motor joint="motor"/></actuator></mujoco>"""
+
+
+def planar() -> Loops:
+    """Return the same linkage with hinges about y in place of balls, its pivot held in x and z."""
+    model, parent = pin.Model(), 0
+    bodies = [
+        (0.0, 0.2, [0.05, 0.0, 0.0], [1e-4, 2e-4, 2e-4]),
+        (CRANK, 0.3, [0.1, 0.0, 0.0], [1e-5, 1e-3, 1e-3]),
+        (ROD, 0.25, [0.0, 0.0, 0.1], [5e-4, 5e-4, 1e-5]),
+    ]
+    for i, (at, mass, centre, moments) in enumerate(bodies):
+        place = pin.SE3(np.eye(3), np.array([at, 0.0, 0.0]))
+        parent = model.addJoint(parent, pin.JointModelRY(), place, f"hinge_{i}")
+        model.appendBodyToJoint(parent, pin.Inertia(mass, np.array(centre), np.diag(moments)), pin.SE3.Identity())
+    for name, joint, at in (("tip", parent, ROCKER), ("pivot", 0, PIVOT)):
+        model.addFrame(pin.Frame(name, joint, pin.SE3(np.eye(3), at), pin.FrameType.OP_FRAME))
+    return Loops(model, [("pivot", "tip")], ["hinge_0"], (0, 2))
+
+
+def test_a_rod_between_two_balls_of_the_tree(tmp_path: Path) -> None:
+    """One degree of freedom, and the efforts of the planar linkage."""
+    pytest.importorskip("mujoco")
+    path = tmp_path / "small.xml"
+    path.write_text(SMALL)
+    robot = rp.load_robot(path)
+    assert (robot.n, robot.independent_joints) == (1, ("motor",))
+    assert any(note.startswith("The spin of near about the line between two balls") for note in robot.notes)
+    dynamics = rp.RneaDynamics(robot)
+    for motion in ((0.0, 0.0, 0.0), (0.3, 2.0, -4.0), (-0.2, -3.0, 5.0)):
+        tau = dynamics.torque(*(np.array([each]) for each in motion)).tau
+        np.testing.assert_allclose(tau, planar().torque(*(np.array([each]) for each in motion)), rtol=1e-9)
+
+
+def test_a_centre_of_mass_off_the_line_by_little_is_noted(tmp_path: Path) -> None:
+    """0.1 mm of 0.2 m is no rounding: what holds the spin carries its moment."""
+    pytest.importorskip("mujoco")
+    path = tmp_path / "small.xml"
+    for height, is_noted in ((0.0, False), (1e-4, True)):
+        path.write_text(SMALL.replace('pos="0.1 0 0"', f'pos="0.1 0 {height}"'))
+        notes = [note for note in rp.load_robot(path).notes if "off that line: near by 0.0001 m" in note]
+        assert len(notes) == is_noted
+        assert any("off that line" in note for note in rp.load_robot(path).notes) == is_noted

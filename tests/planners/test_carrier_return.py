@@ -10,10 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from redundancy_pin.planners.carrier_return import CarrierState, return_polynomial, shortest_return
+from redundancy_pin.planners.limits import Limits
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.trajectory.functions_of_time import carriers_at
 
 ROBOT = zoo.robot_of("2rpr")
+LIMITS = Limits().resolved(ROBOT)
 TRACK, SPEED, ACCELERATION = 0.2, 2.5, 10.0
 """As declared in models/2rpr."""
 
@@ -66,8 +68,8 @@ def test_durations_between_two_candidates_are_found(wanted):
     there = carriers_at(return_polynomial(state, wanted, datum), state.t + np.linspace(0.0, wanted, 20_001))
     track, acceleration = (1.001 * float(np.abs(part).max()) for part in (there.s, there.sdd))
     only = CarrierLimits(lower=-track, upper=track, speed=np.inf, acceleration=acceleration, force=np.inf)
-    robot = replace(zoo.robot_of("2rpr"), carriers=ROBOT.carriers[:1], carrier_limits=(only,))
-    duration, used, _ = shortest_return(robot, no_force, state, datum, AVAILABLE)
+    robot = replace(ROBOT, carriers=ROBOT.carriers[:1], carrier_limits=(only,))
+    duration, used, _ = shortest_return(Limits().resolved(robot), no_force, state, datum, AVAILABLE)
     assert duration == pytest.approx(wanted, rel=2e-3)
     assert used <= 1.0 + 1e-9
 
@@ -101,7 +103,7 @@ def test_extremes_are_found():
 )
 def test_shortest_against_brute_force(s, sd, sdd, datum):
     state, place = state_of(s, sd, sdd), np.full(2, datum)
-    duration, use, _ = shortest_return(ROBOT, no_force, state, place, AVAILABLE)
+    duration, use, _ = shortest_return(LIMITS, no_force, state, place, AVAILABLE)
     durations = np.geomspace(2e-3, AVAILABLE, 150)
     uses = largest_use(state, durations, place, 201)
     if duration is None:
@@ -117,7 +119,7 @@ def test_shortest_against_brute_force(s, sd, sdd, datum):
 
 
 def test_carrier_at_rest_at_its_datum_returns_at_once():
-    duration, use, _ = shortest_return(ROBOT, no_force, state_of([0, 0], [0, 0], [0, 0]), np.zeros(2), AVAILABLE)
+    duration, use, _ = shortest_return(LIMITS, no_force, state_of([0, 0], [0, 0], [0, 0]), np.zeros(2), AVAILABLE)
     assert duration == pytest.approx(1e-3 * AVAILABLE)
     assert use == 0.0
 
@@ -131,7 +133,7 @@ def test_narrow_interval_of_durations_is_found():
     seen = []
     for speed in SPEEDS:
         state = state_of([0.05, 0.0], [speed, 0.0], [0.0, 0.0])
-        intervals, *_ = shortest_return(ROBOT, no_force, state, np.zeros(2), AVAILABLE)
+        intervals, *_ = shortest_return(LIMITS, no_force, state, np.zeros(2), AVAILABLE)
         seen.append(intervals is not None)
     last = int(np.flatnonzero(seen)[-1]) if any(seen) else -1
     assert 0 <= last < len(SPEEDS) - 1
@@ -147,8 +149,8 @@ def test_forces_count():
     def force(t, s, sd, sdd):
         return 150.0 * sdd  # reaches the declared 1000 N before s̈ reaches 10 m/s²
 
-    free, *_ = shortest_return(ROBOT, no_force, state, np.zeros(2), AVAILABLE)
-    limited, _, use = shortest_return(ROBOT, force, state, np.zeros(2), AVAILABLE)
+    free, *_ = shortest_return(LIMITS, no_force, state, np.zeros(2), AVAILABLE)
+    limited, _, use = shortest_return(LIMITS, force, state, np.zeros(2), AVAILABLE)
     assert limited > free
     assert use.quantity == "force"
     path = return_polynomial(state, limited, np.zeros(2))
@@ -157,7 +159,7 @@ def test_forces_count():
 
 
 def test_state_off_the_track_has_no_return():
-    duration, _, use = shortest_return(ROBOT, no_force, state_of([-0.25, 0], [0, 0], [0, 0]), np.zeros(2), AVAILABLE)
+    duration, _, use = shortest_return(LIMITS, no_force, state_of([-0.25, 0], [0, 0], [0, 0]), np.zeros(2), AVAILABLE)
     assert duration is None
     assert use.quantity == "track"
     assert use.carrier == "carrier_1"

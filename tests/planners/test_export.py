@@ -57,7 +57,7 @@ def read(path: Path) -> dict[str, Array]:
 
 
 def test_rows_at_a_rate_are_the_plan_between_its_samples(plan: Plan, tmp_path: Path) -> None:
-    plan.to_csv(tmp_path / "plan.csv", 400)
+    plan.table(400).to_csv(tmp_path / "plan.csv")
     table = read(tmp_path / "plan.csv")
     t = table["t [s]"]
     assert len(t) == np.ceil(400 * plan.t[-1]) + 1
@@ -98,7 +98,7 @@ def test_efforts_are_those_of_the_motion_by_either_backend(plan: Plan, backend: 
 
 def test_without_a_rate_rows_are_the_samples(plan: Plan, corner: Plan, tmp_path: Path) -> None:
     for each in (plan, corner):
-        each.to_csv(tmp_path / "plan.csv")
+        each.table().to_csv(tmp_path / "plan.csv")
         table = read(tmp_path / "plan.csv")
         np.testing.assert_array_equal(table["t [s]"], each.t)
         for i, name in enumerate(each.robot.actuated):
@@ -140,8 +140,8 @@ def test_a_row_on_a_jump_has_what_comes_after(corner: Plan, turning: Robot) -> N
 
 
 def test_json_holds_the_same_columns_with_their_units(plan: Plan, tmp_path: Path) -> None:
-    plan.to_csv(tmp_path / "plan.csv", 50)
-    plan.to_json(tmp_path / "plan.json", 50)
+    plan.table(50).to_csv(tmp_path / "plan.csv")
+    plan.table(50).to_json(tmp_path / "plan.json")
     data = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
     for title, values in read(tmp_path / "plan.csv").items():
         name, unit = title.removesuffix("]").split(" [")
@@ -153,7 +153,7 @@ def test_json_holds_the_same_columns_with_their_units(plan: Plan, tmp_path: Path
 
 
 def test_a_mat_file_holds_matrices_by_joint(plan: Plan, tmp_path: Path) -> None:
-    plan.to_mat(tmp_path / "plan.mat", 50)
+    plan.table(50).to_mat(tmp_path / "plan.mat")
     table, matlab = plan.table(50), loadmat(tmp_path / "plan.mat", simplify_cells=True)
     assert list(matlab["joints"]) == list(table.joints)
     for name in ("t", "position", "rate", "acceleration", "effort"):
@@ -170,7 +170,7 @@ def test_a_joint_trajectory_has_the_fields_of_the_message(
     corner: Plan, turning: Robot, suffix: str, tmp_path: Path
 ) -> None:
     path = tmp_path / f"trajectory{suffix}"
-    corner.to_ros(path, 100, robot=turning)
+    corner.table(100, robot=turning).to_ros(path)
     text = path.read_text(encoding="utf-8")
     message = json.loads(text) if suffix == ".json" else yaml.safe_load(text)  # to YAML 1e-16 is no number
     assert set(message) == {"header", "joint_names", "points"}
@@ -193,7 +193,7 @@ def test_a_joint_trajectory_has_the_fields_of_the_message(
 
 
 def test_a_data_frame_has_the_columns(plan: Plan) -> None:
-    frame, table = plan.to_dataframe(20), plan.table(20)
+    frame, table = plan.table(20).to_dataframe(), plan.table(20)
     np.testing.assert_array_equal(frame.index, table.t)
     np.testing.assert_array_equal(frame["tau:slide_2"], table.effort[:, 1])
     assert frame.attrs["units"]["tau:slide_2"] == "N"
@@ -203,13 +203,13 @@ def test_samples_without_efforts_say_so_in_every_format(corner: Plan, turning: R
     tau = np.array(corner.tau)
     tau[3] = np.nan
     broken = replace(corner, tau=tau, status=ResultStatus.UNBOUNDED)
-    broken.to_csv(tmp_path / "plan.csv", robot=turning)
+    broken.table(robot=turning).to_csv(tmp_path / "plan.csv")
     name = corner.robot.actuated[0]
     assert np.isnan(read(tmp_path / "plan.csv")[f"tau:{name} [N*m]"][3])
-    broken.to_json(tmp_path / "plan.json", robot=turning)
+    broken.table(robot=turning).to_json(tmp_path / "plan.json")
     assert json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))["columns"][f"tau:{name}"][3] is None
     with pytest.raises(InputError, match="no finite efforts at t = "):
-        broken.to_ros(tmp_path / "plan.yaml", robot=turning)
+        broken.table(robot=turning).to_ros(tmp_path / "plan.yaml")
     assert not (tmp_path / "plan.yaml").exists()
 
 
@@ -218,20 +218,20 @@ def test_a_motion_without_finite_efforts_has_no_rows_between_its_samples(tmp_pat
     circle = rp.trajectory.reference.circle().sample(0.01)
     plan = parked_plan(parked, circle)
     with pytest.raises(InfeasiblePlanError, match="no finite efforts"):
-        plan.to_csv(tmp_path / "plan.csv", 100)
+        plan.table(100).to_csv(tmp_path / "plan.csv")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, 1e12, "fast"])
 def test_rates_that_are_none_are_refused(rate: Any, plan: Plan, tmp_path: Path) -> None:
     with pytest.raises(InputError):
-        plan.to_csv(tmp_path / "plan.csv", rate)
+        plan.table(rate).to_csv(tmp_path / "plan.csv")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_message_has_the_suffix_of_its_format(corner: Plan, turning: Robot, tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"\.yaml"):
-        corner.to_ros(tmp_path / "trajectory.csv", robot=turning)
+        corner.table(robot=turning).to_ros(tmp_path / "trajectory.csv")
 
 
 def test_positions_of_a_pose_come_with_a_quaternion_that_does_not_flip() -> None:

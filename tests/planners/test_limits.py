@@ -320,7 +320,8 @@ def test_a_limit_that_a_plan_was_made_with_is_broken_by_more_than_a_thousandth(n
     for column in range(3):
         for part, broken in ((1.0 / 1.0011, True), (1.0 / 1.0009, False)):
             limit = np.where(np.arange(3) == column, part, 2.0) * most
-            judged = rp.check_plan(replace(plan, parameters={**plan.parameters, name: limit.tolist()}), dynamics)
+            limits = replace(plan.limits, judged_by=replace(plan.limits.judged_by, **{name: limit}))
+            judged = rp.check_plan(replace(plan, limits=limits), dynamics)
             events = [event for event in judged.violated if event.quantity == name]
             assert bool(events) == broken
             for event in events:

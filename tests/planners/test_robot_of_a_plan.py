@@ -365,8 +365,8 @@ def test_no_argument_of_a_plan_is_one_of_load_robot(name: str, shipped_plan: Pla
 
 
 TAMPERED: dict[str, Callable[[dict[str, Any]], Any]] = {
-    "limits of text": lambda r: r["limits"]["judged_by"]["$tuple"][0].update(speed="fast"),
-    "limits without a field": lambda r: r["limits"]["judged_by"]["$tuple"][0].pop("force"),
+    "limits of text": lambda r: r["limits"]["judged_by"].update(speed="fast"),
+    "limits without a field": lambda r: r["limits"]["judged_by"].pop("carrier_force"),
     "an event that is a number": lambda r: r["limits"].update(violated={"$tuple": [3]}),
     "phases that are numbers": lambda r: r.update(phases={"$tuple": [1] * 9}),
     "a planner that is a number": lambda r: r.update(planner=3),

@@ -293,7 +293,7 @@ TAMPERED: dict[str, tuple[Callable[[Path], None], str]] = {
         "limits of 2 carriers, but 3",
     ),
     "judged by limits of two": (
-        _record(lambda r: r["limits"]["judged_by"]["$tuple"].pop()),
+        _record(lambda r: r["limits"]["judged_by"]["names"]["$tuple"].pop()),
         "limits of 2 carriers, but 3",
     ),
     "an unknown status": (_record(lambda r: r.update(status="splendid")), "splendid"),

@@ -267,3 +267,13 @@ def test_balls_that_became_hinges_stay_hinges(tmp_path: Path) -> None:
     f = [rp.RneaDynamics(each).reduce(rp.PlatformMotion([0.0], *state)).f for each in (changed, expected)]
     np.testing.assert_allclose(f[0], f[1], rtol=1e-12)
     np.testing.assert_array_equal(changed.model.jointPlacements[1].translation, [0.7, 0.0, 0.0])
+
+
+def test_joints_of_drake_have_lengths_too() -> None:
+    """Their wrist is 0.4 m from the knee, not at it."""
+    path = Path(__file__).parent / "files" / "urdf" / "other" / "joints_of_drake.urdf"
+    changed = rp.with_parameters(rp.load_robot(path), lengths={"knee": (0.3, 0.0, 0.0), "wrist": (0.4, 0.0, 0.0)})
+    data = changed.model.createData()
+    pin.framesForwardKinematics(changed.model, data, pin.neutral(changed.model))
+    places = [data.oMf[changed.model.getFrameId(name, pin.BODY)].translation for name in ("ball", "cross")]
+    np.testing.assert_allclose(places, [[0.3, 0.0, 0.0], [0.7, 0.0, 0.0]], atol=1e-12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -201,6 +202,24 @@ def test_a_link_that_is_cut_in_two_is_asked_about_where_motors_are_too_few(tmp_p
     assert (proposal.questions, robot.n) == ((), 1)
 
 
+@pytest.mark.parametrize("tilt", [0.0, 0.3, -1.2])
+def test_a_hinge_about_another_axis_than_the_loops_is_asked_about_with_its_angle(tilt: float, tmp_path: Path) -> None:
+    """Both marks of a planar five-bar lean by one angle: their hinge would hold both links like a weld."""
+    joints, heading = list(FIVE_BAR.joints), 0.0
+    for number, joint in enumerate(joints):
+        heading = joint.rpy[2] + (0.0 if joint.parent == "base" else heading)
+        if joint.kind == "fixed":
+            joints[number] = replace(joint, rpy=(tilt, 0.0, -heading))
+    path = written(tmp_path, *joints)
+    asked, robot = propose_robot(path, close=["left_tip,right_tip,hinge"], actuate=["motor_1", "motor_2"])
+    assert robot is not None
+    if tilt:
+        off = rf"z of left_tip is {np.rad2deg(abs(tilt)):.3g}° off .*: --close left_tip,right_tip,ball"
+        assert re.search(off, " ".join(asked.questions))
+    else:
+        assert (asked.questions, robot.n) == ((), 2)
+
+
 @pytest.mark.parametrize("name", shipped_robots())
 def test_shipped_urdfs_are_closed_as_declared_or_asked(name: str, tmp_path: Path) -> None:
     """Of each robot's URDF alone: no loop is found that its declaration does not close."""
@@ -260,7 +279,14 @@ def test_frames_of_an_open_arm(marks, asked_of: tuple[str, ...], tmp_path: Path)
         proposal, _ = propose_robot(path, actuate=actuate)
         assert any("loops cut" in each for each in proposal.questions) is (motors in asked_of)
         assert bool(proposal.questions) is (not actuate or motors in asked_of)
-        assert actuate or asked_of or "3 DOF. --actuate j0,j1,j2 (all)" in proposal.questions[0]
+        assert actuate or asked_of or "3 DOF. --actuate j0,j1,j2 (all)." in proposal.questions[0]
+
+
+def test_motors_that_suggest_themselves_twice_are_listed_once(tmp_path: Path) -> None:
+    """Two turntables on the ground: they are all joints there are, and all of them are on the ground."""
+    path = written(tmp_path, J("a", "revolute", "base", "one"), J("b", "revolute", "base", "two", (1.0, 0.0, 0.0)))
+    (question,) = propose_robot(path)[0].questions
+    assert question.endswith("2 DOF. --actuate a,b (all, on the ground).")
 
 
 def test_fewer_motors_than_freedoms_are_asked_about(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ElementTree
 from importlib.util import find_spec
 from pathlib import Path
 
+import cassie
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -17,7 +18,7 @@ from zoo import home_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InputError, ModelFileError, RedundancyPinError
+from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
 from redundancy_pin.robot.formats.mechanism import Mechanism
 from redundancy_pin.robot.formats.sdf import read_sdf
 from redundancy_pin.robot.loads import JointForces
@@ -316,7 +317,8 @@ def test_mimic() -> None:
     np.testing.assert_allclose(placed(model, "b", q)[:3, 3], [0.0, 0.0, at["slide"]], atol=1e-12)
     between = np.linalg.inv(placed(model, "c", q)) @ placed(model, "base", q)
     np.testing.assert_allclose(between[:3, :3], turned(0.0, 0.0, at["back"]), atol=1e-9)
-    assert read_sdf(path).actuated == ("cross_1", "cross_2")  # no followers
+    with pytest.raises(DeclarationError, match=r"driven, of cross_1, cross_2\?.*--actuate cross_1,cross_2"):
+        rp.load_robot(path)  # no followers
 
 
 GEARBOX = """<joint name="gears" type="gearbox"><parent>{parent}</parent><child>{child}</child>
@@ -406,13 +408,12 @@ def test_base_and_driven_joints(tmp_path: Path) -> None:
     expected[:3, :3] = turned(0.1, 0.2, 0.3)
     expected[:3, 3] = expected[:3, :3] @ [0.0, 0.0, 0.1] + [0.0, 0.0, 1.0]
     np.testing.assert_allclose(placed(free.model, "base", free.q_reference), expected, atol=1e-12)
-    with pytest.raises(ModelFileError, match=r"actuated names 'krank'"):
-        rp.load_robot(path, actuated="krank")
+    with pytest.raises(DeclarationError, match=r"no moving joint 'to_krank'. Did you mean 'to_crank'"):
+        rp.load_robot(path, actuated="to_krank")
     with pytest.raises(InputError, match="no argument 'keyframe'"):
         rp.load_robot(path, keyframe="home")
-    spring = joint("hinge", "revolute", "base", "crank", SPRING)  # is not taken to be driven unasked
-    path = written(tmp_path, link("base", "0 0 0 0 0 0"), link("crank", "0 0 0 0 0 0"), spring)
-    with pytest.raises(RedundancyPinError, match='actuated="a,b"'):
+    asked = r"Which joints are driven, of to_crank, to_rocker\? .* 2 DOF\. --actuate to_crank,to_rocker \(all, on"
+    with pytest.raises(DeclarationError, match=rf'{asked}.*actuated="a,b"'):
         rp.load_robot(path)
 
 
@@ -518,11 +519,14 @@ def test_cassie_loads_and_moves(name, freedoms):
     In the file with gearboxes the slide of each shin's spring is at right angles to the arm of 35 mm that it ends. Its
     loop moves to first order only: singular values are 4e-6 on the left and 3e-7 on the right, the next one is 6e-4.
     """
-    robot = rp.load_robot(_cassie() / f"cassie{name}.sdf")
+    path = _cassie() / f"cassie{name}.sdf"
+    with pytest.raises(DeclarationError, match=rf"Which joints are driven, .* The mechanism has {freedoms} DOF"):
+        rp.load_robot(path)
+    robot = rp.load_robot(path, actuated=cassie.drives(path))
     assert (robot.n, robot.m) == (freedoms, freedoms)
-    assert freedoms_by_pinocchio(read_sdf(_cassie() / f"cassie{name}.sdf")) == freedoms
+    assert freedoms_by_pinocchio(read_sdf(path)) == freedoms
     assert sum(body.mass for body in robot.model.inertias) == pytest.approx(
-        sum(float(mass.text) for mass in ElementTree.parse(_cassie() / f"cassie{name}.sdf").iter("mass"))
+        sum(float(mass.text) for mass in ElementTree.parse(path).iter("mass"))
     )
     x = home_of(robot) + 0.03 * np.sin(np.arange(robot.n))
     motion = rp.PlatformMotion([0.0], x[None], 0.1 * np.ones((1, robot.n)), np.zeros((1, robot.n)))
@@ -548,8 +552,9 @@ def test_two_equal_joints_do_as_one(kind: str, swapped: bool, wrong: float, tmp_
     # of two joints the second is where the first is, off by the rounding of a file
     place = f"<pose relative_to='one'>{wrong} 0 {-wrong} 0 {wrong} 0</pose>"
     two = joint("two", kind, *ends, f"{axes}{place}{more}")
-    alone = rp.load_robot(written(tmp_path, *parts))
-    robot = rp.load_robot(written(tmp_path, *parts, two))
+    driven = "one_1,one_2" if kind == "universal" else "one"
+    alone = rp.load_robot(written(tmp_path, *parts), actuated=driven)
+    robot = rp.load_robot(written(tmp_path, *parts, two), actuated=driven)
     assert robot.n == alone.n == (2 if kind == "universal" else 1)
     x = np.full(robot.n, 0.3)
     tau, want = (rp.RneaDynamics(each).torque(x, 2.0 * x, 3.0 * x).tau for each in (robot, alone))

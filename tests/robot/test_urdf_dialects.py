@@ -10,7 +10,9 @@ import pytest
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import RedundancyPinError
+from redundancy_pin.errors import DeclarationError, RedundancyPinError
+from redundancy_pin.kinematics.coordinates import joint_position
+from redundancy_pin.loading import propose_robot
 
 FILES = Path(__file__).parent / "files" / "urdf"
 GOOD = sorted(path.stem for path in (FILES / "good").glob("*.urdf"))
@@ -169,8 +171,9 @@ def test_the_base_of_a_plain_file_may_move() -> None:
         rp.load_robot(path, base="loose")
 
 
-def test_loops_that_lie_in_a_line_at_zero_are_closed_beside(tmp_path: Path) -> None:
-    """A parallelogram, flat at zero: its rows lose rank there."""
+@pytest.mark.parametrize("side", [1, -1])
+def test_the_branch_of_loops_that_lie_in_a_line_is_asked_for(side: int, tmp_path: Path) -> None:
+    """A four-bar, flat at zero, where its branches meet: both are known, as two circles that meet."""
     flat = changed(
         tmp_path,
         ('<origin rpy="0 0 0.8"/>', ""),
@@ -178,9 +181,18 @@ def test_loops_that_lie_in_a_line_at_zero_are_closed_beside(tmp_path: Path) -> N
         ('<origin xyz="0.3 0 0" rpy="0 0 1.2"/>', '<origin xyz="0.17 0 0"/>'),
         name="urdf_plus",
     )
-    robot = rp.load_robot(flat)
-    assert abs(np.sin(robot.q_reference[0])) > 1e-3
-    assert any("lie in a line" in note for note in robot.notes)
+    with pytest.raises(DeclarationError, match=r"Which branch\?.* --guess foot=\S+,motor=\S+,knee=\S+\."):
+        rp.load_robot(flat)
+    pivot, ground, motor = 0.12 * np.exp(0.8j), 0.17, 0.8
+    away = abs(ground - pivot)
+    along = (0.25**2 - 0.2**2 + away**2) / (2.0 * away)
+    tip = pivot + (ground - pivot) / away * (along + side * 1j * np.sqrt(0.25**2 - along**2))
+    angles = {"motor": motor, "knee": float(np.angle(tip - pivot)) - motor, "foot": float(np.angle(tip - ground))}
+    proposal, robot = propose_robot(flat, guess={name: round(angle, 2) for name, angle in angles.items()})
+    assert proposal.questions == ()
+    assert robot is not None
+    found = {name: joint_position(robot, name, robot.q_reference[None])[0] for name in angles}
+    assert found == pytest.approx(angles, abs=0.02)
 
 
 def test_a_planar_joint_holds_a_body_on_a_plane() -> None:

@@ -62,7 +62,7 @@ def test_any_choice_of_independent_velocities_gives_the_same_acceleration() -> N
     chain.update(state.q, state.v)
     for seed in range(6):
         skewed = 10.0 ** np.random.default_rng(seed).uniform(-2.0, 2.0, robot.model.nv)
-        relative = chain.relative_jacobian() / skewed[chain.pose_columns]
+        relative = chain.closure_rows() / skewed[chain.pose_columns]
         other = choose(relative, chain.pose_columns, robot.carrier_velocity, np.empty(0, dtype=np.intp))
         dynamics.adapt(state.q)
         dynamics.use(other)

@@ -1,4 +1,4 @@
-"""Crossing times against the analytic times of lines, circles and turns, and against what was built to touch."""
+"""Crossing times against the analytic times of lines, circles and turns, what was built to touch, and known zeros."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
+import redundancy_pin as rp
 from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
+from redundancy_pin.singularities.roots import below_zero, minima, zeros
 from redundancy_pin.trajectory import (
-    PoseTrajectory,
+    PoseLine,
     RestToRest,
     Trajectory,
     circle_path,
@@ -30,8 +32,6 @@ from redundancy_pin.trajectory import (
 TIME = 1e-11
 """Brent's method stops at 1e-13 of the duration (seconds here), the margin is exact to 1e-15."""
 
-TOUCH_TIME = 1e-6
-"""A minimum is known to the square root of rounding, 1e-8, and some of the time scale."""
 
 ARM = 0.25 * np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
 """From corner 1 of the 3-RRR's platform to its centre, at α = 0."""
@@ -128,24 +128,6 @@ def test_a_motion_along_the_locus_is_one_stay() -> None:
     assert (stay.t, stay.until) == (0.0, 2.0)
     assert not stay.crosses
     assert stay.tangential
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("direction", [20.0, 30.0, 40.0])
-def test_three_rrr_touches_full_stretch_of_its_first_leg(direction: float) -> None:
-    """A circle inside the reach of leg 1 touches its border (radius 2 about the base hinge) half way round."""
-    u = np.array([np.cos(np.radians(direction)), np.sin(np.radians(direction))])
-    centre = ARM + (2.0 - 0.3) * u
-    trajectory = along(with_constant(circle_path(centre, 0.3, start_angle=np.radians(direction) + np.pi), [0.0]))
-    touches = [c for c in find_crossings(zoo.robot_of("3rrr"), trajectory) if c.kind != SingularityKind.TYPE_II]
-    assert len(touches) == 1
-    assert touches[0].kind == SingularityKind.TYPE_I
-    assert touches[0].t == pytest.approx(1.0, abs=TOUCH_TIME)
-    assert touches[0].leg == 1
-    assert not touches[0].crosses
-    lost = touches[0].lost_direction
-    np.testing.assert_allclose(lost[:2] / np.hypot(*lost[:2]), u, atol=1e-5)
-    assert np.isnan(touches[0].uncontrolled_twist).all()
 
 
 @pytest.mark.parametrize("ends", [True, False])
@@ -252,7 +234,7 @@ def test_gough_platform_is_singular_a_quarter_turn_from_home() -> None:
         pose[:3, :3] = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ home[:3, :3]
         return pose
 
-    trajectory = PoseTrajectory(turned(0.0), turned(np.radians(100.0)), RestToRest(1.0, 2.0))
+    trajectory = Trajectory(PoseLine(turned(0.0), turned(np.radians(100.0))), RestToRest(1.0, 2.0))
     (crossing,) = find_crossings(robot, trajectory)
     assert crossing.kind == SingularityKind.TYPE_II
     assert crossing.t == pytest.approx(time_at_arc(trajectory, 0.9), abs=1e-9)
@@ -275,3 +257,97 @@ def test_a_regular_motion_has_none(shipped) -> None:
     motion = zoo.smooth_motion(shipped, seed=2).at(np.linspace(0.0, 1.0, 60))
     crossings: tuple[Crossing, ...] = find_crossings(shipped, motion)
     assert crossings == ()
+
+
+# --- limits met to rounding are met
+
+
+@pytest.mark.parametrize(("leg", "hinge", "angle"), [(1, 0.0, 50.0), (2, 0.5, 130.0)])
+@pytest.mark.parametrize("inside", [1e-12, 1e-13, 0.0])
+def test_a_touch_from_rounding_inside_is_no_way_out(leg: int, hinge: float, angle: float, inside: float) -> None:
+    """Quintics through rounded samples leave it by 1e-12 m next to the touch, a tenth of the closure tolerance."""
+    t, step = np.linspace(0.0, 1.0, 201), 1e-5
+
+    def tip(time: np.ndarray) -> np.ndarray:
+        turned, reach = np.deg2rad(angle) + 0.6 * (time - 0.503), 1.0 - inside - 0.4 * (time - 0.503) ** 2
+        return np.column_stack([hinge + reach * np.cos(turned), reach * np.sin(turned)])
+
+    before, here, after = tip(t - step), tip(t), tip(t + step)
+    rates = (after - before) / (2.0 * step), (after - 2.0 * here + before) / step**2
+    met = find_crossings("five_bar", rp.PlatformMotion(t, here, *rates, check_rates=False))
+    assert met or inside < 1e-12
+    for crossing in met:
+        assert (crossing.kind, crossing.leg) == (SingularityKind.TYPE_I, leg)
+        assert crossing.t == pytest.approx(0.503, abs=1e-5)
+
+
+# --- the finder of zeros, touches and dips, on functions whose zeros are known
+
+
+TIMES = np.linspace(0.0, 2.0, 41)
+ROUNDING = 1e-14
+
+
+@example([1.96875, 1.984375])  # both in the last step
+@given(st.lists(st.floats(0.01, 1.99), min_size=1, max_size=4, unique=True).map(sorted))
+def test_simple_zeros_are_all_found_however_near(roots: list[float]) -> None:
+    if np.diff([0.0, *roots]).min() < 2e-4:  # closer pairs leave a dip that is zero within the tolerance
+        return
+    if any(sum(lo <= r <= lo + 0.1 for r in roots) > 2 for lo in TIMES):  # at most one dip between two samples
+        return
+    intervals = zeros(lambda t: np.prod([np.sin(t - r) for r in roots], axis=0), TIMES, 1e-13)
+    assert [one.t for one in intervals] == pytest.approx(roots, abs=1e-9)
+    assert all(one.crosses and one.until == one.t for one in intervals)
+
+
+@pytest.mark.parametrize("at", [0.4, 0.512345, 1.9999, 0.05])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_touches_of_either_kind(at: float, sign: float) -> None:
+    (smooth,) = zeros(lambda t: sign * (t - at) ** 2, TIMES, 1e-12)
+    (sharp,) = zeros(lambda t: sign * np.abs(t - at), TIMES, 1e-12)
+    (cusp,) = zeros(lambda t: sign * np.sqrt(np.abs(t - at)), TIMES, 1e-6)
+    assert smooth.t == pytest.approx(at, abs=1e-6)
+    assert sharp.t == pytest.approx(at, abs=ROUNDING)
+    assert cusp.t == pytest.approx(at, abs=1e-12)
+    assert not smooth.crosses
+    assert not sharp.crosses
+
+
+def test_a_near_miss_and_a_constant_are_no_zeros() -> None:
+    for function in (lambda t: np.full(len(t), 0.3), lambda t: (t - 0.77) ** 2 + 1e-6):
+        assert zeros(function, TIMES, 1e-9) == []
+
+
+def test_a_stay_has_a_beginning_and_an_end() -> None:
+    (stay,) = zeros(lambda t: np.maximum(t - 1.213, 0.0) - np.maximum(0.62 - t, 0.0), TIMES, 1e-9)
+    assert (stay.t, stay.until) == pytest.approx((0.62, 1.213), abs=2e-9)
+    assert stay.crosses
+    (ends,) = zeros(lambda t: np.maximum(1.0 - t, 0.0), TIMES, 1e-9)
+    assert (ends.t, ends.until) == (pytest.approx(1.0, abs=2e-9), 2.0)
+
+
+def test_steps_with_a_value_that_is_not_finite_are_left_alone() -> None:
+    def pole(t: np.ndarray) -> np.ndarray:
+        return np.where(np.abs(t - 1.0) < 0.06, np.nan, 1.0 / np.where(t == 1.0, 1.0, t - 1.0) + 2.0)
+
+    assert [one.t for one in zeros(pole, TIMES, 1e-12)] == pytest.approx([0.5])
+
+
+def test_windows_open_and_closed_and_narrower_than_a_step() -> None:
+    windows = below_zero(lambda t: np.cos(2.0 * np.pi * t) ** 2 - 1e-6, TIMES)
+    half = np.arcsin(1e-3) / (2.0 * np.pi)
+    centres = np.array([0.25, 0.75, 1.25, 1.75])
+    assert [one.start for one in windows] == pytest.approx(centres - half, abs=1e-12)
+    assert [one.end for one in windows] == pytest.approx(centres + half, abs=1e-12)
+    (first,) = below_zero(lambda t: t - 0.3, TIMES)
+    assert (first.start, first.open_start, first.open_end) == (0.0, True, False)
+    assert first.end == pytest.approx(0.3, abs=ROUNDING)
+
+
+def test_minima_between_or_on_samples_are_found_once_if_low_enough() -> None:
+    function = lambda t: np.abs(np.sin(3.0 * t)) + 0.5 * t  # noqa: E731
+    assert [t for t, _ in minima(function, TIMES, np.inf)] == pytest.approx([0.0, np.pi / 3.0, 2.0], abs=ROUNDING)
+    assert [t for t, _ in minima(function, TIMES, 0.1)] == [0.0]
+    for at in (0.525, 0.5, 1.275):
+        ((t, value),) = minima(lambda t, at=at: np.abs(t - at), TIMES, 0.01)
+        assert (t, value) == pytest.approx((at, 0.0), abs=ROUNDING)

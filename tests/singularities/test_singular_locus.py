@@ -43,33 +43,6 @@ def points_of(locus: SingularLocus, kind: SingularityKind) -> tuple[Array, Array
     return np.concatenate([c.points for c in curves]), np.concatenate([c.q for c in curves])
 
 
-@pytest.mark.long_for("3rrr-mode2-0.3", "five_bar-mode4-None", "five_bar-None-None", "3rrr-None-None")
-@pytest.mark.parametrize(
-    ("name", "mode", "orientation"),
-    [
-        ("2rpr", None, None),
-        ("3rrr", None, None),
-        ("3rrr", (1, -1, 1), 0.3),
-        ("five_bar", None, None),
-        ("five_bar", (1, 1), None),
-    ],
-)
-def test_every_point_is_a_singularity_of_its_kind(name: str, mode, orientation) -> None:
-    locus = locus_of(name, mode, orientation)
-    assert locus.unresolved == 0
-    assert len(locus.points) >= GRID
-    assert max(curve.residual.max() for curve in locus.curves) < EXACT
-    for kind in (SingularityKind.TYPE_I, SingularityKind.TYPE_II):
-        if not locus.of_kind(kind):
-            assert (name, kind) == ("2rpr", SingularityKind.TYPE_I)
-            continue
-        x, q = points_of(locus, kind)
-        classes = classify(locus.robot, q, tolerance=EXACT)
-        assert (classes.type_i if kind == SingularityKind.TYPE_I else classes.type_ii).all()
-        if orientation is not None:
-            np.testing.assert_allclose(x[:, 2], orientation, atol=1e-11)
-
-
 @pytest.mark.parametrize("resolution", [10, 15, 25])
 def test_the_border_of_the_five_bar_is_one_closed_curve_on_two_circles(resolution) -> None:
     """The middle column of 15 and of 25 nodes meets the border in its corners, where two singular values vanish."""
@@ -88,12 +61,6 @@ def test_the_border_of_the_five_bar_is_one_closed_curve_on_two_circles(resolutio
     assert chords.sum() == pytest.approx(4.0 * np.arccos(0.25), rel=0.02)  # nothing is passed twice, nothing left out
     with pytest.raises(InputError, match="SingularityKind"):
         locus.of_kind("TYPE_I")
-
-
-def test_singularities_too_small_for_the_grid_are_counted() -> None:
-    """At this angle a leg folds between four nodes of the grid, and no curve passes within a cell."""
-    locus = singular_locus(zoo.robot_of("3rrr"), orientation=-0.6, resolution=100)
-    assert 0 < locus.unresolved < 10
 
 
 def test_two_rpr_is_singular_on_its_base_line() -> None:
@@ -148,18 +115,6 @@ def line_determinant(robot: Robot, x: Array) -> Array:
     corner = x[:, 0] + 1j * x[:, 1] + legs.arm
     rows = np.stack([legs.e.real, legs.e.imag, (np.conj(corner) * legs.e).imag], axis=-1)
     return np.linalg.det(rows.transpose(1, 0, 2))
-
-
-@pytest.mark.long
-def test_three_rrr_is_type_i_where_a_leg_is_stretched() -> None:
-    locus = locus_of("3rrr")
-    x, _ = points_of(locus, SingularityKind.TYPE_I)
-    legs = legs_of(locus.robot, x)
-    base = ThreeRrrGeometry.from_parameters(locus.robot.parameters).base_points
-    reach = np.abs(x[:, 0] + 1j * x[:, 1] + legs.arm - base[:, :1] - 1j * base[:, 1:])
-    np.testing.assert_allclose(reach.max(axis=0), 2.0, atol=1e-11)  # l1 + l2, for the longest of the three legs
-    (curve,) = locus.of_kind(SingularityKind.TYPE_I)
-    np.testing.assert_array_equal(curve.points[0], curve.points[-1])
 
 
 def test_five_bar_is_type_ii_where_its_distal_links_are_in_line() -> None:

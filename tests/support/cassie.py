@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from redundancy_pin.loading import propose_robot
+
 
 @dataclass(frozen=True)
 class Hinge:
@@ -46,6 +48,23 @@ def read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Hinge], ElementTr
         kind = str(joint.get("type"))
         joints[str(joint.get("name"))] = Hinge(kind, parent, child, place[:3, 3], axis / np.linalg.norm(axis), damping)
     return links, joints, model
+
+
+def drives(path: Path) -> str:
+    """Return as many joints as there are degrees of freedom, with commas between, as the file does not name its motors.
+
+    Those with a range come first, as motors have, springs after all others.
+    """
+    proposal, _ = propose_robot(path)
+    moving = set(proposal.mechanism.model.names)
+    ranged = [
+        str(joint.get("name"))
+        for joint in read(path)[2].iter("joint")
+        if joint.find("axis/limit/upper") is not None and joint.find("axis/dynamics/spring_stiffness") is None
+    ]
+    _, robot = propose_robot(path, actuate=[name for name in ranged if name in moving])
+    assert robot is not None
+    return ",".join(robot.independent_joints)
 
 
 def turned(hinge: Hinge, angle: float) -> np.ndarray:

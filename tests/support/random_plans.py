@@ -16,7 +16,7 @@ from redundancy_pin.arrays import read_only
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import IntersamplePeaks
-from redundancy_pin.planners.limits import LimitEvent, LimitReport
+from redundancy_pin.planners.limits import LimitEvent, LimitReport, ResolvedLimits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.robot import CarrierLimits
@@ -106,7 +106,9 @@ def plans(draw: st.DrawFn) -> Plan:
         limits=LimitReport(
             tuple(draw(st.lists(EVENTS, max_size=2))),
             tuple(draw(st.lists(EVENTS, max_size=2))),
-            tuple(draw(limits) for _ in range(k)),
+            ResolvedLimits(
+                tuple(f"c{i}" for i in range(k)), floats(k, 2), *(floats(k) for _ in range(4)), floats(m), floats(m)
+            ),
         ),
         status=draw(st.sampled_from(statuses)),
         planner=draw(TEXT),

@@ -133,7 +133,7 @@ def broken_promise(plan: Plan, robot: Robot, other: Dynamics) -> str | None:
         return f"promise: W tau = f at the samples: off by {imbalance.max() / size:.2g} of the largest f"
     times = dense_times(plan)
     carriers = plan.carriers_at(times)
-    for i, limit in enumerate(plan.limits.judged_by):
+    for i, limit in enumerate(plan.limits.judged_by.of_carriers):
         span = ROUNDING * max(limit.upper - limit.lower, 1e-3)
         over = max(float((carriers.s[:, i] - limit.upper).max()), float((limit.lower - carriers.s[:, i]).max()))
         if over > span:
@@ -146,7 +146,7 @@ def broken_promise(plan: Plan, robot: Robot, other: Dynamics) -> str | None:
             if largest > most * (1.0 + ROUNDING):
                 return f"promise: the {word} between the samples: {largest / most:.4g} of its limit ({plan.planner})"
     dense = other.along(plan.platform_at(times)).reduce(carriers)
-    for i, limit in enumerate(plan.limits.judged_by):
+    for i, limit in enumerate(plan.limits.judged_by.of_carriers):
         use = float(np.abs(dense.carrier_force[:, i]).max()) / limit.force
         if use > ALLOWED:
             return f"promise: the carrier's force between the samples: {use:.4g} of its limit ({plan.planner})"

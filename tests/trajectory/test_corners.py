@@ -96,3 +96,33 @@ def test_radius_that_does_not_fit_names_the_largest_that_does():
 def test_bad_corners_are_refused(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e-2])
+@pytest.mark.parametrize(("end", "outwards"), [(0.2, -1.0), (0.8, 1.0)])
+@pytest.mark.parametrize(("slacks", "right"), [(0.0, True), (0.5, True), (2.0, False), (-1e9, True)])
+def test_a_closed_polygon_begins_on_the_straight_part_of_its_first_edge(unit, end, outwards, slacks, right):
+    start = (end + outwards * slacks * 1e-12) * unit
+    if right:
+        path = rounded_polygon(SQUARE * unit, 0.2 * unit, start=start)
+        np.testing.assert_allclose(path.evaluate(0.0).x, [start, 0.0], atol=1e-14 * unit)
+        # four straights of 0.6 and a circle
+        assert path.length == pytest.approx(unit * (2.4 + 0.4 * np.pi), rel=1e-11)
+    else:
+        with pytest.raises(InputError, match="not on the straight part") as caught:
+            rounded_polygon(SQUARE * unit, 0.2 * unit, start=start)
+        details = caught.value.details
+        assert details["start"] == start
+        assert (details["lower"], details["upper"]) == pytest.approx((0.2 * unit, 0.8 * unit), rel=1e-14)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e-2])
+def test_a_closed_polygon_begins_in_the_middle_of_a_straight_between_unlike_corners(unit):
+    """A triangle of 3, 4 and 5: its corners are a right angle and those whose tangents are 3/4 and 4/3."""
+    vertices = unit * np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]])
+    radius = 0.3 * unit
+    # at each end an arc takes r / tan(half the angle inside)
+    low = radius / np.tan(0.5 * np.arctan2(3.0, 4.0))
+    high = 4.0 * unit - radius
+    path = rounded_polygon(vertices, radius)
+    np.testing.assert_allclose(path.evaluate(0.0).x, [0.5 * (low + high), 0.0], atol=1e-13 * unit)

@@ -104,6 +104,7 @@ def test_a_trajectory_in_polynomials_is_the_trajectory(make):
 def test_a_held_platform_stays_where_it_is():
     motion = continuous_motion(reference.corner())
     later = motion.prolonged_until(motion.end + 1.0)
+    assert (later.breaks[-1], later.end) == (motion.end, motion.end + 1.0)
     samples = later.sample_at(np.array([0.5, motion.end, motion.end, motion.end + 0.5]))
     np.testing.assert_array_equal(samples.x[2], samples.x[1])
     assert not samples.xd[2:].any()
@@ -136,13 +137,6 @@ def test_quintics_have_the_given_values_and_derivatives_at_both_ends():
         np.testing.assert_allclose(rate(edges[:-1]), start[order], rtol=0.0, atol=1e-11)
         # second differences of values of order one over pieces of 0.1 s, one ulp of time before the end
         np.testing.assert_allclose(rate(edges[1:], "left"), end[order], rtol=0.0, atol=1e-9)
-
-
-def test_where_the_platform_begins_to_be_held_is_a_break():
-    motion = continuous_motion(reference.corner())
-    later = motion.prolonged_until(motion.end + 1.0)
-    assert later.breaks[-1] == motion.end
-    assert later.end == motion.end + 1.0
 
 
 def test_an_interval_is_divided_at_its_most_central_knot_that_is_not_at_an_end():
@@ -202,3 +196,38 @@ def test_poses_that_do_not_say_which_way_they_turn_are_refused():
     turned[1, :3, :3] = Rotation.from_rotvec([0.0, 0.0, 3.1]).as_matrix()
     with pytest.raises(InputError, match=r"turns by 3.1 rad between its samples at 0 and 1 s.*more densely"):
         continuous_motion(PlatformMotion([0.0, 1.0], turned, np.zeros((2, 6)), np.zeros((2, 6))))
+
+
+@pytest.mark.parametrize(("start", "length"), [(-1.0, 2.0), (-2.0, 2.0), (0.0, 2.0), (100.0, 2.0), (-1000.0, 2000.0)])
+def test_a_kink_that_is_not_told_is_closed_in_on_to_1e_7_of_the_interval(start, length):
+    """Pieces are halved until they are no wider: the narrowest are between half of that and all of it."""
+    kink = start + 0.637 * length
+
+    def function(t):
+        return np.abs(t - kink)[:, None] / length * [1.0, -0.5]
+
+    found = PiecewisePolynomial.fit(
+        function, np.array([start, start + length]), np.empty(0), lambda values: np.abs(values).max(axis=0), 1e-13
+    )
+    widths = np.diff(found.edges) / length
+    assert 0.5e-7 <= widths.min() <= 1e-7
+    assert len(widths) == len(np.unique(found.edges)) - 1
+    t = start + length * np.linspace(0.0, 1.0, 201)
+    np.testing.assert_allclose(found(t), function(t), atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_taylor_and_linear_are_the_polynomials_of_the_times_before(seed):
+    """A time that occurs twice is a jump: what stands after it counts for the piece that begins there."""
+    dice = np.random.default_rng(seed)
+    t = np.repeat(np.cumsum(0.1 + dice.random(5)), [1, 1, 2, 1, 1]) - 0.9
+    x, v, a = dice.normal(size=(3, len(t), 2))
+    taylor, linear = PiecewisePolynomial.taylor(t, x, v, a), PiecewisePolynomial.linear(t, x, v, a)
+    np.testing.assert_array_equal(taylor.edges, np.unique(t))
+    for k in np.flatnonzero(np.diff(t) > 0.0):
+        step = t[k + 1] - t[k]
+        jerk = (a[k + 1] - a[k]) / step
+        for h in step * np.array([0.0, 0.3, 0.9]):
+            expected = x[k] + h * v[k] + 0.5 * h**2 * a[k]
+            np.testing.assert_allclose(taylor(t[k] + h), expected, atol=1e-13)
+            np.testing.assert_allclose(linear(t[k] + h), expected + h**3 / 6.0 * jerk, atol=1e-13)

@@ -1,11 +1,8 @@
 import csv
-import tracemalloc
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from redundancy_pin import CarrierMotion, PlatformMotion
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory import carriers_from_csv, from_csv, reference
 
@@ -114,18 +111,6 @@ def test_bad_files_are_refused(tmp_path, text, message):
         from_csv(path)
 
 
-def test_a_line_that_does_not_end_is_refused_before_it_is_held(tmp_path):
-    path = tmp_path / "motion.csv"
-    for text in ("t,x0,xd0,xdd0\n" + "0," * 3_000_000, "t" * 6_000_000):
-        path.write_text(text, encoding="utf-8")
-        tracemalloc.start()
-        with pytest.raises(InputError, match="a line of more than 1000000 characters"):
-            from_csv(path)
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        assert peak < len(text)
-
-
 def test_missing_and_binary_files_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"none\.csv cannot be read: it does not exist"):
         from_csv(tmp_path / "none.csv")
@@ -133,112 +118,8 @@ def test_missing_and_binary_files_are_refused(tmp_path):
         from_csv(tmp_path)
     binary = tmp_path / "m.csv"
     binary.write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(InputError, match="is not a text file"):
+    with pytest.raises(InputError, match="is not text in UTF-8"):
         from_csv(binary)
-
-
-def _table(motion, carriers=None):
-    """Return a motion's columns by name."""
-    table = {"t": motion.t}
-    parts = {"x": motion.x, "xd": motion.xd, "xdd": motion.xdd}
-    if carriers is not None:
-        parts |= {"s": carriers.s, "sd": carriers.sd, "sdd": carriers.sdd}
-    for name, values in parts.items():
-        table |= {f"{name}{k}": column for k, column in enumerate(values.T)}
-    return table
-
-
-def _saved(path, table, digits=17):
-    rows = [[f"{value:.{digits}g}" for value in row] for row in np.column_stack(list(table.values()))]
-    return _write(path, list(table), rows)
-
-
-WRONG = {
-    "positions in mm": lambda table: {n: v * (1e3 if n in ("x0", "x1") else 1) for n, v in table.items()},
-    "times in ms": lambda table: {n: v * (1e3 if n == "t" else 1) for n, v in table.items()},
-    "rates in mm/s": lambda table: {
-        n: v * (1e3 if n in ("xd0", "xd1", "xdd0", "xdd1") else 1) for n, v in table.items()
-    },
-    "rates in µm/s": lambda table: {n: v * (1e6 if n[:-1] in ("xd", "xdd") else 1) for n, v in table.items()},
-    "angle in degrees": lambda table: {n: np.degrees(v) if n == "x2" else v for n, v in table.items()},
-    "rate in rounds a minute": lambda table: {n: v * (30.0 / np.pi if n == "xd2" else 1) for n, v in table.items()},
-    "accelerations in g": lambda table: {n: v / (9.81 if n[:3] == "xdd" else 1) for n, v in table.items()},
-    "positions swapped": lambda table: table | {"x0": table["x1"], "x1": table["x0"]},
-    "rates swapped": lambda table: table | {"xd0": table["xd1"], "xd1": table["xd0"]},
-    "accelerations swapped": lambda table: table | {"xdd0": table["xdd1"], "xdd1": table["xdd0"]},
-    "rates and accelerations swapped": lambda table: table | {"xd0": table["xdd0"], "xdd0": table["xd0"]},
-    "a sign": lambda table: table | {"xd1": -table["xd1"], "xdd1": -table["xdd1"]},
-    "carriers in mm": lambda table: table | {"s0": 1e3 * table["s0"]},
-}
-
-
-def _turning(dt):
-    """A motion whose three coordinates all move, each its own course."""
-    t = np.arange(0.0, 2.0 + 0.5 * dt, dt)
-    w, a = np.array([2.0, 3.0, 5.0]), np.array([0.1, 0.2, 0.4])
-    phase = t[:, None] * w + [0.0, 1.0, 2.0]
-    motion = PlatformMotion(t, 1.0 + a * np.sin(phase), a * w * np.cos(phase), -a * w**2 * np.sin(phase))
-    carriers = CarrierMotion(0.1 * np.sin(phase[:, :1]), 0.2 * np.cos(phase[:, :1]), -0.4 * np.sin(phase[:, :1]))
-    return motion, carriers
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_rates_of_other_units_or_columns_are_refused(case, tmp_path):
-    table = _table(*_turning(0.01))
-    path = _saved(tmp_path / "m.csv", table)
-    assert len(from_csv(path)) == len(carriers_from_csv(path)) == 201
-    wrong = _saved(tmp_path / "w.csv", WRONG[case](table))
-    read = carriers_from_csv if case == "carriers in mm" else from_csv
-    with pytest.raises(InputError, match="does not change as") as caught:
-        read(wrong)
-    assert caught.value.details["column"] in table
-
-
-@pytest.mark.long_for("0.001-6")
-@pytest.mark.parametrize("digits", [6, 17])
-@pytest.mark.parametrize("dt", [1e-3, 0.01, 0.05, 0.2, 0.5])
-def test_right_motions_pass_however_they_are_sampled(dt, digits, tmp_path):
-    for k, make in enumerate((reference.circle, reference.line, reference.corner, reference.square)):
-        motion = make().sample(dt)
-        path = _saved(tmp_path / f"{k}.csv", _table(motion), max(digits, 9))
-        assert len(from_csv(path)) == len(motion)
-    for wave in (_turning(dt),):
-        assert len(from_csv(_saved(tmp_path / "w.csv", _table(*wave), digits))) == len(wave[0])
-
-
-def test_angles_within_a_turn_pass_and_poses_to_stand_still_in_need_the_word(tmp_path):
-    t = np.arange(0.0, 30.0, 0.01)  # so many turns that one of them is no large step
-    table = {"t": t, "x0": (4.0 * t + np.pi) % (2.0 * np.pi) - np.pi, "xd0": np.full(len(t), 4.0), "xdd0": 0.0 * t}
-    assert len(from_csv(_saved(tmp_path / "turns.csv", table))) == len(t)
-    still = _table(_turning(0.01)[0])
-    still = {name: values * (name[:2] != "xd") for name, values in still.items()}
-    path = _saved(tmp_path / "still.csv", still)
-    with pytest.raises(InputError, match=r"still\.csv: x0 does not change as xd0 says: .*check_rates=False"):
-        from_csv(path)
-    assert len(from_csv(path, check_rates=False)) == 201
-
-
-def test_carriers_that_move_at_rest_need_the_word_too(tmp_path):
-    table = _table(*_turning(0.01))
-    path = _saved(tmp_path / "m.csv", table | {"sd0": 0.0 * table["t"], "sdd0": 0.0 * table["t"]})
-    with pytest.raises(InputError, match="s0 does not change as sd0 says"):
-        carriers_from_csv(path)
-    assert len(carriers_from_csv(path, check_rates=False)) == 201
-
-
-def test_a_pose_that_turns_otherwise_than_its_twist_is_refused(tmp_path):
-    t = np.arange(0.0, 1.0, 0.01)
-    table = {
-        "t": t,
-        **{f"x{k}": 0.0 * t for k in range(7)},
-        **{f"{r}{k}": 0.0 * t for r in ("xd", "xdd") for k in range(6)},
-    }
-    # two radians a second about z of the world, which is not an axis of the platform: it lies on its side
-    turned = Rotation.from_rotvec(np.outer(2.0 * t, [0.0, 0.0, 1.0])) * Rotation.from_euler("x", 1.5)
-    table |= {f"x{3 + k}": column for k, column in enumerate(turned.as_quat().T)} | {"xd5": 2.0 + 0.0 * t}
-    assert len(from_csv(_saved(tmp_path / "pose.csv", table))) == len(t)
-    with pytest.raises(InputError, match="x4 does not change as xd4"):
-        from_csv(_saved(tmp_path / "other.csv", table | {"xd4": table["xd5"], "xd5": table["xd4"]}))
 
 
 @pytest.mark.parametrize(
@@ -250,16 +131,17 @@ def test_names_that_are_nearly_those_of_columns(name, tmp_path):
         from_csv(path)
 
 
-def test_many_columns_are_refused_at_once(tmp_path):
-    path = tmp_path / "m.csv"
-    path.write_text(",".join(f"c{k}" for k in range(50_000)) + "\n" + "1," * 50_000 + "\n", encoding="utf-8")
-    with pytest.raises(InputError, match="50001 cells under 50000"):
-        from_csv(path)
-
-
-@pytest.mark.parametrize("name", ["x00", "x" + "1" * 5000, "x１"])
-def test_columns_whose_number_is_none(name, tmp_path):
-    path = tmp_path / "motion.csv"
-    path.write_text(f"t,{name},xd0,xdd0\n0,0,0,0\n1,0,0,0\n", encoding="utf-8")
-    with pytest.raises(InputError, match="has no column 'x0'"):
-        from_csv(path)
+@pytest.mark.parametrize(("read", "wrong"), [(from_csv, "xd0"), (carriers_from_csv, "sd0")])
+def test_rates_of_other_units_are_refused_by_column_unless_told_otherwise(read, wrong, tmp_path):
+    t = np.linspace(0.0, 2.0, 101)
+    wave = {"": np.sin(t), "d": np.cos(t), "dd": -np.sin(t)}
+    table = {"t": t, **{f"{symbol}{dots}0": part for symbol in "xs" for dots, part in wave.items()}}
+    rows = [[repr(float(value)) for value in row] for row in np.column_stack(list(table.values()))]
+    assert len(read(_write(tmp_path / "m.csv", table, rows))) == 101
+    table[wrong] = 1e3 * table[wrong]
+    rows = [[repr(float(value)) for value in row] for row in np.column_stack(list(table.values()))]
+    other = _write(tmp_path / "w.csv", table, rows)
+    with pytest.raises(InputError, match=rf"w\.csv: {wrong[0]}0 does not change as {wrong} says") as caught:
+        read(other)
+    assert caught.value.details["column"] == wrong
+    assert len(read(other, check_rates=False)) == 101

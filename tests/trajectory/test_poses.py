@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 from trajectory_checks import clear_of, differentiate
 
 from redundancy_pin.errors import InputError
-from redundancy_pin.trajectory import PoseTrajectory, SpeedProfile, reference
+from redundancy_pin.trajectory import PoseLine, SpeedProfile, Trajectory, reference
 
 
 def _skew(w):
@@ -60,7 +60,7 @@ def test_rotation_follows_one_world_axis():
 
 
 def test_any_timing_law_and_scaling():
-    trajectory = PoseTrajectory(START, END, SpeedProfile(0.3, 0.2, 0.1))
+    trajectory = Trajectory(PoseLine(START, END, 0.3), SpeedProfile(0.3, 0.2, 0.1))
     fast = trajectory.scaled(2.0)
     t = np.linspace(0.0, fast.duration, 50)
     np.testing.assert_allclose(

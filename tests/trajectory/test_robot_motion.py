@@ -42,18 +42,6 @@ def test_a_trajectory_is_asked_for_its_own_coordinates() -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["3rrr", "gough"])
-def test_the_error_falls_with_the_declared_order(name: str) -> None:
-    motion = zoo.smooth_motion(zoo.robot_of(name), seed=1, scale=3.0)
-    times = np.linspace(0.0, 1.0, 301)
-    errors = []
-    for samples in (6, 11):
-        law = robot_motion(zoo.robot_of(name), motion.at(np.linspace(0.0, 1.0, samples)))
-        errors.append(np.abs(law.sample_at(times).x - motion.at(times).x).max())
-    # halving the step divides the error by 2^6; the samples are too few for the last fifth of it
-    assert errors[0] / errors[1] > 0.8 * 2**6
-
-
 def test_a_turn_between_poses_is_a_rotation_that_passes_through_the_samples() -> None:
     motion = zoo.smooth_motion(zoo.robot_of("gough"), seed=2).at(np.linspace(0.0, 1.0, 8))
     law = robot_motion(zoo.robot_of("gough"), motion)

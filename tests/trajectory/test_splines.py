@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 
 from redundancy_pin.errors import InputError
-from redundancy_pin.trajectory import through_points, waypoints
+from redundancy_pin.trajectory import through_points
 
 FLOWER = np.array([[0, 0], [0.3, 0.1], [0.5, 0.5], [0.2, 0.8], [-0.3, 0.6]])
 
@@ -77,15 +77,6 @@ def test_arc_length_is_met_as_closely_whatever_the_size(size):
     path, scaled = through_points(FLOWER), through_points(size * FLOWER)
     p = np.linspace(0.0, path.length, 500)
     np.testing.assert_allclose(scaled.evaluate(size * p).x / size, path.evaluate(p).x, atol=1e-13 * path.length)
-
-
-def test_arc_length_is_inverted_in_a_few_newton_steps(monkeypatch):
-    """Bisection alone would take about fifty."""
-    path = through_points(FLOWER)
-    steps, arc_length = [], waypoints.arc_length_of
-    monkeypatch.setattr(waypoints, "arc_length_of", lambda *given: steps.append(1) or arc_length(*given))
-    path.evaluate(np.linspace(0.0, path.length, 500))
-    assert 1 < len(steps) <= 6
 
 
 def test_points_of_a_circle_give_nearly_a_circle_with_a_smooth_seam():

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from redundancy_pin.trajectory import PoseTrajectory, RestToRest, SpeedProfile, Trajectory, reference
+from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 from redundancy_pin.trajectory.paths import ChainedPath, Line, circle_path
 from redundancy_pin.trajectory.time_scaling import ScaledMotion, TimeScaling
@@ -119,7 +119,7 @@ def test_knots_that_are_one_but_for_rounding_are_one() -> None:
 def test_poses_turn_at_the_rates_they_say() -> None:
     start, end = np.eye(4), np.eye(4)
     end[:3, :3], end[:3, 3] = pin.exp3(np.array([0.9, -0.5, 1.1])), (0.1, 0.2, -0.1)
-    trajectory = PoseTrajectory(start, end, RestToRest(1.0, 1.5))
+    trajectory = reference.pose(start, end, 1.5, "3-4-5")
     motion = ScaledMotion(continuous_motion(trajectory), SLOWER).continuous()
     t = np.linspace(0.05, motion.end - 0.05, 100)
     t = t[np.abs(t[:, None] - motion.kinks).min(axis=1) > 2.0 * H]

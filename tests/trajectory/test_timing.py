@@ -142,3 +142,24 @@ def test_ramp_length_out_of_range_names_the_range():
 def test_bad_laws_are_refused(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, 0.1),
+        ({"ramp_length": 0.11}, 0.11),  # as the ramp up
+        ({"ramp_length": 0.11, "end_ramp_time": 0.4}, 0.11),
+        ({"ramp_length": 0.11, "end_ramp_time": 0.6}, 0.5 * 0.5 * 0.6),  # of its own time
+        ({"end_ramp_time": 0.2}, 0.5 * 0.5 * 0.2),
+        ({"end_ramp_time": 0.6, "end_ramp_length": 0.17}, 0.17),
+    ],
+)
+def test_the_ramp_down_left_out_is_as_said(given, expected):
+    law = SpeedProfile(1.0, 0.5, 0.4, **given)
+    assert law.end_ramp_length == pytest.approx(expected, rel=1e-15)
+    up, down = law.ramp_length, law.end_ramp_length
+    end = given.get("end_ramp_time", 0.4)
+    duration = 0.4 + (1.0 - up - down) / 0.5 + end
+    assert law.duration == pytest.approx(duration, rel=1e-14)
+    np.testing.assert_allclose(law.knots, [0.4, duration - end], rtol=1e-14)

@@ -119,7 +119,7 @@ def rest_to_rest(robot):
         end = home.copy()
         end[:3, 3] += [0.08, -0.05, 0.06]
         end[:3, :3] = Rotation.from_rotvec([0.2, -0.15, 0.3]).as_matrix() @ home[:3, :3]
-        return rp.trajectory.PoseTrajectory(home, end, rp.trajectory.RestToRest(1.0, duration=0.5))
+        return rp.trajectory.reference.pose(home, end, 0.5, "3-4-5")
     path = rp.trajectory.Line(home, home + np.linspace(0.1, 0.15, len(home)))
     return rp.trajectory.Trajectory(path, rp.trajectory.RestToRest(path.length, duration=0.5))
 

@@ -21,8 +21,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.crosscheck.cases import RandomCase, random_case
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.kinematics.branch import follows
-from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.closed_state import are_continuous
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.loads import JointForces, Spring, Wrench
@@ -325,13 +324,13 @@ def test_poses_modes_and_workspaces_scale_with_the_length(choice: tuple[float, f
 def test_an_angle_counts_beside_slides_of_any_length(length: float) -> None:
     """A step follows where each joint moves as Γ says, whatever the metres of the slides are."""
     robot = scaled_robot(rp.load_robot("2rpr"), Units(length=length))
-    unit, system = velocity_unit(robot), constraint_system(robot)
+    unit = velocity_unit(robot)
     gamma = unit[None, :, None]
     for k in range(len(unit)):
         step = np.repeat(0.1 * unit[None], 2, axis=0)
         step[1, k] *= 1.5
         both = np.repeat(gamma, 2, axis=0)
-        assert follows(system, step, both, both, np.full((2, 1), 0.1)).tolist() == [True, False]
+        assert are_continuous(robot, step, both, both, np.full((2, 1), 0.1)).tolist() == [True, False]
 
 
 def test_slides_that_are_long_in_metres_are_followed_as_short_ones() -> None:

@@ -13,11 +13,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.limits import LimitEvent, LimitReport
+from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.intersample_check import IntersamplePeaks
+from redundancy_pin.planners.limits import LimitEvent, LimitReport, ResolvedLimits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.status import ResultStatus, SampleStatus
+from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.visualisation.figures.plots import plan as plot_plan
 from redundancy_pin.visualisation.figures.style import save
 from redundancy_pin.visualisation.figures.time_panels import phase_spans
@@ -25,6 +29,16 @@ from redundancy_pin.visualisation.figures.time_panels import phase_spans
 T = np.linspace(0.0, 1.0, 101)
 PHASES = ("parked", "ramp_down", "off", "return")
 LIMITS = CarrierLimits(lower=-0.2, upper=0.2, speed=1.0, acceleration=9.0, force=1000.0)
+
+
+def _limits(*carriers: CarrierLimits) -> ResolvedLimits:
+    """Return the limits of carriers c1, c2, ... and two main actuators without limits."""
+    k = len(carriers)
+    track = np.reshape([(one.lower, one.upper) for one in carriers], (k, 2))
+    rates = (np.array([getattr(one, name) for one in carriers]) for name in ("speed", "acceleration", "force"))
+    return ResolvedLimits(
+        tuple(f"c{i + 1}" for i in range(k)), track, *rates, np.full(k, np.inf), np.full(2, np.inf), np.full(2, np.inf)
+    )
 
 
 def _plan(**changes: Any) -> Plan:
@@ -53,8 +67,9 @@ def _plan(**changes: Any) -> Plan:
         bodies=(),
         q_reference=(),
     )
+    motion = PlatformMotion(T, zero, zero, zero)
     plan = Plan(
-        motion=PlatformMotion(T, zero, zero, zero),
+        motion=motion,
         carriers=CarrierMotion(s, 2.0 * s, -9.0 * s),
         tau=tau,
         carrier_force=5.0 * s,
@@ -65,11 +80,13 @@ def _plan(**changes: Any) -> Plan:
         condition=condition,
         phase=phase,
         phases=PHASES,
-        limits=LimitReport((event,), (), (LIMITS, LIMITS)),
+        limits=LimitReport((event,), (), _limits(LIMITS, LIMITS)),
         status=ResultStatus.LIMIT_VIOLATED,
         planner="switch_off",
         backend="Rnea",
         robot=record,
+        functions=PlanFunctions(continuous_motion(motion), PiecewisePolynomial.constant(np.zeros(2), T[0], T[-1])),
+        between=IntersamplePeaks(np.nanmax(np.abs(tau), axis=0), np.zeros(2), np.zeros(2), 1.0, 0),
         parameters={"threshold": 7.0, "measure": "condition"},
         diagnostics={"singular_instants": [0.5]},
     )
@@ -152,7 +169,7 @@ def _span(patch: Patch) -> tuple[float, float]:
 
 def test_limits_that_differ_say_whose_they_are() -> None:
     wide = replace(LIMITS, upper=0.25, lower=-math.inf)
-    drawn = plot_plan(_plan(limits=LimitReport((), (), (LIMITS, wide)), status=ResultStatus.OK))
+    drawn = plot_plan(_plan(limits=LimitReport((), (), _limits(LIMITS, wide)), status=ResultStatus.OK))
     axes = _panel(drawn, "carrier position")
     assert _horizontals(axes) == {0.2, 0.25, -0.2}
     assert {text.get_text() for text in axes.texts} == {"limit of c1", "limit of c2"}
@@ -212,7 +229,7 @@ def test_one_sample_and_no_carriers_can_be_drawn(tmp_path: Path) -> None:
         carriers=CarrierMotion(none, none, none),
         carrier_force=none,
         robot=record,
-        limits=LimitReport((), (), ()),
+        limits=LimitReport((), (), _limits()),
     )
     drawn = plot_plan(small)
     assert _panel(drawn, "main effort [N or N·m]")

@@ -34,7 +34,7 @@ from redundancy_pin.dynamics.base import (
 )
 from redundancy_pin.dynamics.compiled.build import Library, bind, define
 from redundancy_pin.dynamics.compiled.carrier_terms import Continued
-from redundancy_pin.dynamics.compiled.closing import Lifted, Start, each, follow_motors, lifted, parts_of
+from redundancy_pin.dynamics.compiled.closing import ClosedMotion, Start, close_motion, each, follow_motors, parts_of
 from redundancy_pin.dynamics.compiled.control import AccelerationCall, JointStateCall, SampleCall, TorqueCall
 from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Partials, TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import Design, design_of
@@ -44,7 +44,6 @@ from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.checks import require_matching
-from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.robot.scales import column_scale, force_sizes, row_scale
 
@@ -70,8 +69,8 @@ class CompiledDynamics(Dynamics):
     def __init__(self, robot: RobotLike, *, threads: int | None = None) -> None:
         self._robot = as_robot(robot)
         self.threads = threads or os.cpu_count() or 1
-        self._local = threading.local()
         self.kernel = Library(self._robot)
+        self._calls = _Calls(self)
 
     def __reduce__(self) -> tuple[partial[CompiledDynamics], tuple[Robot]]:
         """Build it again, from the cache, where it is copied or sent to."""
@@ -100,7 +99,7 @@ class CompiledDynamics(Dynamics):
         """
         require_choice(unreachable)
         require_matching(self._robot, motion)
-        return CompiledAlongMotion(self, lifted(self._robot, self.kernel, motion, mark=unreachable == "mark"))
+        return CompiledAlongMotion(self, close_motion(self._robot, self.kernel, motion, mark=unreachable == "mark"))
 
     def for_robot(self, robot: Robot) -> CompiledDynamics:
         """Return this backend, with its settings, for another robot.
@@ -126,28 +125,16 @@ class CompiledDynamics(Dynamics):
         As ``Dynamics.sample``. Newton's method starts from the sample that this thread asked for before, and from the
         reference where no straight line leads on from there.
         """
-        try:
-            call: SampleCall = self._local.sample
-        except AttributeError:
-            call = self._local.sample = SampleCall(self._robot, self.kernel, self._follow)
-        return call(x, xd, xdd, s, sd, sdd, t)
+        return self._calls.sample(x, xd, xdd, s, sd, sdd, t)
 
     def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
-        try:
-            call: TorqueCall = self._local.torque
-        except AttributeError:
-            call = self._local.torque = TorqueCall(self._robot, self.kernel, self._follow)
-        return call(*given, t, start)
+        return self._calls.torque(*given, t, start)
 
     def acceleration(
         self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, carrier_force: ArrayLike = (), *, t: float = 0.0
     ) -> AccelerationSample:
         """Return the accelerations of the tree at a closed state with a status; see ``Dynamics.acceleration``."""
-        try:
-            call: AccelerationCall = self._local.acceleration
-        except AttributeError:
-            call = self._local.acceleration = AccelerationCall(self._forward)
-        return call(q, v, tau, carrier_force, t)
+        return self._calls.acceleration(q, v, tau, carrier_force, t)
 
     def joint_state(
         self,
@@ -159,30 +146,21 @@ class CompiledDynamics(Dynamics):
         start: ArrayLike | None = None,
     ) -> JointStateSample:
         """Return all joints and the platform from the main actuators with a status; see ``Dynamics.joint_state``."""
-        try:
-            call: JointStateCall = self._local.joint_state
-        except AttributeError:
-            call = self._local.joint_state = JointStateCall(
-                self._robot, self.kernel, partial(follow_motors, self._robot)
-            )
-        return call(position, velocity, s, sd, start)
+        return self._calls.joint_state(position, velocity, s, sd, start)
 
     def _follow(
         self, motion: PlatformMotion, carriers: CarrierMotion, start: Start | None
-    ) -> tuple[Lifted, ReducedDynamics]:
+    ) -> tuple[ClosedMotion, ReducedDynamics]:
         """Return a motion on the branch of a start, or of the reference, with W and f; raises as ``along``."""
-        tree = lifted(self._robot, self.kernel, motion, mark=False, start=start)
-        return tree, CompiledAlongMotion(self, tree).reduce(carriers)
+        closed = close_motion(self._robot, self.kernel, motion, mark=False, start=start)
+        return closed, CompiledAlongMotion(self, closed).reduce(carriers)
 
     def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
         """Return W, and f as terms of the carriers' motion, at a few instants; see ``Dynamics.carrier_terms``.
 
         Newton's method starts from the instants that this thread asked for before, where they are near.
         """
-        continued = getattr(self._local, "continued", None)
-        if continued is None:
-            continued = self._local.continued = Continued(self)
-        return continued(t, x, xd, xdd)
+        return self._calls.carrier_terms(t, x, xd, xdd)
 
     def forward(self) -> CompiledForward | None:
         """Return forward dynamics, compiled when they are first asked for; None where that fails, with a warning."""
@@ -202,40 +180,57 @@ class CompiledDynamics(Dynamics):
         return bind(define(self._robot).functions["rp_project"], self._robot)
 
 
+class _Calls(threading.local):
+    """The calls of one thread, made when they are first used, with their memory and the branch that each goes on along.
+
+    Args:
+        dynamics: whose they are.
+    """
+
+    def __init__(self, dynamics: CompiledDynamics) -> None:
+        self._dynamics = dynamics
+
+    @cached_property
+    def sample(self) -> SampleCall:
+        return SampleCall(self._dynamics.robot, self._dynamics.kernel, self._dynamics._follow)
+
+    @cached_property
+    def torque(self) -> TorqueCall:
+        return TorqueCall(self._dynamics.robot, self._dynamics.kernel, self._dynamics._follow)
+
+    @cached_property
+    def acceleration(self) -> AccelerationCall:
+        return AccelerationCall(self._dynamics._forward)
+
+    @cached_property
+    def joint_state(self) -> JointStateCall:
+        robot = self._dynamics.robot
+        return JointStateCall(robot, self._dynamics.kernel, partial(follow_motors, robot))
+
+    @cached_property
+    def carrier_terms(self) -> Continued:
+        return Continued(self._dynamics)
+
+
 class CompiledAlongMotion(Frozen):
     """Dynamics along one platform motion; obtained from ``CompiledDynamics.along``.
 
     Rows of samples that are not reachable are NaN in every result.
+
+    Attributes:
+        robot, motion: the robot, and its platform motion.
+        q, gamma: (N, nq) configurations, carriers at zero, and (N, nv, n) Γ.
     """
 
-    def __init__(self, dynamics: CompiledDynamics, lifted: Lifted) -> None:
-        self._dynamics = dynamics
-        self._lifted = lifted
-
-    @property
-    def robot(self) -> Robot:
-        """The robot."""
-        return self._dynamics.robot
-
-    @property
-    def motion(self) -> PlatformMotion:
-        """The platform motion."""
-        return self._lifted.motion
-
-    @property
-    def q(self) -> Array:
-        """(N, nq) configurations, carriers at s = 0."""
-        return self._lifted.q
+    def __init__(self, dynamics: CompiledDynamics, closed: ClosedMotion) -> None:
+        self._dynamics, (self._tree, self._trig) = dynamics, closed
+        tree = closed.tree
+        self.robot, self.motion, self.q, self.gamma = tree.robot, tree.motion, tree.q, tree.gamma
 
     @property
     def reachable(self) -> BoolArray:
         """(N,) whether a configuration closes the chains."""
-        return self._lifted.reachable
-
-    @property
-    def gamma(self) -> Array:
-        """(N, nv, n) velocities of the tree per unit of each independent velocity."""
-        return self._lifted.gamma
+        return self._tree.reachable
 
     def reduce(self, carriers: CarrierMotion | None = None) -> ReducedDynamics:
         """Return f, W and carrier forces; carriers parked at s = 0 when left out. Tracks are not checked."""
@@ -246,19 +241,15 @@ class CompiledAlongMotion(Frozen):
         return ReducedDynamics(
             t=self.motion.t,
             f=read_only(f),
-            W=self._lifted.W,
+            W=self._tree.W,
             carrier_force=read_only(force),
-            reachable=self._lifted.reachable,
-            residual=self._lifted.residual,
+            reachable=self._tree.reachable,
+            residual=self._tree.residual,
             row_scale=row_scale(self.robot),
             column_scale=column_scale(self.robot),
-            out_of_range=self._out_of_range,
+            out_of_range=self._tree.out_of_range,
             force_size=force_sizes(self.robot, *moving, self._wrenches),
         )
-
-    @cached_property
-    def _out_of_range(self) -> BoolArray:
-        return out_of_range(self.robot, self._lifted.q)
 
     def carrier_derivatives(self, carriers: CarrierMotion | None = None) -> CarrierDerivatives:
         """Return the exact derivatives of f and carrier forces by s, ṡ, s̈ (casadi's, of the symbols)."""
@@ -286,7 +277,7 @@ class CompiledAlongMotion(Frozen):
             UnsupportedRobotError: a parameter that changes the axes or the number of joints; a wrench that is a
                 function, whose derivatives are not known.
         """
-        lifted, robot = self._lifted, self.robot
+        tree, robot = self._tree, self.robot
         carriers = require_matching_carriers(robot, carriers, len(self.motion))
         design = parameters if isinstance(parameters, Design) else design_of(robot, parameters)
         x = self.motion.x.reshape(len(self.motion), -1)
@@ -297,15 +288,15 @@ class CompiledAlongMotion(Frozen):
                     remedy="Pass its values at the samples, and add what it changes by x and xd.",
                     frame=wrench.frame,
                 )
-        samples = TreeSamples(x, lifted.q, lifted.v, lifted.a, lifted.reachable, self._external)
+        samples = TreeSamples(x, tree.q, tree.v, tree.a, tree.reachable, self._external)
         partials, _, share = motion_partials(robot, design, samples, carriers)
         return MotionDerivatives(design.names, share=share, reduced=self.reduce(carriers), **partials)
 
     def expressions(self, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any]:
         """Return casadi's f (n, N) and carrier forces (k, N) of expressions of the carriers' motion, (k, N) each."""
-        lifted, n = self._lifted, self.robot.n
-        known = [part.T for part in (lifted.q, lifted.trig, lifted.v, lifted.a)]
-        known.append(lifted.gamma.reshape(-1, n).T)  # the n rows of one sample beside those of the next
+        tree, n = self._tree, self.robot.n
+        known = [part.T for part in (tree.q, self._trig, tree.v, tree.a)]
+        known.append(tree.gamma.reshape(-1, n).T)  # the n rows of one sample beside those of the next
         f, force = self._dynamics.projection.map(len(self.motion)).call([*known, s, sd, sdd, self._external.T])
         return f, force
 
@@ -335,9 +326,9 @@ class CompiledAlongMotion(Frozen):
     def _mapped(
         self, name: str, carriers: CarrierMotion | None, widths: tuple[int, ...], *, gamma: bool = False
     ) -> list[Array]:
-        samples, lifted = len(self.motion), self._lifted
+        samples, tree = len(self.motion), self._tree
         carriers = require_matching_carriers(self.robot, carriers, samples)
-        inputs = [lifted.q, lifted.trig, lifted.v, lifted.a, *([lifted.gamma] if gamma else [])]
+        inputs = [tree.q, self._trig, tree.v, tree.a, *([tree.gamma] if gamma else [])]
         inputs += [np.ascontiguousarray(part) for part in (carriers.s, carriers.sd, carriers.sdd, self._external)]
         outputs = [np.empty((samples, width)) for width in widths]
 
@@ -345,7 +336,7 @@ class CompiledAlongMotion(Frozen):
             self._dynamics.kernel.map(name, of.stop - of.start, [a[of] for a in inputs], [a[of] for a in outputs])
 
         each(part, parts_of(samples, self._dynamics.threads))
-        if not lifted.reachable.all():
+        if not tree.reachable.all():
             for output in outputs:
-                output[~lifted.reachable] = np.nan
+                output[~tree.reachable] = np.nan
         return outputs

@@ -3,16 +3,17 @@
 /* Whether margins, rates and accelerations (sizes, by sample as next_sample writes them) show a rank loss that a motion steps across. A
    configuration that is good to 1e-16 gives accelerations to the square of the rates times 1e-16 / margin^3. A share of 1e-5
    and more of them is too much; towards a stretched leg they are themselves as large as rates squared over the margin squared,
-   and stay good. Small margins all along, as of short levers, are none: a tenth of the largest of the motion is. */
-static int crosses_rank_loss(const double *sizes, long samples) {
+   and stay good. Small margins all along, as of short levers, are none: a tenth of the largest of the motion is. Returns the number of
+   samples before it, all if there is none. */
+static long before_rank_loss(const double *sizes, long samples) {
   double usual = 0.0;
   for (long k = 0; k < samples; ++k)
     if (isfinite(sizes[2 * k])) usual = fmax(usual, sizes[2 * k]);
   for (long k = 0; k < samples; ++k) {
     double margin = sizes[2 * k];
-    if (margin < 0.1 * usual && margin * margin * margin < 1e-16 / 1e-5 * sizes[2 * k + 1]) return 1;
+    if (margin < 0.1 * usual && margin * margin * margin < ROUNDED_SHARE * sizes[2 * k + 1]) return k;
   }
-  return 0;
+  return samples;
 }
 
 /* The branch of a motion, and the rates (NV) of its last samples: `known` of them, at most two. */
@@ -41,7 +42,7 @@ static int next_sample(const double *numbers, Branch *branch, double dt, const d
     closed = !close_at(numbers, &next, x, 0);
     if (closed) branch->pose = next;
   }
-  if (!closed && !follow(numbers, &branch->pose, x)) return LOST;
+  if (!closed && !follow(numbers, &branch->pose, x)) return STATUS_UNREACHABLE;
   if (branch->known) copy(branch->a_before, branch->a, NV);
   sizes[0] = rates(numbers, &branch->pose, xd, xdd, branch->v, branch->a, gamma, W);
   if (sizes[0] < SINGULAR_MARGIN) return STATUS_TYPE_I;
@@ -58,7 +59,7 @@ int rp_lift(const double *numbers, int samples, const double *t, const double *x
             const double *x0, double *q, double *trig, double *v, double *a, double *gamma, double *W, double *residuals, double *sizes) {
   Branch branch;
   branch.known = 0;
-  if (!start_at(numbers, &branch.pose, q0, x0)) return LOST;
+  if (!start_at(numbers, &branch.pose, q0, x0)) return STATUS_UNREACHABLE;
   for (long k = 0; k < samples; ++k) {
     int failed = next_sample(numbers, &branch, k ? t[k] - t[k - 1] : 0.0, x + k * NX, xd + k * N, xdd + k * N, gamma + k * NV * N, W + k * N * M,
                        sizes + 2 * k);
@@ -69,7 +70,7 @@ int rp_lift(const double *numbers, int samples, const double *t, const double *x
     copy(a + k * NV, branch.a, NV);
     residuals[k] = branch.pose.residual * LENGTH;
   }
-  return crosses_rank_loss(sizes, samples) ? STATUS_TYPE_I : STATUS_OK;
+  return before_rank_loss(sizes, samples) < samples ? STATUS_TYPE_I : STATUS_OK;
 }
 
 static double distance(const double *a, const double *b, int size) {
@@ -81,48 +82,46 @@ static double distance(const double *a, const double *b, int size) {
 /* W, f and forces as terms of the carriers' motion, at samples of a motion: `width` numbers each, t, x, xd, xdd and wrenches. It goes on
    from one of the configurations near[] with their coordinates (NaN: none), to the first sample by Newton's method alone: a way there
    that is long is for rp_lift. out: W (N, M), constant (N + NK) and terms (NK, TERMS, N + NK) of redundancy_pin.CarrierTerms,
-   those of all samples side by side. sizes: two numbers a sample of memory. Afterwards near[] holds the first and the last sample.
-   Returns STATUS_OK, or why a sample failed. */
+   those of all samples side by side. sizes: two numbers a sample of memory. Returns how many samples there are before the first that is
+   not closed, not finite, or at a rank loss; but for a rank loss near[] then begins with the first and the last of them. */
 int rp_terms(const double *numbers, int samples, const double *in, int width, double *near, double *out, double *sizes) {
   enum { SUM = N + NK, ALL = NK * TERMS * SUM };
   double *W = out, *constant = W + (long)samples * N * M, *terms = constant + (long)samples * SUM;
   double gamma[NV * N + 1], ends[2][NQ + NX];
   const double *start = near;
   Branch branch;
+  long closed = 0;
   branch.known = 0;
   for (int r = 1; r < NEIGHBOURS; ++r) {
     const double *other = near + r * (NQ + NX);
     if (isnan(other[0])) continue; /* none yet */
     if (isnan(start[0]) || distance(other + NQ, in + 1, NX) < distance(start + NQ, in + 1, NX)) start = other;
   }
-  if (isnan(start[0]) || !start_at(numbers, &branch.pose, start, start + NQ) || close_at(numbers, &branch.pose, in + 1, 0)) return LOST;
-  for (long k = 0; k < samples; ++k) {
-    const double *at = in + k * width, *x = at + 1, *xd = x + NX, *xdd = xd + N;
-    double dt = k ? at[0] - at[-width] : 0.0;
-    if (!isfinite(at[0]) || dt < 0.0) return STATUS_NOT_FINITE;
-    int failed = next_sample(numbers, &branch, dt, x, xd, xdd, gamma, W + k * N * M, sizes + 2 * k);
-    if (failed) return failed;
+  if (isnan(start[0]) || !start_at(numbers, &branch.pose, start, start + NQ) || close_at(numbers, &branch.pose, in + 1, 0)) return 0;
+  for (; closed < samples; ++closed, W += N * M, constant += SUM, terms += ALL) {
+    const double *at = in + closed * width, *x = at + 1, *xd = x + NX, *xdd = xd + N;
+    double dt = closed ? at[0] - at[-width] : 0.0;
+    if (!isfinite(at[0]) || dt < 0.0 || next_sample(numbers, &branch, dt, x, xd, xdd, gamma, W, sizes + 2 * closed)) break;
     const double *const arg[] = {branch.pose.q, branch.pose.trig, branch.v, branch.a, gamma, xdd + N, numbers};
-    double *const res[] = {constant + k * SUM, terms + k * ALL};
+    double *const res[] = {constant, terms};
     rp_carrier_terms(arg, res);
-    if (!k || k == samples - 1) {
-      copy(ends[k > 0], branch.pose.q, NQ);
-      copy(ends[k > 0] + NQ, x, NX);
-    }
+    if (!finite(W, N * M) || !finite(constant, SUM) || !finite(terms, ALL)) break;
+    copy(ends[closed > 0], branch.pose.q, NQ);
+    copy(ends[closed > 0] + NQ, x, NX);
   }
-  if (crosses_rank_loss(sizes, samples)) return STATUS_TYPE_I;
-  for (long i = 0; i < (long)samples * (N * M + SUM + ALL); ++i)
-    if (!isfinite(out[i])) return STATUS_NOT_FINITE;
+  long before = before_rank_loss(sizes, closed);
+  if (before < closed || !closed) return (int)before;
   for (int r = NEIGHBOURS - 1; r > 1; --r) copy(near + r * (NQ + NX), near + (r - 2) * (NQ + NX), NQ + NX);
   copy(near, ends[0], NQ + NX);
-  copy(near + NQ + NX, ends[samples > 1], NQ + NX);
-  return STATUS_OK;
+  copy(near + NQ + NX, ends[closed > 1], NQ + NX);
+  return (int)closed;
 }
 
-/* From one configuration to other coordinates; q is replaced. */
-int rp_follow(const double *numbers, double *q, const double *x0, const double *x) {
+/* From a closed configuration to other coordinates; q is replaced. Returns a status. */
+int rp_follow(const double *numbers, double *q, const double *x) {
+  double here[NX];
   Pose pose;
-  if (!start_at(numbers, &pose, q, x0) || !go_far(numbers, &pose, x0, x)) return LOST;
+  if (pose_at(numbers, q, 0.0, &pose, here) || !go_far(numbers, &pose, here, x)) return STATUS_UNREACHABLE;
   copy(q, pose.q, NQ);
   return in_mode(numbers, &pose) ? STATUS_OK : STATUS_BRANCH_LOST;
 }

@@ -24,6 +24,7 @@ from redundancy_pin.arrays import (
     CLOSURE_TOLERANCE,
     NEAR_SINGULAR_MARGIN,
     RANK_TOLERANCE,
+    ROUNDED_SHARE,
     SINGULAR_MARGIN,
     Array,
 )
@@ -46,9 +47,6 @@ NEIGHBOURS = 8
 """Configurations from the nearest of which a batch of carrier terms begins: first and last of each of four batches; a
 control update has two or three."""
 
-LARGEST_TURN = 0.5
-"""Longest turn, rad, of a pose at a time on the way to another: a quarter of a turn away its rows, sines, are least."""
-
 _CONSTANTS = {
     "NEIGHBOURS": NEIGHBOURS,
     "TERMS": TERMS,
@@ -60,7 +58,8 @@ _CONSTANTS = {
     "CONSISTENCY_TOLERANCE": CONSISTENCY_TOLERANCE,
     "FORCE_TOLERANCE": FORCE_TOLERANCE,
     "POSE_TOLERANCE": POSE_TOLERANCE,
-    "LARGEST_TURN": LARGEST_TURN,
+    "ROUNDED_SHARE": ROUNDED_SHARE,
+    "ROUNDED_MARGIN": float(np.cbrt(ROUNDED_SHARE)),
     "LEAST_INERTIA": LEAST_INERTIA,
     "EPSILON": float(np.finfo(float).eps),
     "TURN": TURN,

@@ -92,7 +92,7 @@ static int turned_far(const double *numbers, const Pose *pose, const double *x) 
   double here[NX], trace = 0.0;
   coordinates_of(numbers, pose->q, pose->trig, here);
   for (int i = 0; i < 3; ++i) trace += dot(here + 4 * i, x + 4 * i, 3);
-  return trace < 1.0 + 2.0 * cos(LARGEST_TURN);
+  return trace < 1.0 + 2.0 * cos(LONGEST);
 #else
   (void)numbers, (void)pose, (void)x;
   return 0;
@@ -104,46 +104,52 @@ static void keep(const Pose *pose, double *state) {
   state[NQ] = pose->sign;
 }
 
-/* One sample; in and out as rp_sample. Where Newton's method does not get there in one step, the branch of the state is followed, on the
-   straight way, however many turns away. The state is moved where the sample is closed; reached, of the same size, is the last
-   configuration on the way, or the first next to a rank loss. Returns as rp_sample, or OUT_OF_REACH with the closure residual among out. */
+/* A sample that is more than one step of Newton's method away, by the branch of a closed state, on the straight way, however many turns
+   away. Afterwards reached is the last configuration on the way, or the first next to a rank loss; from is the sample's. Returns as
+   rp_reach. */
+static int follow_to(const double *numbers, double *reached, double *from, const double *in, double *out) {
+  double here[NX];
+  Pose pose;
+  if (pose_at(numbers, reached, reached[NQ], &pose, here)) return STATUS_BRANCH_LOST;
+  if (go_far(numbers, &pose, here, in)) {
+    keep(&pose, from);
+    int closed = rp_sample(numbers, from, in, out);
+    return closed == STATUS_UNREACHABLE ? STATUS_BRANCH_LOST : closed;
+  }
+  int bifurcation = may_go_on(&pose);
+  if (!bifurcation) keep(&pose, reached); /* the tangent, by which kinematics pass, is known better where the way began */
+  double residual = bifurcation || turned_far(numbers, &pose, in) ? 0.0 : least_residual(numbers, pose.q, in);
+  out[N * M + N + NK] = residual * LENGTH;
+  return residual > TOLERANCE ? STATUS_UNREACHABLE : STATUS_BRANCH_LOST;
+}
+
+/* One sample; in and out as rp_sample, on the branch of the state. The state is moved where the sample is closed; reached, of the same
+   size, is where kinematics go on. Returns a status: STATUS_UNREACHABLE where the loops close nowhere, the closure residual is then
+   among out, and of a matrix that is no pose; STATUS_BRANCH_LOST where they may close. */
 int rp_reach(const double *numbers, double *state, double *reached, const double *in, double *out) {
   double here[NX], from[NQ + 1];
-  Pose pose;
   int refused = refusal_of(in);
   copy(reached, state, NQ + 1);
   if (refused) return refused;
-  if (isnan(state[NQ])) return LOST;
+  if (isnan(state[NQ])) return STATUS_BRANCH_LOST;
   if (state[NQ] == 0.0) { /* a start: its chains have to close, and the sign of its determinant is not known yet */
-    if (!close_start(numbers, state, &pose, here)) return LOST;
+    Pose pose;
+    if (!close_start(numbers, state, &pose, here)) return STATUS_BRANCH_LOST;
     keep(&pose, reached);
   }
   copy(from, reached, NQ + 1);
   int closed = rp_sample(numbers, from, in, out);
-  if (closed == LOST && pose_at(numbers, reached, reached[NQ], &pose, here) == STATUS_OK) {
-    if (go_far(numbers, &pose, here, in)) {
-      keep(&pose, from);
-      closed = rp_sample(numbers, from, in, out);
-    } else {
-      int bifurcation = may_go_on(&pose);
-      if (!bifurcation) keep(&pose, reached); /* the tangent, by which kinematics pass, is known better where the way began */
-      double residual = bifurcation || turned_far(numbers, &pose, in) ? 0.0 : least_residual(numbers, pose.q, in);
-      out[N * M + N + NK] = residual * LENGTH;
-      if (residual > TOLERANCE) closed = OUT_OF_REACH;
-    }
-  }
+  if (closed == STATUS_UNREACHABLE) closed = follow_to(numbers, reached, from, in, out);
   if (closed == STATUS_OK) copy(state, from, NQ + 1);
   return closed;
 }
 
 #if M
-/* Torques of one sample. out: as rp_sample, then tau (M) and the type II margin. Returns a status, or NO_POSE. */
+/* Torques of one sample. out: as rp_sample, then tau (M) and the type II margin. Returns a status. */
 int rp_torque(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
   double q[NQ], *const f = out + N * M, *const tau = f + N + NK + 2;
   Efforts efforts;
   int closed = rp_reach(numbers, state, reached, in, out);
-  if (closed == OUT_OF_REACH) return STATUS_UNREACHABLE;
-  if (closed == LOST) return STATUS_BRANCH_LOST;
   if (closed) return closed;
   int status = distribute(numbers, out, f, force_size_of(numbers, in), &efforts);
   if (status == STATUS_NOT_FINITE) { /* efforts overflow: a sample without results moves no state */

@@ -9,6 +9,7 @@ the motion is followed from the reference by ``along``, which marks what cannot 
 from __future__ import annotations
 
 import ctypes
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,14 +22,9 @@ from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Wrench
 from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.loads import of_kind, wrench_values
-from redundancy_pin.robot.scales import coordinate_unit
-from redundancy_pin.status import SampleStatus
 
 if TYPE_CHECKING:
     from redundancy_pin.dynamics.compiled import CompiledDynamics
-
-BESIDE = 0.04
-"""Distance, in characteristic lengths and rad, at which a neighbour tells that the branch ends: a follower's step."""
 
 
 class Continued:
@@ -39,8 +35,6 @@ class Continued:
         self._dynamics, self._n, self._m, self._k = dynamics, robot.n, robot.m, robot.k
         self._x: tuple[int, ...] = (4, 4) if is_pose(robot) else (robot.n,)
         self._places, self._nq = 16 if is_pose(robot) else robot.n, robot.model.nq
-        length = robot.characteristic_length
-        self._unit = np.tile([1.0, 1.0, 1.0, length], 4) if is_pose(robot) else np.array(coordinate_unit(robot))
         self._loads = of_kind(robot.loads, Wrench)
         self._width = 1 + self._places + 2 * robot.n + 6 * len(self._loads)
         # first and last configurations of the batches before, each with its coordinates
@@ -68,54 +62,31 @@ class Continued:
         wrenches = wrench_values(self._loads, t, x, xd) if self._loads else ()
         flat = x.reshape(samples, -1)
         np.concatenate((t[:, None], flat, xd, xdd, *wrenches), axis=1, out=self._given[:samples])
-        if self._closes(samples, self._near):
-            return self._read_out(samples)
-        closed = self._up_to_the_end(x)
-        if closed is None:
-            return self._followed(t, x, xd, xdd)
-        found = self._read_out(closed)
-        behind = (np.full((samples - closed, *part.shape[1:]), np.nan) for part in found)
-        return CarrierTerms(*map(np.concatenate, zip(found, behind, strict=True)))
-
-    def _read_out(self, samples: int) -> CarrierTerms:
-        n, m, k = self._n, self._m, self._k
-        a = samples * n * m
-        b = a + samples * (n + k)
-        out = self._out[: b + samples * k * TERMS * (n + k)].copy()
-        return CarrierTerms(
-            out[:a].reshape(samples, n, m),
-            out[a:b].reshape(samples, n + k),
-            out[b:].reshape(samples, k, TERMS, n + k),
-        )
-
-    def _closes(self, samples: int, near: Array) -> bool:
-        """Return whether machine code closes so many of the samples, from neighbours that it replaces if it does."""
         given, result, sizes = self._addresses
-        start = ctypes.c_void_p(near.ctypes.data)
-        status = self._function(self._numbers, samples, given, self._width, start, result, sizes)
-        return bool(status == SampleStatus.OK)
+        near = ctypes.c_void_p(self._near.ctypes.data)
+        closed = int(self._function(self._numbers, samples, given, self._width, near, result, sizes))
+        if closed < samples and not self._ends_before(x[closed]):
+            return self._followed(t, x, xd, xdd)
+        return self._read_out(samples, closed)
 
-    def _up_to_the_end(self, x: Array) -> int | None:
-        """Return how many samples are before the end of the branch, whose neighbours are kept; None where it goes on.
+    def _read_out(self, samples: int, closed: int) -> CarrierTerms:
+        """Return the results, NaN behind those that are closed."""
+        n, m, k = self._n, self._m, self._k
+        shapes = (n, m), (n + k,), (k, TERMS, n + k)
+        ends = np.cumsum([samples * math.prod(shape) for shape in shapes]).tolist()
+        parts = np.split(self._out[: ends[-1]].copy(), ends[:-1])
+        terms = CarrierTerms(*(part.reshape(samples, *shape) for part, shape in zip(parts, shapes, strict=True)))
+        for part in terms:
+            part[closed:] = np.nan
+        return terms
 
-        None also where no neighbour is near enough to the first to tell.
-        """
-        closed, lost, near = 0, len(x), self._near.copy()
-        while lost > closed + 1:
-            middle, tried = (closed + lost) // 2, self._near.copy()
-            if self._closes(middle, tried):
-                closed, near = middle, tried
-            else:
-                lost = middle
-        away = np.linalg.norm((near[:, self._nq :] - x[closed].ravel()) / self._unit, axis=1)
-        last = near[np.nan_to_num(away, nan=np.inf).argmin()]
-        before = last[self._nq :].reshape(self._x)
-        if not np.nanmin(away, initial=np.inf) <= BESIDE:
-            return None
-        if not branch_ends(self._dynamics.robot, last[: self._nq], before, x[closed]):
-            return None
-        self._near = near
-        return closed if not closed or self._closes(closed, near.copy()) else None
+    def _ends_before(self, x: Array) -> bool:
+        """Return whether the branch ends on the way to a pose from the neighbour that is nearest to it."""
+        away = np.abs(self._near[:, self._nq :] - x.ravel()).max(axis=1)
+        if np.isnan(away).all():
+            return False
+        nearest = self._near[np.nanargmin(away)]
+        return branch_ends(self._dynamics.robot, nearest[: self._nq], nearest[self._nq :].reshape(self._x), x)
 
     def _followed(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
         """Follow the motion from the reference, and remember where that led."""

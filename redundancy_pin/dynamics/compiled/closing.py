@@ -9,50 +9,41 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
-from redundancy_pin.arrays import Array, BoolArray, read_only
-from redundancy_pin.dynamics.compiled.build import LARGEST_TURN, Library
+from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.dynamics.compiled.build import Library
 from redundancy_pin.dynamics.compiled.parameters import trig_at, turning_joints
 from redundancy_pin.errors import WorkingModeError
-from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower, known_state
-from redundancy_pin.kinematics.coordinates import coordinates, with_independent_joints
-from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.kinematics.branch import LONGEST_STEP, BranchEnd, ClosedState, follower
+from redundancy_pin.kinematics.coordinates import coordinates, difference, with_independent_joints
+from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import column_scale, row_scale
+from redundancy_pin.robot.scales import column_scale, coordinate_unit, row_scale
 from redundancy_pin.status import SampleStatus
 
 _PER_THREAD = 400
 """Samples below which a second thread costs more than it brings."""
 
 
-class Start(NamedTuple):
-    """A configuration q (nq,) to go on from, and its Γ (nv, n) where K may have no inverse, as at a rank loss."""
-
-    q: Array
-    gamma: Array | None
+Start: TypeAlias = ClosedState | Array
+"""Where kinematics go on from: a closed state, or a configuration (nq,) at which the chains close. At a rank loss it
+takes a state, whose Γ determines the branch."""
 
 
-class Lifted(NamedTuple):
-    """Motion of the tree; see ``kinematics.inverse_kinematics.JointTrajectory``."""
+class ClosedMotion(NamedTuple):
+    """Motion of the tree with the chains closed, carriers at zero, and ``parameters.trig_at`` of its configurations."""
 
-    motion: PlatformMotion
-    q: Array
+    tree: JointTrajectory
     trig: Array
-    v: Array
-    a: Array
-    gamma: Array
-    W: Array
-    residual: Array
-    margin: Array
-    reachable: BoolArray
 
 
-def lifted(robot: Robot, kernel: Library, motion: PlatformMotion, *, mark: bool, start: Start | None = None) -> Lifted:
+def close_motion(
+    robot: Robot, kernel: Library, motion: PlatformMotion, *, mark: bool, start: Start | None = None
+) -> ClosedMotion:
     """Return the tree's motion along one of the platform.
 
     Args:
@@ -66,7 +57,7 @@ def lifted(robot: Robot, kernel: Library, motion: PlatformMotion, *, mark: bool,
         RedundancyPinError: what ``kinematics.inverse_kinematics`` raises.
     """
     samples = len(motion)
-    q0 = _start(robot, kernel, motion) if start is None else None
+    q0 = _first_configuration(robot, kernel, motion) if start is None else None
     if q0 is not None:
         # a motion keeps the layout it was given in, say of a transposed array; C reads row by row
         given = [np.ascontiguousarray(part) for part in (motion.t, motion.x, motion.xd, motion.xdd)]
@@ -74,29 +65,22 @@ def lifted(robot: Robot, kernel: Library, motion: PlatformMotion, *, mark: bool,
         shapes = ((nq,), (2 * len(turning_joints(robot)),), (nv,), (nv,), (nv, n), (n, m), (), (2,))
         arrays = [np.empty((samples, *shape)) for shape in shapes]
         if kernel.call("rp_lift", samples, *given, q0, given[1], *arrays) == SampleStatus.OK:
-            q, trig, v, a, gamma, W, residual, sizes = (read_only(array) for array in arrays)
+            q, trig, v, a, gamma, W, residual, sizes = map(read_only, arrays)
             everywhere = read_only(np.ones(samples, dtype=bool))
-            return Lifted(motion, q, trig, v, a, gamma, W, residual, sizes[:, 0], everywhere)
+            tree = JointTrajectory(robot, motion, q, v, a, gamma, W, residual, everywhere, sizes[:, 0])
+            return ClosedMotion(tree, trig)
     state = None if start is None else _state_at(robot, start)
     tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=state)
-    trig, rates = read_only(trig_at(robot, tree.q)), (tree.v, tree.a, tree.gamma, tree.W)
-    return Lifted(motion, tree.q, trig, *rates, tree.residual, tree.serial_margin_bound, tree.reachable)
+    return ClosedMotion(tree, read_only(trig_at(robot, tree.q)))
 
 
-def _start(robot: Robot, kernel: Library, motion: PlatformMotion) -> Array | None:
+def _first_configuration(robot: Robot, kernel: Library, motion: PlatformMotion) -> Array | None:
     """Return a configuration (nq,) closed at the first sample: straight from the reference; otherwise by kinematics.
 
     None where a motion of one sample, or a first sample out of reach, is for kinematics as a whole.
     """
-    q, x = np.array(robot.q_reference), np.ascontiguousarray(motion.x[0].reshape(-1))
-    here = np.empty(len(x))
-    kernel.map("rp_coordinates", 1, [q[None], trig_at(robot, q[None])], [here[None]])
-    for target in waypoints(here, x, motion.is_pose):
-        status = kernel.call("rp_follow", q, here, target)
-        here = target
-        if status not in (SampleStatus.OK, SampleStatus.BRANCH_LOST):  # the mode may be the robot's again farther on
-            break
-    if status == SampleStatus.OK:
+    q = np.array(robot.q_reference)
+    if kernel.call("rp_follow", q, np.ascontiguousarray(motion.x[0])) == SampleStatus.OK:
         return q
     if len(motion) == 1:
         return None
@@ -106,11 +90,11 @@ def _start(robot: Robot, kernel: Library, motion: PlatformMotion) -> Array | Non
 
 def _state_at(robot: Robot, start: Start) -> ClosedState:
     """Return the closed state at a start; raises WorkingModeError where the chains do not close nearby."""
-    own, q = follower(robot), start.q.copy()
+    if isinstance(start, ClosedState):
+        return start
+    q = start.copy()
     q[robot.carrier_position] = 0.0
-    if start.gamma is not None:
-        return known_state(robot, own.coordinates_at(q), q, start.gamma)
-    closed = own.state_at(q)
+    closed = follower(robot).state_at(q)
     if closed is None:
         raise WorkingModeError(
             f"The chains of {robot.name} do not close at the start, or K is singular there: no branch goes on from it.",
@@ -122,16 +106,16 @@ def _state_at(robot: Robot, start: Start) -> ClosedState:
 class Driven(NamedTuple):
     """A configuration from the main actuators: q (nq,), v (nv,), x and xd as of ``JointStateSample``.
 
-    ``gamma`` (nv, m) velocities per unit of each main actuator's; ``margin`` smallest singular value of the scaled W,
-    and ``serial_margin`` of its inverse, zero at a type I singularity; ``closing_margin`` of K, zero also at a rank
-    loss of the closures, no units; ``residual`` of the closures, m.
+    ``state`` where the next one goes on, whose coordinates are the main actuators'; ``margin`` smallest singular value
+    of the scaled W, and ``serial_margin`` of its inverse, zero at a type I singularity; ``closing_margin`` of K, zero
+    also at a rank loss of the closures, no units; ``residual`` of the closures, m.
     """
 
     q: Array
     v: Array
     x: Array
     xd: Array
-    gamma: Array
+    state: ClosedState
     margin: float
     serial_margin: float
     closing_margin: float
@@ -157,7 +141,8 @@ def follow_motors(robot: Robot, start: Start, position: Array, velocity: Array) 
     by_motors = own.chain.platform_jacobian() @ gamma
     sizes = np.linalg.svd(by_motors * row_scale(robot)[:, None] / column_scale(robot), compute_uv=False)
     margins = 1.0 / float(sizes[0]), float(sizes[-1]), closing_margin
-    return Driven(q, v, coordinates(robot, own.chain), by_motors @ velocity, gamma, *margins, float(tree.residual[0]))
+    x, xd, residual = coordinates(robot, own.chain), by_motors @ velocity, float(tree.residual[0])
+    return Driven(q, v, x, xd, tree.state(0), *margins, residual)
 
 
 def parts_of(samples: int, threads: int) -> list[slice]:
@@ -178,24 +163,14 @@ def each(work: Callable[[Any], Any], items: list[Any]) -> None:
         list(pool.map(work, items))
 
 
-def waypoints(home: Array, x: Array, is_pose: bool) -> list[Array]:
-    """Return coordinates on the way from one pose to another, the last one last; a pose turns a little at a time."""
-    if not is_pose:
-        return [x]
-    first, last = home.reshape(4, 4), x.reshape(4, 4)
-    rotations = Rotation.from_matrix(np.stack([first[:3, :3], last[:3, :3]]))
-    angle = (rotations[1] * rotations[0].inv()).magnitude()
-    shares = np.linspace(0.0, 1.0, int(np.ceil(angle / LARGEST_TURN)) + 1)[1:] if angle > 0.0 else np.ones(1)
-    poses = np.repeat(np.eye(4)[None], len(shares), axis=0)
-    poses[:, :3, :3] = Slerp([0.0, 1.0], rotations)(shares).as_matrix()
-    poses[:, :3, 3] = first[:3, 3] + shares[:, None] * (last[:3, 3] - first[:3, 3])
-    poses[-1] = last
-    return [pose.ravel() for pose in poses]
-
-
 def branch_ends(robot: Robot, q: Array, x0: Array, x: Array) -> bool:
-    """Return whether no configuration at x continues the branch of q (nq,), which is closed at x0 nearby."""
+    """Return whether no configuration at x continues the branch of q (nq,), which is closed at x0.
+
+    Only a branch that is a follower's step away at most is followed; others are not known to end.
+    """
     own, configuration = follower(robot), q.copy()
+    if not np.linalg.norm(difference(robot, x[None], x0[None]) / coordinate_unit(robot)) <= LONGEST_STEP:
+        return False
     configuration[robot.carrier_position] = np.array(robot.q_reference)[robot.carrier_position]
     here = own.close(configuration, x0)
     reached = None if here is None else own.advance(here, x)

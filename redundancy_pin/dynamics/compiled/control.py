@@ -21,35 +21,35 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, SINGULAR_MARGIN, Array, numbers
 from redundancy_pin.dynamics.base import AccelerationSample, JointStateSample, ReducedDynamics, Sample, TorqueSample
 from redundancy_pin.dynamics.compiled.build import Code
-from redundancy_pin.dynamics.compiled.closing import Driven, Lifted, Start
+from redundancy_pin.dynamics.compiled.closing import ClosedMotion, Driven, Start
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
 from redundancy_pin.dynamics.compiled.parameters import layout_of, parameter_vector, places_of, topology_of
 from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, refused, solve_sample, without_answer
 from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_poses
 from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.checks import is_pose, too_few_motors
 from redundancy_pin.robot.joint_ranges import is_in_range, range_table
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.status import SampleStatus
 
-Follow: TypeAlias = Callable[[PlatformMotion, CarrierMotion, Start | None], tuple[Lifted, ReducedDynamics]]
+Follow: TypeAlias = Callable[[PlatformMotion, CarrierMotion, Start | None], tuple[ClosedMotion, ReducedDynamics]]
 """Solves a motion of one sample by kinematics, on the branch of a start, or of the reference where that is None."""
 
 _STATUSES = tuple(SampleStatus)
 """By code: an index takes a fifth of the time of ``SampleStatus(code)``."""
-
-_NO_POSE = len(_STATUSES)
-"""NO_POSE of the C: x is a matrix, but no homogeneous pose."""
 
 _FOR_KINEMATICS = len(_STATUSES)
 """Code of ``rp_joint_state``: K is next to singular where the C ends, and kinematics may go on."""
 
 _WITHOUT_RESULT = frozenset(
     {
-        *map(int, (SampleStatus.UNREACHABLE, SampleStatus.BRANCH_LOST, SampleStatus.TYPE_I, SampleStatus.TYPE_II)),
-        int(SampleStatus.NOT_FINITE),
-        _NO_POSE,
+        SampleStatus.UNREACHABLE,
+        SampleStatus.BRANCH_LOST,
+        SampleStatus.TYPE_I,
+        SampleStatus.TYPE_II,
+        SampleStatus.NOT_FINITE,
+        _FOR_KINEMATICS,
     }
 )
 """Codes of samples that have no results; the state of the C is not moved."""
@@ -122,12 +122,12 @@ class _Branch:
         reached: (nq + 1,) the same of the last one on the way to a sample that the C does not get to; next to a rank
             loss of the closures the first, where Γ is known better.
         known: whether a start or a sample has determined the branch; before that it is the reference's.
-        passed: the last sample at a rank loss of the closures, where Γ determines the branch and q does not.
+        passed: the last sample at a rank loss of the closures, q and its state: Γ determines the branch, q does not.
     """
 
     def __init__(self, robot: Robot, code: Code) -> None:
         self.known = False
-        self.passed: Start | None = None
+        self.passed: tuple[Array, Start] | None = None
         self._refusal: tuple[bytes, SampleStatus, float] | None = None
         self._pose = np.setdiff1d(np.arange(robot.model.nq), robot.carrier_position)
         self.state, self.reached = np.append(robot.q_reference, 0.0), np.zeros(robot.model.nq + 1)
@@ -154,20 +154,20 @@ class _Branch:
             self._start.convert(start)
         begun = bool(self._begin())
         self.known = self.known or begun
-        if self.passed is not None and np.array_equal(self.passed.q[self._pose], self.state[self._pose]):
+        if self.passed is not None and np.array_equal(self.passed[0][self._pose], self.state[self._pose]):
             self.state[-1] = np.nan
         return begun
 
-    def move(self, q: Array, gamma: Array, margin: float) -> None:
-        """Go on from a sample that kinematics have solved, with Γ where its margin is too small for the C."""
-        self.passed = Start(q, gamma) if margin < SINGULAR_MARGIN else None
+    def move(self, q: Array, state: Start, margin: float) -> None:
+        """Go on from a sample that kinematics have solved, by its state where its margin is too small for the C."""
+        self.passed = (q, state) if margin < SINGULAR_MARGIN else None
         self.begin(q)
 
     def next_start(self) -> Start | None:
         """Return from where kinematics go on: None from a start that the C does not close."""
         if isnan(self.state[-1]):
-            return self.passed
-        return Start(self.reached[:-1].copy(), None) if self.reached[-1] else None
+            return None if self.passed is None else self.passed[1]
+        return self.reached[:-1].copy() if self.reached[-1] else None
 
     def refuse(self, given: Sequence[Array], status: SampleStatus, residual: float) -> None:
         """Remember what kinematics say of a sample without an answer, for as long as it is asked for again."""
@@ -226,7 +226,7 @@ class SampleCall:
         self._take(x, xd, xdd, s, sd, sdd, t)
         if not self._call():
             return Sample(self._W.reshape(len(self._f), -1).copy(), self._f.copy(), self._force.copy())
-        tree, reduced = self._followed(self._motion(t), None)
+        (tree, _), reduced = self._followed(self._motion(t), None)
         self._branch.state[:-1], self._branch.state[-1] = tree.q[0], 0.0
         sample = Sample(reduced.W[0], reduced.f[0], reduced.carrier_force[0])
         if not all(np.isfinite(part).all() for part in sample):
@@ -273,7 +273,7 @@ class SampleCall:
         x, xd, xdd, *_ = self._arguments.parts
         return PlatformMotion(np.array([t]), x.reshape(1, *self._shape), xd[None], xdd[None], check_rates=False)
 
-    def _followed(self, motion: PlatformMotion, start: Start | None) -> tuple[Lifted, ReducedDynamics]:
+    def _followed(self, motion: PlatformMotion, start: Start | None) -> tuple[ClosedMotion, ReducedDynamics]:
         carriers = CarrierMotion(*(part[None] for part in self._arguments.parts[3:6]), check_rates=False)
         return self._follow(motion, carriers, start)
 
@@ -318,6 +318,8 @@ class TorqueCall(SampleCall):
         """Return a sample that the C does not close; raises InputError where it is no sample."""
         if code == SampleStatus.NOT_FINITE:
             return without_answer(self._robot, SampleStatus.NOT_FINITE)
+        if self._pose:
+            require_poses(self._arguments.parts[0].reshape(1, *self._shape))
         if code == SampleStatus.UNREACHABLE and self._branch.known:
             return without_answer(self._robot, SampleStatus.UNREACHABLE, self._residual())
         motion, robot, branch = self._motion(t), self._robot, self._branch
@@ -329,16 +331,17 @@ class TorqueCall(SampleCall):
         if known is not None:
             return without_answer(robot, *known)
         try:
-            tree, reduced = self._followed(motion, start)
+            (tree, _), reduced = self._followed(motion, start)
         except REFUSALS as error:
             answer = refused(robot, error)
             branch.refuse(pose, answer.status, answer.residual)
             return answer
         x, xd, xdd, s, sd, sdd, _ = self._arguments.parts
-        branch.move(tree.q[0], tree.gamma[0], float(tree.margin[0]))
+        margin, residual = float(tree.serial_margin_bound[0]), float(tree.residual[0])
+        branch.move(tree.q[0], tree.state(0), margin)
         sample = Sample(reduced.W[0], reduced.f[0], reduced.carrier_force[0])
-        kinematics = float(tree.residual[0]), float(tree.margin[0])
-        return solve_sample(robot, sample, tree.q[0], kinematics, (x.reshape(self._shape), xd, xdd, s, sd, sdd), t)
+        given = x.reshape(self._shape), xd, xdd, s, sd, sdd
+        return solve_sample(robot, sample, tree.q[0], (residual, margin), given, t)
 
 
 class JointStateCall:
@@ -427,7 +430,7 @@ class JointStateCall:
             return int(status)
         if found.serial_margin < SINGULAR_MARGIN:
             return int(SampleStatus.TYPE_I)
-        branch.move(found.q, found.gamma, found.closing_margin)
+        branch.move(found.q, found.state, found.closing_margin)
         q, v = found.q.copy(), found.v.copy()
         q[robot.carrier_position], v[robot.carrier_velocity] = s, sd
         self._results[:] = np.concatenate([q, v, found.x.ravel(), found.xd, [found.margin, found.residual]])

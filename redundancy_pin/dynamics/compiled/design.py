@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, Frozen, IntArray, frozen
+from redundancy_pin.dynamics.allocation import ROUNDING
 from redundancy_pin.dynamics.compiled.parameters import motion_subspaces, numbers_of, places_of
 from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
 from redundancy_pin.robot import Payload, Robot
@@ -29,9 +30,6 @@ from redundancy_pin.robot.urdf import declaration_path
 _STEP = 0.01
 """Step of the differences, relative to the parameter: of order six they err by 1e-12/140 of its seventh derivative, and
 by 1e-14 in rounding. Sums, products and powers up to the sixth are exact."""
-
-_ROUNDING = 1e-14
-"""Rounding of a weighted sum of seven numbers, relative to the largest of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +210,7 @@ def by_xacro(robot: Robot, name: str, trust: bool) -> Array:
     numbers = np.array([numbers_of(each).values for each in loaded.values()])
     column: Array = _difference_weights(offsets) @ numbers / step
     # rounding: what is left of it would cost as much as a derivative
-    column[np.abs(column) <= _ROUNDING * np.abs(numbers).max(axis=0) / step] = 0.0
+    column[np.abs(column) <= ROUNDING * np.abs(numbers).max(axis=0) / step] = 0.0
     return column
 
 

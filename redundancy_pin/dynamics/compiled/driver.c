@@ -15,12 +15,7 @@
 #define ROUNDED (2.0 * EPSILON) /* and steps that are this share of the largest coordinate and no longer shrink */
 #define SHORTEST 1e-4   /* share of the way to a sample, no unit; the way is lost where shorter steps fail */
 #define PART 0.1        /* least share of the platform in the norm of K's inverse at the end of a branch, no unit: 1e-4 at a rank loss */
-#define ROUNDED_MARGIN 2e-4 /* margin of K, no unit, next to a rank loss of the closures: below, rounding takes 1e-5 and more of accelerations */
 #define ITERATIONS 15   /* three times as many as quadratic convergence takes from LONGEST to SETTLED */
-
-/* What functions here return beside the statuses of redundancy_pin.status: a matrix that is no pose; coordinates that Newton's method
-   does not get to; and those to which it closes the loops nowhere. */
-enum { NO_POSE = STATUSES, LOST, OUT_OF_REACH };
 
 typedef struct {
   double q[NQ];
@@ -101,7 +96,7 @@ static int follow_way(const double *numbers, Pose *pose, int (*close)(const doub
 
 static int close_at(const double *numbers, Pose *pose, const double *x, const double *left) {
   Pose next;
-  if (!newton(numbers, pose->q, x, left, &next) || next.sign != pose->sign) return LOST;
+  if (!newton(numbers, pose->q, x, left, &next) || next.sign != pose->sign) return STATUS_UNREACHABLE;
   *pose = next;
   return STATUS_OK;
 }
@@ -211,13 +206,6 @@ static double rates(const double *numbers, const Pose *pose, const double *xd, c
   return size > 0.0 ? 1.0 / sqrt(size) : INFINITY;
 }
 
-/* By leg a number that is positive in the working mode that the numbers say, and zero where modes meet. */
-static void sides_of(const double *numbers, const double *q, const double *trig, double *sides) {
-  const double *const arg[] = {q, trig, numbers};
-  double *const res[] = {sides};
-  if (LEGS) rp_modes(arg, res);
-}
-
 static int in_mode(const double *numbers, const Pose *pose) {
   double sides[LEGS + 1] = {0.0};
   sides_of(numbers, pose->q, pose->trig, sides);
@@ -266,23 +254,22 @@ static int is_pose(const double *x) {
 #endif
 }
 
-/* Why a sample cannot be evaluated whatever the robot: STATUS_NOT_FINITE or NO_POSE, or STATUS_OK where nothing is wrong with it. */
+/* Why a sample cannot be evaluated whatever the robot: STATUS_NOT_FINITE, STATUS_UNREACHABLE for a matrix that is no pose, or STATUS_OK. */
 static int refusal_of(const double *in) {
   if (!finite(in, NX + 2 * N + 3 * NK + NWRENCH)) return STATUS_NOT_FINITE;
-  if (!is_pose(in)) return NO_POSE;
-  return STATUS_OK;
+  return is_pose(in) ? STATUS_OK : STATUS_UNREACHABLE;
 }
 
 /* One sample: in = x, xd, xdd, s, sd, sdd, wrenches; out = W, f, carrier forces, residual, margin. state is where Newton starts, and
    afterwards where it ended: the configuration, and the determinant's sign (0: not known). Nothing is written unless the
-   sample is closed on the same side of every type I singularity. Returns a status, NO_POSE or LOST. */
+   sample is closed on the same side of every type I singularity. Returns a status: STATUS_UNREACHABLE where Newton's method fails. */
 static int rp_sample(const double *numbers, double *state, const double *in, double *out) {
   const double *x = in, *xd = in + NX, *xdd = xd + N, *s = xdd + N;
   double v[NV], a[NV], gamma[NV * N + 1], W[N * M + 1], f[N + 1], force[NK + 1] = {0.0};
   Pose pose;
   int refused = refusal_of(in);
   if (refused) return refused;
-  if (!newton(numbers, state, x, 0, &pose) || pose.sign * state[NQ] < 0.0) return LOST;
+  if (!newton(numbers, state, x, 0, &pose) || pose.sign * state[NQ] < 0.0) return STATUS_UNREACHABLE;
   double margin = rates(numbers, &pose, xd, xdd, v, a, gamma, W);
   if (margin < SINGULAR_MARGIN || (margin < ROUNDED_MARGIN && may_go_on(&pose))) return STATUS_TYPE_I;
   if (!in_mode(numbers, &pose)) return STATUS_BRANCH_LOST;

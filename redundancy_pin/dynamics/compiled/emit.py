@@ -20,21 +20,12 @@ _UNARY = {
     "OP_NEG": "-{}",
     "OP_SIN": "sin({})",
     "OP_COS": "cos({})",
-    "OP_TAN": "tan({})",
-    "OP_ASIN": "asin({})",
-    "OP_ACOS": "acos({})",
-    "OP_ATAN": "atan({})",
     "OP_SQRT": "sqrt({})",
     "OP_SQ": "{0} * {0}",
     "OP_TWICE": "2.0 * {}",
     "OP_INV": "1.0 / {}",
     "OP_FLOOR": "floor({})",
-    "OP_FABS": "fabs({})",
-    "OP_NOT": "!({})",
-    "OP_EXP": "exp({})",
-    "OP_LOG": "log({})",
     "OP_TANH": "tanh({})",
-    "OP_SIGN": "(({0}) > 0.0) - (({0}) < 0.0)",
 }
 _BINARY = {
     "OP_ADD": "{} + {}",
@@ -42,16 +33,9 @@ _BINARY = {
     "OP_MUL": "{} * {}",
     "OP_DIV": "{} / {}",
     "OP_ATAN2": "atan2({}, {})",
-    "OP_HYPOT": "hypot({}, {})",
-    "OP_FMIN": "fmin({}, {})",
-    "OP_FMAX": "fmax({}, {})",
     "OP_POW": "pow({}, {})",
     "OP_CONSTPOW": "pow({}, {})",
-    "OP_LT": "{} < {}",
-    "OP_LE": "{} <= {}",
     "OP_EQ": "{} == {}",
-    "OP_NE": "{} != {}",
-    "OP_IF_ELSE_ZERO": "({}) != 0.0 ? {} : 0.0",
 }
 
 

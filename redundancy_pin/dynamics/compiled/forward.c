@@ -338,9 +338,7 @@ static void functions(const double *numbers, const Run *run, const double *q, do
   if (LEGS) {
     double trig[2 * NT + 1];
     turns_of(q, trig);
-    const double *const arg[] = {q, trig, numbers};
-    double *const res[] = {values};
-    rp_modes(arg, res);
+    sides_of(numbers, q, trig, values);
     for (int i = 0; i < LEGS; ++i) *values++ *= run->mode[i];
   } else {
     copy(work, K, NP * NP);

@@ -1,4 +1,4 @@
-/* Matrices of the size of one robot (NP x NP), and its generated functions rp_turns and rp_moved. The sizes, tables and names in
+/* Matrices of the size of one robot (NP x NP), and its generated functions rp_turns, rp_moved and rp_modes. The sizes, tables and names in
    capitals are generated in front of this text, see build.py; driver.c or forward.c stands behind it. No memory is
    allocated; of the standard library math.h alone is used. */
 
@@ -114,6 +114,13 @@ static void turns_of(const double *q, double *trig) {
   rp_turns(arg, res);
 }
 
+/* By leg a number that is positive in the working mode that the numbers say, and zero where modes meet. */
+static void sides_of(const double *numbers, const double *q, const double *trig, double *sides) {
+  const double *const arg[] = {q, trig, numbers};
+  double *const res[] = {sides};
+  if (LEGS) rp_modes(arg, res);
+}
+
 static void move(double *q, const double *pose_step) {
   double step[NV] = {0.0}, moved[NQ];
   const double *const arg[] = {q, step};
@@ -124,7 +131,7 @@ static void move(double *q, const double *pose_step) {
 }
 
 #define SWEEPS 30     /* over all pairs of rows; the convergence is quadratic, 6 x 6 takes some eight */
-#define OBLIQUE 1e-15 /* cosine of the angle between two rows below which they count as orthogonal: a few roundings */
+#define OBLIQUE (4.0 * EPSILON) /* cosine of the angle between two rows below which they count as orthogonal: a few roundings */
 
 static double dot(const double *a, const double *b, int size) {
   double sum = 0.0;

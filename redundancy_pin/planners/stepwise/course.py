@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import partial
 from itertools import pairwise
 from typing import Any, Literal, get_args
@@ -177,12 +177,11 @@ def _return(robot: Robot, settings: StepwiseSettings, state: CarrierState, end: 
     """Return the way back to the datum from a state; ``end`` of the motion, s."""
     duration: float | None
     if settings.return_time == "shortest":
-        limited = replace(robot, carrier_limits=settings.limits.of_carriers)
 
         def no_force(times: Array, *_: Array) -> Array:
             return np.zeros((len(times), robot.k))
 
-        duration, _, nearest = shortest_return(limited, no_force, state, settings.datum, end - state.t)
+        duration, _, nearest = shortest_return(settings.limits, no_force, state, settings.datum, end - state.t)
         if duration is None:
             remedy = "Use a larger lam, higher limits, or a return_time and accept a plan that violates limits."
             raise no_return(nearest, state.t, end - state.t, remedy)

@@ -116,7 +116,7 @@ def ramp_down(
     rates = [interpolant.derivative(order)(np.array([start]))[0] for order in (1, 2)]
     at_start, at_end = parked(np.array([start, end]))
     zero = np.zeros(dynamics.robot.m)
-    quintic = boundary_polynomial(start, end, [at_start, *rates], [zero, zero, zero]).piecewise()
+    quintic = boundary_polynomial(start, end, [at_start, *rates], [zero, zero, zero])
     return PiecewisePolynomial.joined([quintic, PiecewisePolynomial.constant(zero, end, window.end)]), at_end
 
 

@@ -148,7 +148,7 @@ def _return(
         def force(t: Array, s: Array, sd: Array, sdd: Array) -> Array:
             return model.at(t).carrier_force(s, sd, sdd)
 
-        duration, _, nearest = shortest_return(dynamics.robot, force, state, settings.datum, room)
+        duration, _, nearest = shortest_return(Limits().resolved(dynamics.robot), force, state, settings.datum, room)
         if duration is None and later:
             return None
         if duration is None:

@@ -46,8 +46,8 @@ from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Path
-from redundancy_pin.trajectory.timing import uniform_law
-from redundancy_pin.trajectory.trajectory import TimedPath, Trajectory
+from redundancy_pin.trajectory.timing import TimingLaw, uniform_law
+from redundancy_pin.trajectory.trajectory import Trajectory
 
 Begin = Literal["datum", "rest", "free"]
 """How the carriers begin: at rest where they park; at rest anywhere; or anyhow."""
@@ -278,8 +278,8 @@ class TimedSolution:
         carriers = PiecewisePolynomial.linear(t, samples.s, samples.sd, samples.sdd)
         breaks = t[:-1][grid.h == 0.0]
         knots = frozen(np.setdiff1d(law.edges[1:-1], breaks))
-        timed = TimedPath(path, law, frozen(breaks))
-        platform = ContinuousMotion(timed, law.start, law.end, law.end, timed.breaks, knots, True)
+        timed = Trajectory(path, TimingLaw.of(law, path.length))
+        platform = ContinuousMotion(timed, law.start, law.end, law.end, frozen(breaks), knots, True)
         return TimedSolution(t, law, carriers.made_continuous(), platform, samples, values["tau"] * u.tau)
 
 

@@ -45,8 +45,7 @@ class Mechanism:
         start: (nq,) the configuration that the file starts from.
         loop_joints: what closes the loops.
         couplings: joints that follow others.
-        actuated: names of the joints that are driven, or may be.
-        drives_declared: whether the file says what is driven.
+        actuated: names of the joints that are driven; empty where the file states none.
         forces: friction and springs in joints of one freedom, in force.
         notes: what is not in force though the file says it, and what is taken in one of several ways.
         shapes: a URDF with the shapes of the bodies, for drawing.
@@ -62,7 +61,6 @@ class Mechanism:
     loop_joints: tuple[LoopJoint, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     actuated: tuple[str, ...] = ()
-    drives_declared: bool = True
     forces: tuple[JointForces, ...] = ()
     notes: tuple[str, ...] = ()
     shapes: str = ""

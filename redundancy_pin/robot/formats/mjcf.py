@@ -458,13 +458,13 @@ class _Reader:
         length = float(m["tendon_length0"][tendon] + data[0])
         if not length > 0.0:
             self._refuse(f"the equality {name!r} holds two sites at the distance {length:g}", "Use a connect.")
-        return LoopJoint(name, "rod", (first, second), (np.eye(4), np.eye(4)), length)
+        return LoopJoint(name, "rod", (first, second), length=length)
 
     def _loop_joint(self, number: int, name: str, one: int, other: int, data: Array) -> LoopJoint:
         is_weld = self.m["eq_type"][number] == "weld"
         kind = "weld" if is_weld and data[10] else "ball"  # data[10] scales the rows of a weld's rotation
         if self.m["eq_objtype"][number] == "site":
-            return LoopJoint(name, kind, (self.sites[one], self.sites[other]), (np.eye(4), np.eye(4)))
+            return LoopJoint(name, kind, (self.sites[one], self.sites[other]))
         places = np.eye(4), np.eye(4)
         # MuJoCo keeps a connect's points in the order of its bodies, a weld's the other way round
         for place, point in zip(places, (data[3:6], data[:3]) if is_weld else (data[:3], data[3:6]), strict=True):

@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from pydantic import Field
 
 from redundancy_pin.errors import DeclarationError, ModelFileError, did_you_mean
@@ -76,7 +75,7 @@ def read_parallel_yaml(path: Path, *, base: str = "fixed") -> Mechanism:
                 raise bad_value(f"type[{number}]", kind, "3d or 6d")
             ends = (_link(tree, one), _link(tree, other))
             joint = "ball" if kind.lower() == "3d" else "weld"
-            closures.append(LoopJoint(f"{one} = {other}", joint, ends, (np.eye(4), np.eye(4))))
+            closures.append(LoopJoint(f"{one} = {other}", joint, ends))
         for kind in content.joint_type:
             if kind not in _KINDS:
                 raise bad_value("joint_type", kind, f"one of {', '.join(_KINDS)}")
@@ -90,7 +89,6 @@ def read_parallel_yaml(path: Path, *, base: str = "fixed") -> Mechanism:
             made,
             loop_joints=(*made.loop_joints, *closures),
             actuated=content.name_mot,
-            drives_declared=True,
             notes=(*notes, *made.notes),
         )
 

@@ -8,7 +8,7 @@ changes the mechanics and is not covered is refused by name, file and line.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, decimal
-from redundancy_pin.errors import did_you_mean, shown
+from redundancy_pin.errors import shown
 from redundancy_pin.robot.formats.mechanism import (
     MOST_FREEDOMS,
     NO_MOMENT,
@@ -26,9 +26,11 @@ from redundancy_pin.robot.formats.mechanism import (
     LinkEntry,
     Mechanism,
     impossible_moments,
+    in_a_row,
     six_positions,
 )
 from redundancy_pin.robot.formats.sdf_frames import WORLD, Frame, Frames, SdfPart
+from redundancy_pin.robot.formats.urdf_parts import ZEROS
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, has_joint
 from redundancy_pin.robot.loop_joints import LoopJoint, joint_between
@@ -73,18 +75,18 @@ _LOOP_KINDS = {
 """Joints that close loops by rows of their own."""
 
 
-def read_sdf(path: Path, *, actuated: str = "", base: str = "fixed") -> Mechanism:
+def read_sdf(path: Path, *, actuated: Sequence[str] = (), base: str = "fixed") -> Mechanism:
     """Read a model of Gazebo, or a world with one model that moves.
 
     Args:
         path: the file.
-        actuated: names of the joints that are driven, with commas between; SDF itself does not say.
+        actuated: names of the joints that are driven; SDF itself does not say.
         base: "fixed" to hold the first link, or that on the world, where it is; "free" to let it move.
 
     Raises:
         ModelFileError: naming file and line: the file is no SDF, or has an element that this reader does not cover.
     """
-    return _Reader(Frames(path), base).mechanism([name.strip() for name in actuated.split(",") if name.strip()])
+    return _Reader(Frames(path), base).mechanism(actuated)
 
 
 @dataclass(frozen=True)
@@ -138,9 +140,6 @@ class _Reader:
         self.notes: list[str] = []
         self.loads: dict[str, JointForces] = {}
         self.couplings: list[Coupling] = []
-        self.moving: dict[str, _Step] = {}
-        """Joints of the tree of one degree of freedom."""
-        self._led: set[str] = set()
         self._ignored: dict[str, list[str]] = {}
         self._assumed: list[str] = []
         self.model = pin.Model()
@@ -149,7 +148,7 @@ class _Reader:
         self._carriers: dict[str, tuple[int, pin.SE3]] = {WORLD: (0, pin.SE3.Identity())}
         """By full name of a link, the joint of the tree that carries it, and its place there."""
 
-    def mechanism(self, driven: list[str]) -> Mechanism:
+    def mechanism(self, driven: Sequence[str]) -> Mechanism:
         """Return what the file describes."""
         frames = self.frames
         links = {full: self._link(frame) for full, frame in frames.links.items()}
@@ -171,7 +170,6 @@ class _Reader:
         counted = {*driven, *self.loads, *(name for coupling in self.couplings for name in coupling.joints)}
         loop_joints = tuple(self._loop_joint(joint, counted) for joint in loops)
         self._add_marks()
-        self._require_moving(driven)
         model, _ = rebuilt(self.model)
         self._report()
         q: Array = pin.neutral(model)
@@ -183,20 +181,10 @@ class _Reader:
             q,
             loop_joints,
             tuple(self.couplings),
-            tuple(driven) or self._candidates(),
-            bool(driven),
+            tuple(driven),
             tuple(self.loads.values()),
             tuple(self.notes),
         )
-
-    def _require_moving(self, driven: list[str]) -> None:
-        """Refuse the name of a driven joint that the model does not have, or that does not move."""
-        for name in driven:
-            if name not in self.moving:
-                part = next(iter(self.frames.links.values())).part
-                remedy = f"{did_you_mean(name, self.moving)}Its joints of one degree of freedom: "
-                remedy += f"{', '.join(self.moving)}."
-                part.refuse(f"actuated names {shown(name)}, which is no joint that moves", remedy)
 
     # --- links and joints ---------------------------------------------------------------------------------------------
 
@@ -215,7 +203,7 @@ class _Reader:
         mass, inertia, place = 1.0, np.eye(3), np.eye(4)
         if inertial:
             self.frames.pass_over(inertial)
-            if inertial.text_of("auto") not in ("", "0", "false") or inertial.relative_to():
+            if inertial.text_of("auto") not in ZEROS or inertial.relative_to():
                 remedy = "Write mass and inertia, in the frame of the link."
                 inertial.refuse(f"{part.owner} has an inertial by its shapes, or in another frame", remedy)
             place, mass = inertial.pose(), inertial.value("mass", 1.0)
@@ -238,7 +226,7 @@ class _Reader:
         self.frames.pass_over(part)
         for ode in part.deep("ode"):
             softened = [*ode.parts(), *(each for inner in ode.parts("suspension") for each in inner.parts())]
-            if any(each.tag in _SOFT and each.content().lower() not in ("", "0", "0.0", "false") for each in softened):
+            if any(each.tag in _SOFT and each.content().lower() not in ZEROS for each in softened):
                 self._ignored.setdefault("<ode>", []).append(name)
         if (kind := part.text_of("type")) not in _AXES:
             what = f"{part.owner} has the type {shown(kind)}, which is not covered"
@@ -274,7 +262,6 @@ class _Reader:
         if kind == "screw":
             steps.insert(0, _Step(f"{name}_slide", "prismatic", axes[0]))
             self.couplings.append(Coupling(f"thread of {name}", f"{name}_slide", name, (0.0, self._lead(part))))
-            self._led.add(f"{name}_slide")
         if kind == "ball":
             steps.append(_Step(name, "ball", np.zeros(3)))
         if kind == "gearbox":
@@ -365,7 +352,6 @@ class _Reader:
             slope, name = mimic.value("multiplier", 1.0), joint.turns[number]
             constant = mimic.value("offset", 0.0) - slope * mimic.value("reference", 0.0)
             self.couplings.append(Coupling(f"mimic of {name}", name, turns[which], (constant, slope)))
-            self._led.add(name)
 
     def _gears(self, gear: _Joint, joints: Iterable[_Joint]) -> Coupling:
         """Return θ₂ = −ratio θ₁: angles from the reference body to parent (θ₁, about axis) and child (about axis2)."""
@@ -446,12 +432,11 @@ class _Reader:
             )
             self._add_link(link, full, 0, place)
             return {}
-        index, names = 0, [f"{link.name}_{axis}" for axis in SIX]
-        for name, axis in zip(names, SIX, strict=True):
-            kind = "revolute" if len(axis) == 2 else "prismatic"
-            index = self._add_step(_Step(name, kind, np.eye(3)["xyz".index(axis[-1])]), index, pin.SE3.Identity())
+        index, row = 0, in_a_row(link.name, SIX)
+        for name, joint in row:
+            index = int(self.model.addJoint(index, joint, pin.SE3.Identity(), name))
         self._add_link(link, full, index, pin.SE3.Identity())
-        return dict(zip(names, six_positions(place), strict=True))
+        return dict(zip((name for name, _ in row), six_positions(place), strict=True))
 
     def _add_joint(self, joint: _Joint, carrier: str, *, turned_round: bool) -> tuple[int, pin.SE3]:
         """Add a joint to the tree; turned round, it moves the same way about the opposite axis.
@@ -473,7 +458,6 @@ class _Reader:
     def _add_step(self, step: _Step, carrier: int, place: pin.SE3) -> int:
         if step.kind == "ball":
             return int(self.model.addJoint(carrier, pin.JointModelSpherical(), place, step.name))
-        self.moving[step.name] = step
         bounds = [np.array([step.limits[key]]) for key in ("effort", "velocity", "lower", "upper")]
         # without a sign of zero: joints along an axis of their frame are Pinocchio's own kinds
         return int(self.model.addJoint(carrier, joint_along(step.kind, step.axis + 0.0), place, step.name, *bounds))
@@ -505,7 +489,7 @@ class _Reader:
             index, place = self._add_joint(joint, joint.parent, turned_round=False)
             end = f"{joint.name}::end"
             self.model.addBodyFrame(end, index, place * self._from(joint, joint.child), 0)
-            return LoopJoint(joint.name, "weld", (end, self.frames.name(joint.child)), (np.eye(4), np.eye(4)))
+            return LoopJoint(joint.name, "weld", (end, self.frames.name(joint.child)))
         # rows of a ball or weld are along the joint's own axes
         place = pin.SE3(np.eye(3) if axes else joint.place[:3, :3], joint.place[:3, 3])
         places = [self._where(end).actInv(place).homogeneous for end in ends]
@@ -514,17 +498,6 @@ class _Reader:
         names = self.frames.name(ends[0]), self.frames.name(ends[1])
         along = axes or (np.eye(3)[2],)
         return joint_between(joint.name, kind, names, places, (along[0], along[-1]))
-
-    def _candidates(self) -> tuple[str, ...]:
-        """Return the joints that may be meant to be driven: with a limit of effort, else with bounds.
-
-        Joints with springs are left out, as are those that mimic others and the slides of screws.
-        """
-        free = [step for step in self.moving.values() if step.name not in self._led]
-        free = [step for step in free if not (load := self.loads.get(step.name)) or not load.stiffness]
-        strong = [step.name for step in free if 0.0 < step.limits["effort"] < math.inf]
-        bounded = [step.name for step in free if math.isfinite(step.limits["upper"])]
-        return tuple(strong or bounded or [step.name for step in free])
 
     def _report(self) -> None:
         """Add notes on the forces of the file that are active, and on what is ignored."""

@@ -20,7 +20,7 @@ from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.formats.mechanism import MOST_LINKS
 from redundancy_pin.robot.formats.packages import is_within
 from redundancy_pin.robot.formats.urdf_loops import not_understood
-from redundancy_pin.robot.formats.urdf_parts import DRAKE, Part, short
+from redundancy_pin.robot.formats.urdf_parts import DRAKE, LONGEST_NAME, Part, short
 from redundancy_pin.robot.formats.xml_files import MOST_ELEMENTS, parsed
 from redundancy_pin.robot.loop_joints import placed
 
@@ -507,7 +507,7 @@ def _checked_name(part: SdfPart, given: str = "") -> str:
     """
     name = given or part.name()
     is_taken = name in (WORLD, "universe") or (name.startswith("__") and name.endswith("__"))
-    if is_taken or not name.isprintable() or len(name) > 255 or ("::" in name and part.version > 7):
+    if is_taken or not name.isprintable() or len(name) > LONGEST_NAME or ("::" in name and part.version > 7):
         part.refuse(f"{part.owner} has the name {shown(name)}, which SDF does not allow", "Choose another.")
     return name.removesuffix(_OF_MODEL)
 

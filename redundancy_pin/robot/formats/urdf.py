@@ -30,7 +30,7 @@ from redundancy_pin.robot.formats.mechanism import (
     in_a_row,
 )
 from redundancy_pin.robot.formats.urdf_loops import not_understood, read_loops
-from redundancy_pin.robot.formats.urdf_parts import DRAKE, FRICTION, Part, short
+from redundancy_pin.robot.formats.urdf_parts import DRAKE, FRICTION, ZEROS, Part, short
 from redundancy_pin.robot.formats.xml_files import FORMATS, parsed_text
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, find_joint_index
@@ -159,7 +159,7 @@ def _passed_over(parts: Mapping[str, Mapping[str, Part]]) -> list[str]:
         for each in (*part.unknown_parts(), *(inertial.unknown_parts() if inertial else ())):
             if each.tag != "joint_properties":
                 notes.append(not_understood(each.place))
-            elif any(each.text_of(key) not in ("", "0", "0.0") for key in FRICTION):  # of onshape-to-robot
+            elif any(each.text_of(key) not in ZEROS for key in FRICTION):  # of onshape-to-robot
                 notes.append(f"{NOT_IN_FORCE} friction by {each.place}.")
     notes += [not_understood(f"{what} in line {', '.join(where)}") for what, where in lines.items()]
     return notes
@@ -440,9 +440,7 @@ def urdf_mechanism(
     ]
     for driven, inertia in loops.armature.items():
         model.armature[find_joint(model, driven).idx_v] = inertia
-    marked = tuple(
-        LoopJoint(f"{one} = {other}", "ball", (one, other), (np.eye(4), np.eye(4))) for one, other in loops.closing
-    )
+    marked = tuple(LoopJoint(" = ".join(pair), "ball", pair) for pair in loops.closing)
     independent = _independent(file, kinds, base)
     if independent and not loops.motors:
         notes.append("The file does not say what is driven: taken are the joints that it marks as independent.")
@@ -453,7 +451,6 @@ def urdf_mechanism(
         (*loops.joints, *marked),
         couplings,
         loops.motors or tuple(name for name in independent if name in named),
-        bool(loops.motors),
         forces,
         tuple(notes),
         file.text,

@@ -28,7 +28,7 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import DeclarationError, did_you_mean
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
-from redundancy_pin.robot.formats.urdf_parts import DRAKE, Part
+from redundancy_pin.robot.formats.urdf_parts import DRAKE, ZEROS, Part
 from redundancy_pin.robot.lookup import find_link_index, joint_names, link_names
 from redundancy_pin.robot.loop_joints import LoopJoint, joint_between, placed
 from redundancy_pin.robot.types import Coupling
@@ -59,9 +59,6 @@ _STATED = (*_ENDS, "coupling", "drake:ball_constraint", "drake:distance_constrai
 
 _WITHOUT_MECHANICS = ("material", "sensor", "fixed_frame", "plugin", "collision_filter_group")
 """Elements beside links and joints that change nothing in the mechanics."""
-
-_ZEROS = ("", "0", "0.0", "false")
-"""Texts of elements that change nothing."""
 
 _FORCES = ("linear_spring_damper", "linear_bushing_rpy")
 """Forces of Drake between two links."""
@@ -157,7 +154,7 @@ def _left_out(part: Part, known: tuple[str, ...]) -> list[str]:
         for each in part.parts()
         if each.tag not in (*known, *_WITHOUT_MECHANICS)
         and any(
-            text not in _ZEROS
+            text not in ZEROS
             for inner in each.element.iter()
             for text in (*inner.attrib.values(), (inner.text or "").strip())
         )

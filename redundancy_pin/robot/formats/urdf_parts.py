@@ -21,6 +21,9 @@ from redundancy_pin.robot.loop_joints import placed
 
 _P = TypeVar("_P", bound="Part")
 
+LONGEST_NAME = 255
+"""Characters of a name of a link or joint."""
+
 _POSE = ("xyz", "rpy")
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -38,6 +41,9 @@ _WITHOUT_MECHANICS = ("self_collision_checking", "contact", "contact_coefficient
 """Elements in links and joints that programs have added, and that change nothing in the mechanics."""
 
 FRICTION = ("damping", "friction")
+
+ZEROS = ("", "0", "0.0", "false")
+"""Texts of elements and attributes that change nothing."""
 
 _ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     "origin": ("xyz", "rpy"),
@@ -83,10 +89,7 @@ class Part:
             name = element.get("name", "")
             part = Part(element, self.path, f"The {kind} {name!r} of {self.path.name}", {kind: name})
             unnamed = Part(element, self.path, f"A {kind}")
-            if not name or not name.isprintable() or name != name.strip():
-                unnamed.refuse(f"A {kind} has the name {short(repr(element.get('name')))}")
-            if len(name) > 255:
-                unnamed.refuse(f"The {kind} {short(name)!r} has a name of {len(name)} characters")
+            unnamed.name()
             if kind == "joint" and name == "universe":
                 unnamed.refuse("A joint has the name 'universe', which Pinocchio gives to the world", name=name)
             if name in parts:
@@ -134,11 +137,13 @@ class Part:
         """Return the name of the element.
 
         Raises:
-            ModelFileError: none, or one that is blank.
+            ModelFileError: none, one that is blank, or one that is too long.
         """
         name = self.element.get("name", "")
-        if not name or not name.isprintable() or name != name.strip() or len(name) > 255:
+        if not name or not name.isprintable() or name != name.strip():
             self.refuse(f"{self.owner} has the name {short(repr(self.element.get('name')))}", "Give it one.")
+        if len(name) > LONGEST_NAME:
+            self.refuse(f"{self.owner} has a name of {len(name)} characters", f"There may be {LONGEST_NAME}.")
         return name
 
     def text_of(self, key: str) -> str:

@@ -78,7 +78,7 @@ def curves_of_plan(plan: Plan) -> Curves:
     threshold = plan.parameters.get("threshold") if plan.parameters.get("measure") == "condition" else None
     return Curves(
         f"{plan.robot.name}: {plan.planner.replace('_', ' ')}, {plan.status.value.replace('_', ' ')}",
-        limits=plan.limits.judged_by,
+        limits=plan.limits.judged_by.of_carriers,
         regular=plan.sample_status == SampleStatus.OK,
         instants=numbers(plan.diagnostics.get("singular_instants")),
         thresholds=numbers([threshold]),

@@ -308,7 +308,9 @@ def test_every_step_can_still_stop_before_the_end_of_its_track():
     assert (s + braking).max() <= upper + LIMIT
     assert (s + braking).min() >= lower - LIMIT
     assert (s + braking).max() > upper - 1e-6  # it uses the track
-    require_limits(plan, [replace(one, lower=lower, upper=upper, acceleration=a) for one in plan.limits.judged_by])
+    require_limits(
+        plan, [replace(one, lower=lower, upper=upper, acceleration=a) for one in plan.limits.judged_by.of_carriers]
+    )
 
 
 def test_a_deadline_leaves_the_speed_that_can_be_braked():

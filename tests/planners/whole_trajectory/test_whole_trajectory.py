@@ -58,7 +58,7 @@ def require_sound(dynamics, trajectory, plan):
         np.testing.assert_allclose(plan.carriers.s[end], 0.0, atol=1e-9)
         np.testing.assert_allclose(plan.carriers.sd[end], 0.0, atol=1e-9)
     times, motion = between(plan, 20)
-    for i, limit in enumerate(plan.limits.judged_by):
+    for i, limit in enumerate(plan.limits.judged_by.of_carriers):
         assert (motion.s[:, i] <= limit.upper).all()
         assert (motion.s[:, i] >= limit.lower).all()
         assert (np.abs(motion.sd[:, i]) <= limit.speed).all()
