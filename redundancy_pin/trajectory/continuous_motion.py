@@ -21,9 +21,6 @@ from redundancy_pin.trajectory.quaternions import (
     turns_between,
 )
 
-LEAST_KNOT_DISTANCE = 1e-4
-"""Of the knots of a path, as a fraction of the duration: towards a cusp they come closer and closer."""
-
 DENSE = 1e-9
 """Rounding of the accelerations of the quintic, relative to the largest, from which samples count as dense: at 0.4 m
 and 1 m/s² about 2 ms apart."""
@@ -36,7 +33,11 @@ PLATFORM_TOLERANCE = 1e-12
 
 
 class TimedTrajectory(Protocol):
-    """What a planner needs of a trajectory."""
+    """What a planner needs of a trajectory.
+
+    It begins at zero, or at ``start``, s. ``knots``, (c,) times at which a higher derivative jumps, s, and ``exact``,
+    false where it is not smooth in between, help to resolve it where it has them.
+    """
 
     @property
     def duration(self) -> float:
@@ -160,7 +161,7 @@ class ContinuousMotion(Frozen):
         return PiecewisePolynomial.fit(values, edges, self.knots, scale, PLATFORM_TOLERANCE)
 
 
-def continuous_motion(motion: PlatformMotion | TimedTrajectory) -> ContinuousMotion:
+def continuous_motion(motion: PlatformMotion | TimedTrajectory | ContinuousMotion) -> ContinuousMotion:
     """Return a trajectory or a sampled motion as a function of time.
 
     A trajectory gives its own exact motion. Between the samples of a motion stands the quintic that matches
@@ -174,23 +175,15 @@ def continuous_motion(motion: PlatformMotion | TimedTrajectory) -> ContinuousMot
     if isinstance(motion, PlatformMotion):
         require_consistent(motion)
         return _from_samples(motion)
+    if isinstance(motion, ContinuousMotion):
+        return motion
     if not is_timed(motion):
         require_sampled(motion)
-    end = float(motion.duration)
-    inner = [float(t) for t in motion.breaks if 0.0 < t < end]
-    knots = [t for t in _knots(motion) if 0.0 < t < end]
-    return ContinuousMotion(motion, 0.0, end, end, frozen(inner), frozen(knots), True)
-
-
-def _knots(motion: TimedTrajectory) -> list[float]:
-    """Return the times, s, at which the jerk jumps, and those beside a cusp of the path, where little is smooth."""
-    timing, lengths = getattr(motion, "timing", None), getattr(getattr(motion, "path", None), "knots", ())
-    ramps = getattr(timing, "knots", ())
-    along = np.array([timing.time_at(float(p)) for p in lengths]) if timing is not None else np.empty(0)
-    if len(along):
-        apart = np.diff(along, prepend=0.0) > LEAST_KNOT_DISTANCE * motion.duration
-        along = along[apart]
-    return sorted({*map(float, ramps), *along.tolist()})
+    start, end = float(getattr(motion, "start", 0.0)), float(motion.duration)
+    breaks, knots = (
+        frozen([t for t in times if start < t < end]) for times in (motion.breaks, getattr(motion, "knots", ()))
+    )
+    return ContinuousMotion(motion, start, end, end, breaks, knots, getattr(motion, "exact", True))
 
 
 def _from_samples(motion: PlatformMotion) -> ContinuousMotion:

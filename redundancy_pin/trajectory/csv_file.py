@@ -96,10 +96,11 @@ _HEADING = re.compile(r"(?P<name>.*?) ?\[(?P<unit>[^\[\]]*)\]", re.DOTALL)
 
 
 def _name_and_unit(cell: str) -> tuple[str, str | None]:
-    """Return name and unit of a cell of the first row; None where it has no unit."""
+    """Return name and unit of a cell of the first row, "t" for "time"; None where it has no unit."""
     match = _HEADING.fullmatch(cell.strip())
     name = match["name"] if match else cell.strip()
-    return (name if ":" in name else name.strip()), (match["unit"] if match else None)
+    name = name if ":" in name else name.strip()
+    return ("t" if name == "time" else name), (match["unit"] if match else None)
 
 
 # --- writing ----------------------------------------------------------------------------------------------------------
@@ -361,12 +362,7 @@ def read_table(path: str | os.PathLike[str]) -> MotionTable:
     place = os.fspath(path)
     header, rows = _header_and_rows(place)
     values = _numbers(header, list(rows), place).T
-    columns = {
-        name: column if header.factor[name] == 1.0 else column * header.factor[name]
-        for name, column in zip(header.read, values, strict=True)
-    }
-    if "time" in columns:
-        columns["t"] = columns.pop("time")
+    columns = {name: column * header.factor[name] for name, column in zip(header.read, values, strict=True)}
     return MotionTable(place, header.coordinates, header.rates, header.carriers, columns, header.measures)
 
 
@@ -414,8 +410,6 @@ class _Header:
         twice = sorted(name for name, count in Counter(self.names).items() if count > 1)
         if twice:
             raise _bad(path, f" has the column {twice[0]!r} more than once.", column=twice[0])
-        if {"t", "time"} <= set(units):
-            raise _bad(path, " has the columns 't' and 'time'.", "Keep one of them.", column="time")
         own = [name for name in self.names if name not in _TIMES and not _RESULTS.fullmatch(name)]
         # by name what a column is of, and how often that is differentiated
         of = {name: _differentiated(name, units) for name in own}
@@ -427,7 +421,7 @@ class _Header:
         tracks = [name for name in own if not of[name][1] and _of_carrier(name)]
         self.carriers = self._number_order("s", tracks, [stem for stem, _ in of.values()])
         self.rates = self._rates() if moved else ()
-        if (moved or self.carriers) and not {"t", "time"} & set(units):
+        if (moved or self.carriers) and "t" not in units:
             raise self._missing("t")
         timed = [name for name in _TIMES if name in units and (name != "speed" or not moved)]
         needed = [*self.coordinates, *self.carriers]
@@ -490,7 +484,7 @@ class _Header:
         return _bad(self._path, message, _POINTS_REMEDY, column=name, seen=tuple(self.names))
 
 
-_TIMES = ("t", "time", "speed")
+_TIMES = ("t", "speed")
 """Columns beside the coordinates."""
 
 _PER = ("", " by time", " by time squared")
@@ -514,7 +508,7 @@ def _differentiated(name: str, known: Collection[str]) -> tuple[str, int]:
 
 def _quantities(stem: str) -> tuple[str, ...]:
     """Return what a column may measure, by which coordinate it is of."""
-    if stem in ("t", "time"):
+    if stem == "t":
         return (TIME,)
     if stem in _QUATERNION:
         return (NUMBER,)

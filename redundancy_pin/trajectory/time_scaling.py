@@ -108,7 +108,7 @@ def scaled_rates(by_sigma: Array, twice: Array, rate: Array, bend: Array) -> tup
 
 @dataclass(frozen=True, eq=False)
 class ScaledMotion(Frozen):
-    """A motion along its path at another speed: a ``TimedTrajectory``, if it begins at zero.
+    """A motion along its path at another speed: a ``TimedTrajectory``.
 
     Attributes:
         motion: in its own time σ.
@@ -119,6 +119,11 @@ class ScaledMotion(Frozen):
     scaling: TimeScaling
 
     @property
+    def start(self) -> float:
+        """When it begins, s."""
+        return self.scaling.time_at(self.motion.start)
+
+    @property
     def duration(self) -> float:
         """When it ends, s; infinite where it never does."""
         return self.scaling.time_at(self.motion.end)
@@ -127,6 +132,19 @@ class ScaledMotion(Frozen):
     def breaks(self) -> Array:
         """(b,) times at which the acceleration jumps, s."""
         return frozen([self.scaling.time_at(t) for t in self.motion.breaks.tolist()])
+
+    @property
+    def knots(self) -> Array:
+        """(c,) times at which a higher derivative of the motion jumps, and where σ̇ begins or ends to change, s."""
+        own = [self.scaling.time_at(t) for t in self.motion.knots.tolist()]
+        knots = np.union1d(own, self.scaling.curve.edges[1:-1])
+        knots = knots[np.diff(knots, prepend=-np.inf) > SAME]
+        return frozen(knots[np.abs(knots[:, None] - [self.start, *self.breaks, self.duration]).min(axis=1) > SAME])
+
+    @property
+    def exact(self) -> bool:
+        """Whether it is smooth between breaks and knots to rounding."""
+        return self.motion.exact
 
     def sample_at(self, times: ArrayLike) -> PlatformMotion:
         """Return the motion at (N,) increasing times, s; a break that occurs twice gets both accelerations."""
@@ -144,13 +162,3 @@ class ScaledMotion(Frozen):
             curved[i] = self.motion.sample_at(sigma[[i, i]]).xdd[0]
         xd, xdd = scaled_rates(there.xd[place], curved, rate, bend)
         return PlatformMotion(t, there.x[place], xd, xdd, check_rates=False)
-
-    def continuous(self) -> ContinuousMotion:
-        """Return it as a function of time, from its start to its end, s."""
-        start, end = self.scaling.time_at(self.motion.start), self.duration
-        inner = self.scaling.curve.edges[1:-1]
-        knots = np.unique(np.concatenate([[self.scaling.time_at(t) for t in self.motion.knots.tolist()], inner]))
-        knots = knots[np.diff(knots, prepend=-np.inf) > SAME]
-        apart = np.abs(knots[:, None] - [start, *self.breaks, end]).min(axis=1) > SAME
-        knots = frozen(knots[apart & (knots > start) & (knots < end)])
-        return ContinuousMotion(self, start, end, end, self.breaks, knots, self.motion.exact)

@@ -29,6 +29,9 @@ from redundancy_pin.trajectory.timing import TimingLaw
 Ends: TypeAlias = tuple[Literal["rest", "samples"], Literal["rest", "samples"]]
 """What holds at start and end of a motion through points: rest without acceleration, or the points' own rates."""
 
+LEAST_KNOT_DISTANCE = 1e-4
+"""Of the knots of a path, as a fraction of the duration: towards a cusp they come closer and closer."""
+
 MOST_SAMPLES = 10_000_000
 """Samples made at once; more would fill the memory of a usual computer in the dynamics that follow."""
 
@@ -150,6 +153,13 @@ class Trajectory(Frozen):
     def duration(self) -> float:
         """Total time, s."""
         return self.timing.duration
+
+    @property
+    def knots(self) -> Array:
+        """(c,) inner times at which the jerk may jump, and those near a cusp of the path, where little is smooth, s."""
+        along = np.array([self.timing.time_at(float(p)) for p in getattr(self.path, "knots", ())])
+        apart = np.diff(along, prepend=0.0) > LEAST_KNOT_DISTANCE * self.duration
+        return frozen(np.union1d(self.timing.knots, along[apart]))
 
     def sample_at(self, times: ArrayLike) -> PlatformMotion:
         """Return the motion at given times; nothing is inserted.

@@ -61,6 +61,7 @@ def test_rotation_follows_one_world_axis():
 
 def test_any_timing_law_and_scaling():
     trajectory = Trajectory(PoseLine(START, END, 0.3), SpeedProfile(0.3, 0.2, 0.1))
+    np.testing.assert_allclose(trajectory.evaluate(trajectory.duration).x, END, atol=1e-14)
     fast = trajectory.scaled(2.0)
     t = np.linspace(0.0, fast.duration, 50)
     np.testing.assert_allclose(

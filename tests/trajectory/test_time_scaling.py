@@ -89,7 +89,7 @@ def test_what_is_past_is_forgotten() -> None:
 
 
 def test_rates_are_those_of_the_positions() -> None:
-    motion = ScaledMotion(continuous_motion(reference.circle(speed=0.5)), SLOWER).continuous()
+    motion = continuous_motion(ScaledMotion(continuous_motion(reference.circle(speed=0.5)), SLOWER))
     assert motion.end > motion.source.motion.end + 0.1
     t = np.linspace(0.01, motion.end - 0.01, 300)
     t = t[np.abs(t[:, None] - motion.kinks).min(axis=1) > 2.0 * H]
@@ -110,7 +110,7 @@ def test_knots_that_are_one_but_for_rounding_are_one() -> None:
     base = continuous_motion(reference.circle(speed=0.5))
     knot = float(base.knots[0])
     for begin in (knot, np.nextafter(knot, 9.0), np.nextafter(knot, 0.0), knot + 1e-12):
-        motion = ScaledMotion(base, TimeScaling.none(0.0).changed(begin, 0.5, 0.2)).continuous()
+        motion = continuous_motion(ScaledMotion(base, TimeScaling.none(0.0).changed(begin, 0.5, 0.2)))
         assert np.diff(motion.kinks).min() > 1e-9
         assert np.abs(motion.kinks - knot).min() < 1e-11
         assert len(motion.polynomials.edges) > 2  # samples in every piece
@@ -120,7 +120,7 @@ def test_poses_turn_at_the_rates_they_say() -> None:
     start, end = np.eye(4), np.eye(4)
     end[:3, :3], end[:3, 3] = pin.exp3(np.array([0.9, -0.5, 1.1])), (0.1, 0.2, -0.1)
     trajectory = reference.pose(start, end, 1.5, "3-4-5")
-    motion = ScaledMotion(continuous_motion(trajectory), SLOWER).continuous()
+    motion = continuous_motion(ScaledMotion(continuous_motion(trajectory), SLOWER))
     t = np.linspace(0.05, motion.end - 0.05, 100)
     t = t[np.abs(t[:, None] - motion.kinks).min(axis=1) > 2.0 * H]
     there, before, after = (motion.sample_at(t + shift) for shift in (0.0, -H, H))

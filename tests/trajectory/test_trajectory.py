@@ -8,8 +8,10 @@ from trajectory_checks import clear_of, differentiate
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory import (
     Line,
+    PiecewisePolynomial,
     RestToRest,
     SpeedProfile,
+    TimingLaw,
     Trajectory,
     corner_path,
     reference,
@@ -210,3 +212,19 @@ def test_time_scaling_keeps_the_path_and_squares_the_acceleration():
 def test_bad_calls_are_refused(call, message):
     with pytest.raises(InputError, match=message):
         call()
+
+
+def test_a_law_whose_acceleration_jumps_where_the_path_bends_has_both_sides():
+    """Uniform acceleration to the end of the straight, then constant speed on the arc: a jump of both."""
+    path, speed = corner_path((0.0, 0.0), (1.0, 0.0), 0.5, 0.1), 0.4
+    t = np.array([0.0, 2.0 * 0.5 / speed, 2.0 * 0.5 / speed + (path.length - 0.5) / speed])
+    rate = 0.5 * speed**2 / 0.5
+    p, pd, pdd = np.array([[0.0, 0.5, path.length], [0.0, speed, speed], [rate, 0.0, 0.0]])[:, :, None]
+    trajectory = Trajectory(path, TimingLaw.of(PiecewisePolynomial.taylor(t, p, pd, pdd), path.length))
+    np.testing.assert_allclose(trajectory.breaks[0], t[1], rtol=1e-14)
+    before, after = (trajectory.evaluate(trajectory.breaks[0], side) for side in ("left", "right"))
+    np.testing.assert_allclose(before.xdd, [rate, 0.0], atol=1e-12)
+    np.testing.assert_allclose(after.xdd, [0.0, speed**2 / 0.1], atol=1e-12)
+    np.testing.assert_array_equal([*before.x, *before.xd], [*after.x, *after.xd])
+    both = trajectory.sample_at([0.3, *trajectory.breaks[[0, 0]], 2.7])
+    np.testing.assert_array_equal(both.xdd[1:3], [before.xdd, after.xdd])

@@ -207,7 +207,7 @@ def _followed(source: ContinuousMotion, commands: list[Command], edges: list[flo
     for i, after in zip(starts, [*starts[1:], None], strict=True):
         own = (commands[i].scaling or TimeScaling.none(edges[0])).curve
         parts.append(own.between(edges[i], own.end if after is None else edges[after]))
-    return ScaledMotion(source, TimeScaling(PiecewisePolynomial.joined(parts))).continuous()
+    return continuous_motion(ScaledMotion(source, TimeScaling(PiecewisePolynomial.joined(parts))))
 
 
 def singular_instants_met(commands: Sequence[Command]) -> Array:
