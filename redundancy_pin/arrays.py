@@ -44,9 +44,9 @@ AGREEMENT_TOLERANCE = 1e-8
 closure tolerance, for what margins of 1e-3 make of it. Of their velocities, as a fraction."""
 
 ROUNDED_SHARE = 1e-16 / 1e-5
-"""Rounding of a configuration, rad, over the share of accelerations that it may take. Accelerations err by rates squared
-times the former over the margin of K cubed: next to a rank loss of the closures margins below its cube root are too
-small, 2e-4."""
+"""Rounding of a configuration, rad, over the share of accelerations that it may take. Accelerations err by the rounding
+times rates squared over the cube of K's margin: below its cube root, 2e-4, margins next to a rank loss of the closures
+are too small."""
 
 NEAR_SINGULAR_MARGIN = 0.05
 """Scaled margin below which a pose is reported as near-singular; on the 2-RPR it is reached at a

@@ -100,11 +100,10 @@ int robot_forward_kinematics(robot_state *state, const robot_drives *given, robo
 
 int robot_jacobians_at(const robot_state *state, robot_jacobians *out) {
   Pose pose;
-  double x[NX], none[N], v[NV], a[NV], gamma[NV * N], W[N * M];
+  double x[NX], X[NP + 1][NP + 1], gamma[NV * N], W[N * M];
   int status = pose_of(state, &pose, x);
   if (status) return status;
-  clear(none, N);
-  if (!(rates(NUMBERS, &pose, none, none, v, a, gamma, W) >= SINGULAR_MARGIN)) return ROBOT_TYPE_I;
+  if (!(invert_pose(NUMBERS, &pose, X, gamma, W) >= SINGULAR_MARGIN)) return ROBOT_TYPE_I;
 #if R
   const double *const numbers = NUMBERS; /* by which the macros of units read */
   double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN];
@@ -121,11 +120,10 @@ int robot_jacobians_at(const robot_state *state, robot_jacobians *out) {
 int robot_margins_at(const robot_state *state, robot_margins *out) {
   Pose pose;
   Spectrum s;
-  double x[NX], none[N], v[NV], a[NV], gamma[NV * N], W[N * M];
+  double x[NX], X[NP + 1][NP + 1], gamma[NV * N], W[N * M];
   int status = pose_of(state, &pose, x);
   if (status) return status;
-  clear(none, N);
-  double margin = rates(NUMBERS, &pose, none, none, v, a, gamma, W);
+  double margin = invert_pose(NUMBERS, &pose, X, gamma, W);
   spectrum_of(NUMBERS, W, &s);
   if (!(margin >= SINGULAR_MARGIN)) return ROBOT_TYPE_I;
   out->type_I = margin;

@@ -359,16 +359,7 @@ class Dynamics(Protocol):
     ) -> ReducedSample:
         """Return W, f and carrier forces at one sample: ``reduce`` for those who ask sample after sample.
 
-        Tracks are not checked.
-
-        Args:
-            x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
-            xd: (n,) their rates; the twist of a pose, in world axes at the platform's origin.
-            xdd: (n,) their second rates.
-            s: scalar or (k,) positions of the carriers on their tracks, m; 0 when left out.
-            sd: scalar or (k,) their rates, m/s; 0 when left out.
-            sdd: scalar or (k,) their second rates, m/s²; 0 when left out.
-            t: time, s, for wrenches that depend on it.
+        Arguments are those of ``torque``. Tracks are not checked.
 
         Raises:
             InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.

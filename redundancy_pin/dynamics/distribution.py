@@ -106,10 +106,10 @@ class Distribution(Frozen):
         return {SampleStatus(value).label: counts[value] for value in sorted(counts)}
 
 
-CONSISTENCY_TOLERANCE = 1e-7
-"""Fraction of f that may lie outside the range of W before a rank-deficient sample counts as inconsistent. A pose
-that ``RANK_TOLERANCE`` calls singular may be off the singularity by 1e-9 of its size, and f changes on that way by a
-multiple of it; a hundredfold covers that. To it is added ``FORCE_TOLERANCE`` times ``ForceTerms.force``."""
+CONSISTENCY_TOLERANCE = 100.0 * RANK_TOLERANCE
+"""Fraction of f that may lie outside the range of W before a rank-deficient sample counts as inconsistent: 1e-7. A pose
+that ``RANK_TOLERANCE`` calls singular may be off the singularity by that part of its size, and f changes on that way by
+a multiple of it; a hundredfold covers that. To it is added ``FORCE_TOLERANCE`` times ``ForceTerms.force``."""
 
 
 @dataclass(frozen=True, eq=False)

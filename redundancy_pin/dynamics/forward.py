@@ -8,27 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.robot import Robot
+
+if TYPE_CHECKING:
+    from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 LEAST_INERTIA = 1e-8
 """Least share, no unit, of the largest inertia that a free motion may have; below it the model counts as massless in
 some direction. Rounding leaves 1e-16, and accelerations that shrink steps to nothing long before; a part of a
 thousandth of the mass of the others leaves 1e-3. Halfway between."""
-
-
-class Polynomials(Protocol):
-    """A function from time that is a polynomial on each of P pieces; see ``trajectory``'s ``PiecewisePolynomial``."""
-
-    @property
-    def edges(self) -> Array:
-        """(P + 1,) ends of the pieces, s."""
-
-    @property
-    def coefficients(self) -> Array:
-        """(D + 1, P, C) of the powers of the time since the left end, the highest first."""
 
 
 Loads = Callable[[float, Array, Array], tuple[Array, tuple[Array, Array, Array] | None]]
@@ -104,7 +95,7 @@ class Rules:
     grid: Array
     time_tolerance: float
     breaks: Array
-    efforts: Polynomials | None
+    efforts: PiecewisePolynomial | None
     loads: Loads | None
     prescribed: bool
     limits: Array

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,7 +40,7 @@ from redundancy_pin.spectrum import UNIT
 from redundancy_pin.status import SampleStatus
 
 REFUSALS = (UnreachablePoseError, SingularPoseError, WorkingModeError)
-"""What kinematics raises for a sample that it cannot close; ``refused`` gives their statuses."""
+"""What kinematics raises for a sample that it cannot close; ``refusal_of`` gives their statuses."""
 
 
 def without_answer(robot: Robot, status: SampleStatus, residual: float = math.nan) -> TorqueSample:
@@ -47,13 +48,19 @@ def without_answer(robot: Robot, status: SampleStatus, residual: float = math.na
     return TorqueSample(np.full(robot.m, np.nan), status, math.nan, np.full(robot.k, np.nan), residual)
 
 
-def refused(robot: Robot, error: RedundancyPinError) -> TorqueSample:
-    """Return a sample that kinematics refuses with one of ``REFUSALS``."""
+class Refusal(NamedTuple):
+    """Why kinematics do not solve a sample: a status, and the closure residual, m, or NaN."""
+
+    status: SampleStatus
+    residual: float = math.nan
+
+
+def refusal_of(error: RedundancyPinError) -> Refusal:
+    """Return what one of ``REFUSALS`` says of a sample."""
     if isinstance(error, UnreachablePoseError):
         residual = error.details.get("residual")
-        return without_answer(robot, SampleStatus.UNREACHABLE, residual if isinstance(residual, float) else math.nan)
-    singular = isinstance(error, SingularPoseError)
-    return without_answer(robot, SampleStatus.TYPE_I if singular else SampleStatus.BRANCH_LOST)
+        return Refusal(SampleStatus.UNREACHABLE, residual if isinstance(residual, float) else math.nan)
+    return Refusal(SampleStatus.TYPE_I if isinstance(error, SingularPoseError) else SampleStatus.BRANCH_LOST)
 
 
 def is_finite(given: Sequence[Array], t: float) -> bool:
@@ -140,7 +147,7 @@ def solve_batch_of_one(dynamics: Dynamics, given: SampleArguments, t: float) -> 
     try:
         reduced = dynamics.along(motion).reduce(carriers)
     except REFUSALS as error:
-        return refused(robot, error)
+        return without_answer(robot, *refusal_of(error))
     efforts = distribute(reduced)
     status = SampleStatus(int(efforts.status[0]))
     if status.solved:

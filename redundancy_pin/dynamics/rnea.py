@@ -35,7 +35,7 @@ from redundancy_pin.dynamics.base import (
     require_matching_carriers,
     sample_arrays,
 )
-from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, refused, solve_sample, without_answer
+from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, refusal_of, solve_sample, without_answer
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort, tree_energy, tree_loads
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower
@@ -167,7 +167,7 @@ class RneaDynamics(Dynamics):
             try:
                 sample = self._any_sample(given, here, t)
             except REFUSALS as error:
-                return refused(robot, error)
+                return without_answer(robot, *refusal_of(error))
         self._thread.last = sample.state
         kinematics = sample.residual, sample.serial_margin_bound
         return solve_sample(robot, sample, sample.state.q, kinematics, given, t)

@@ -34,9 +34,9 @@ from redundancy_pin.dynamics.base import (
 )
 from redundancy_pin.dynamics.compiled.build import Library, bind, define
 from redundancy_pin.dynamics.compiled.carrier_terms import Continued
-from redundancy_pin.dynamics.compiled.closing import ClosedMotion, Start, close_motion, each, follow_motors, parts_of
+from redundancy_pin.dynamics.compiled.closing import ClosedMotion, Start, close_motion, follow_motors, in_threads
 from redundancy_pin.dynamics.compiled.control import AccelerationCall, JointStateCall, SampleCall, TorqueCall
-from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Partials, TreeSamples, motion_partials
+from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Partials, motion_partials
 from redundancy_pin.dynamics.compiled.design import Design, design_of
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
 from redundancy_pin.errors import CompilerError, UnsupportedRobotError
@@ -277,10 +277,9 @@ class CompiledAlongMotion(Frozen):
             UnsupportedRobotError: a parameter that changes the axes or the number of joints; a wrench that is a
                 function, whose derivatives are not known.
         """
-        tree, robot = self._tree, self.robot
+        robot = self.robot
         carriers = require_matching_carriers(robot, carriers, len(self.motion))
         design = parameters if isinstance(parameters, Design) else design_of(robot, parameters)
-        x = self.motion.x.reshape(len(self.motion), -1)
         for wrench in of_kind(robot.loads, Wrench):
             if not isinstance(wrench.value, np.ndarray):
                 raise UnsupportedRobotError(
@@ -288,8 +287,8 @@ class CompiledAlongMotion(Frozen):
                     remedy="Pass its values at the samples, and add what it changes by x and xd.",
                     frame=wrench.frame,
                 )
-        samples = TreeSamples(x, tree.q, tree.v, tree.a, tree.reachable, self._external)
-        partials, _, share = motion_partials(robot, design, samples, carriers)
+        tree = self._tree.with_carriers(carriers)
+        partials, _, share = motion_partials(robot, design, tree.q, tree.v, tree.a, self._external)
         return MotionDerivatives(design.names, share=share, reduced=self.reduce(carriers), **partials)
 
     def expressions(self, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any]:
@@ -335,7 +334,7 @@ class CompiledAlongMotion(Frozen):
         def part(of: slice) -> None:
             self._dynamics.kernel.map(name, of.stop - of.start, [a[of] for a in inputs], [a[of] for a in outputs])
 
-        each(part, parts_of(samples, self._dynamics.threads))
+        in_threads(part, samples, self._dynamics.threads)
         if not tree.reachable.all():
             for output in outputs:
                 output[~tree.reachable] = np.nan

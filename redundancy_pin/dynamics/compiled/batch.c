@@ -59,7 +59,7 @@ int rp_lift(const double *numbers, int samples, const double *t, const double *x
             const double *x0, double *q, double *trig, double *v, double *a, double *gamma, double *W, double *residuals, double *sizes) {
   Branch branch;
   branch.known = 0;
-  if (!start_at(numbers, &branch.pose, q0, x0)) return STATUS_UNREACHABLE;
+  if (!newton(numbers, q0, x0, 0, &branch.pose)) return STATUS_UNREACHABLE;
   for (long k = 0; k < samples; ++k) {
     int failed = next_sample(numbers, &branch, k ? t[k] - t[k - 1] : 0.0, x + k * NX, xd + k * N, xdd + k * N, gamma + k * NV * N, W + k * N * M,
                        sizes + 2 * k);
@@ -97,7 +97,7 @@ int rp_terms(const double *numbers, int samples, const double *in, int width, do
     if (isnan(other[0])) continue; /* none yet */
     if (isnan(start[0]) || distance(other + NQ, in + 1, NX) < distance(start + NQ, in + 1, NX)) start = other;
   }
-  if (isnan(start[0]) || !start_at(numbers, &branch.pose, start, start + NQ) || close_at(numbers, &branch.pose, in + 1, 0)) return 0;
+  if (isnan(start[0]) || !newton(numbers, start, start + NQ, 0, &branch.pose) || close_at(numbers, &branch.pose, in + 1, 0)) return 0;
   for (; closed < samples; ++closed, W += N * M, constant += SUM, terms += ALL) {
     const double *at = in + closed * width, *x = at + 1, *xd = x + NX, *xdd = xd + N;
     double dt = closed ? at[0] - at[-width] : 0.0;

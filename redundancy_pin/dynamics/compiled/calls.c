@@ -104,6 +104,18 @@ static void keep(const Pose *pose, double *state) {
   state[NQ] = pose->sign;
 }
 
+/* The configuration from which a call goes on, in reached: that of the state, or of a start, whose chains have to close and whose sign
+   of the determinant is not known yet. Returns STATUS_BRANCH_LOST where they do not. */
+static int begin_at(const double *numbers, const double *state, double *reached) {
+  double x[NX];
+  Pose pose;
+  copy(reached, state, NQ + 1);
+  if (state[NQ] != 0.0) return STATUS_OK;
+  if (!close_start(numbers, state, &pose, x)) return STATUS_BRANCH_LOST;
+  keep(&pose, reached);
+  return STATUS_OK;
+}
+
 /* A sample that is more than one step of Newton's method away, by the branch of a closed state, on the straight way, however many turns
    away. Afterwards reached is the last configuration on the way, or the first next to a rank loss; from is the sample's. Returns as
    rp_reach. */
@@ -127,16 +139,11 @@ static int follow_to(const double *numbers, double *reached, double *from, const
    size, is where kinematics go on. Returns a status: STATUS_UNREACHABLE where the loops close nowhere, the closure residual is then
    among out, and of a matrix that is no pose; STATUS_BRANCH_LOST where they may close. */
 int rp_reach(const double *numbers, double *state, double *reached, const double *in, double *out) {
-  double here[NX], from[NQ + 1];
+  double from[NQ + 1];
   int refused = refusal_of(in);
-  copy(reached, state, NQ + 1);
+  if (!refused) refused = begin_at(numbers, state, reached);
   if (refused) return refused;
   if (isnan(state[NQ])) return STATUS_BRANCH_LOST;
-  if (state[NQ] == 0.0) { /* a start: its chains have to close, and the sign of its determinant is not known yet */
-    Pose pose;
-    if (!close_start(numbers, state, &pose, here)) return STATUS_BRANCH_LOST;
-    keep(&pose, reached);
-  }
   copy(from, reached, NQ + 1);
   int closed = rp_sample(numbers, from, in, out);
   if (closed == STATUS_UNREACHABLE) closed = follow_to(numbers, reached, from, in, out);
@@ -166,6 +173,12 @@ int rp_torque(const double *numbers, double *state, double *reached, const doubl
 #endif
 
 #if M && M >= N
+static void recall(const double *state, Pose *pose) {
+  copy(pose->q, state, NQ);
+  turns_of(pose->q, pose->trig);
+  pose->sign = state[NQ];
+}
+
 enum { FOR_KINEMATICS = STATUSES };
 
 /* Whether K is next to singular at a closed configuration: actuators lead through that at a type I singularity, and maybe at a rank loss
@@ -214,23 +227,17 @@ static int velocities_agree(const double *numbers, const Platform *platform, con
    these may go on from reached, or from the state at a rank loss of the closures. */
 int rp_joint_state(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
   const double *position = in, *velocity = in + M, *s = velocity + M, *sd = s + NK;
-  double x[NX], last[NQ], *q = out, *v = q + NQ;
+  double last[NQ], *q = out, *v = q + NQ;
   Pose pose;
   Platform platform;
-  copy(reached, state, NQ + 1);
   if (!finite(in, 2 * M + 2 * NK)) return STATUS_NOT_FINITE;
+  if (begin_at(numbers, state, reached)) return STATUS_BRANCH_LOST;
   if (isnan(state[NQ])) return FOR_KINEMATICS;
-  copy(pose.q, state, NQ);
-  turns_of(pose.q, pose.trig);
-  pose.sign = state[NQ];
-  if (pose.sign == 0.0 && !close_start(numbers, state, &pose, x)) return STATUS_BRANCH_LOST;
-  keep(&pose, reached);
+  recall(reached, &pose);
   copy(last, pose.q, NQ);
   int status = platform_of(numbers, &pose, position, velocity, &platform);
   if (status == STATUS_UNREACHABLE || status == STATUS_TYPE_II) { /* too far for one step of Newton's method */
-    copy(pose.q, reached, NQ);
-    turns_of(pose.q, pose.trig);
-    pose.sign = reached[NQ];
+    recall(reached, &pose);
     status = follow_drives(numbers, &pose, position);
     copy(last, pose.q, NQ);
     if (status) return M == N && is_next_to_singular(numbers, last) ? FOR_KINEMATICS : status;

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -69,8 +69,7 @@ def close_motion(
             everywhere = read_only(np.ones(samples, dtype=bool))
             tree = JointTrajectory(robot, motion, q, v, a, gamma, W, residual, everywhere, sizes[:, 0])
             return ClosedMotion(tree, trig)
-    state = None if start is None else _state_at(robot, start)
-    tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=state)
+    tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=_state_at(robot, start))
     return ClosedMotion(tree, read_only(trig_at(robot, tree.q)))
 
 
@@ -88,9 +87,9 @@ def _first_configuration(robot: Robot, kernel: Library, motion: PlatformMotion) 
     return np.array(tree.q[0]) if tree.reachable[0] else None
 
 
-def _state_at(robot: Robot, start: Start) -> ClosedState:
-    """Return the closed state at a start; raises WorkingModeError where the chains do not close nearby."""
-    if isinstance(start, ClosedState):
+def _state_at(robot: Robot, start: Start | None) -> ClosedState | None:
+    """Return the closed state at a start, None without one; raises WorkingModeError where the chains do not close."""
+    if start is None or isinstance(start, ClosedState):
         return start
     q = start.copy()
     q[robot.carrier_position] = 0.0
@@ -122,7 +121,7 @@ class Driven(NamedTuple):
     residual: float
 
 
-def follow_motors(robot: Robot, start: Start, position: Array, velocity: Array) -> Driven:
+def follow_motors(robot: Robot, start: Start | None, position: Array, velocity: Array) -> Driven:
     """Return the configuration at positions (m,) and velocities (m,) of as many main actuators as degrees of freedom.
 
     They move straight, as the independent coordinates of a robot without a platform, whose K may be singular where that
@@ -145,22 +144,16 @@ def follow_motors(robot: Robot, start: Start, position: Array, velocity: Array) 
     return Driven(q, v, x, xd, tree.state(0), *margins, residual)
 
 
-def parts_of(samples: int, threads: int) -> list[slice]:
-    """Return parts of many samples, one a thread, of few all in one."""
-    count = min(threads, samples // _PER_THREAD)
-    if count <= 1:
-        return [slice(0, samples)]
+def in_threads(work: Callable[[slice], None], samples: int, threads: int) -> None:
+    """Do some work for parts of many samples, in a thread each; compiled code runs beside Python."""
+    count = max(min(threads, samples // _PER_THREAD), 1)
     edges = np.linspace(0, samples, count + 1).round().astype(int).tolist()
-    return [slice(a, b) for a, b in pairwise(edges)]
-
-
-def each(work: Callable[[Any], Any], items: list[Any]) -> None:
-    """Do some work for each item, in a thread each; compiled code runs beside Python."""
-    if len(items) == 1:
-        work(items[0])
+    parts = [slice(*ends) for ends in pairwise(edges)]
+    if count == 1:
+        work(parts[0])
         return
-    with ThreadPoolExecutor(len(items)) as pool:
-        list(pool.map(work, items))
+    with ThreadPoolExecutor(count) as pool:
+        list(pool.map(work, parts))
 
 
 def branch_ends(robot: Robot, q: Array, x0: Array, x: Array) -> bool:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
 from math import isfinite, isnan
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +24,7 @@ from redundancy_pin.dynamics.compiled.build import Code
 from redundancy_pin.dynamics.compiled.closing import ClosedMotion, Driven, Start
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
 from redundancy_pin.dynamics.compiled.parameters import layout_of, parameter_vector, places_of, topology_of
-from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, refused, solve_sample, without_answer
+from redundancy_pin.dynamics.one_sample import REFUSALS, Refusal, is_finite, refusal_of, solve_sample, without_answer
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_poses
 from redundancy_pin.robot import Robot, Wrench
@@ -35,6 +35,8 @@ from redundancy_pin.status import SampleStatus
 
 Follow: TypeAlias = Callable[[PlatformMotion, CarrierMotion, Start | None], tuple[ClosedMotion, ReducedDynamics]]
 """Solves a motion of one sample by kinematics, on the branch of a start, or of the reference where that is None."""
+
+T = TypeVar("T")
 
 _STATUSES = tuple(SampleStatus)
 """By code: an index takes a fifth of the time of ``SampleStatus(code)``."""
@@ -128,7 +130,7 @@ class _Branch:
     def __init__(self, robot: Robot, code: Code) -> None:
         self.known = False
         self.passed: tuple[Array, Start] | None = None
-        self._refusal: tuple[bytes, SampleStatus, float] | None = None
+        self._refused: tuple[bytes, Refusal] | None = None
         self._pose = np.setdiff1d(np.arange(robot.model.nq), robot.carrier_position)
         self.state, self.reached = np.append(robot.q_reference, 0.0), np.zeros(robot.model.nq + 1)
         own, topology = parameter_vector(robot), topology_of(robot)
@@ -163,20 +165,32 @@ class _Branch:
         self.passed = (q, state) if margin < SINGULAR_MARGIN else None
         self.begin(q)
 
-    def next_start(self) -> Start | None:
+    def _next_start(self) -> Start | None:
         """Return from where kinematics go on: None from a start that the C does not close."""
         if isnan(self.state[-1]):
             return None if self.passed is None else self.passed[1]
         return self.reached[:-1].copy() if self.reached[-1] else None
 
-    def refuse(self, given: Sequence[Array], status: SampleStatus, residual: float) -> None:
-        """Remember what kinematics say of a sample without an answer, for as long as it is asked for again."""
-        self._refusal = self._key(given), status, residual
+    def by_kinematics(self, given: Sequence[Array], solve: Callable[[Start | None], T]) -> T | Refusal:
+        """Return a sample that kinematics solve from here, or from the reference where no branch is known yet.
 
-    def refusal(self, given: Sequence[Array]) -> tuple[SampleStatus, float] | None:
-        """Return what was remembered of a sample (positions and rates) from this state: a set-point that is held."""
-        known = self._refusal
-        return known[1:] if known is not None and known[0] == self._key(given) else None
+        What they refuse is remembered for as long as it is asked for again: a set-point that is held.
+
+        Args:
+            given: positions and rates of the sample, which tell it from others.
+            solve: what solves it from a start, and raises ``REFUSALS``.
+        """
+        start = self._next_start() if self.known else None
+        if self.known and start is None:
+            return Refusal(SampleStatus.BRANCH_LOST)
+        key = self._key(given)
+        if self._refused is not None and self._refused[0] == key:
+            return self._refused[1]
+        try:
+            return solve(start)
+        except REFUSALS as error:
+            self._refused = key, refusal_of(error)
+            return self._refused[1]
 
     def _key(self, given: Sequence[Array]) -> bytes:
         return b"".join(part.tobytes() for part in (self.state, self._signs, *given))
@@ -323,19 +337,10 @@ class TorqueCall(SampleCall):
         if code == SampleStatus.UNREACHABLE and self._branch.known:
             return without_answer(self._robot, SampleStatus.UNREACHABLE, self._residual())
         motion, robot, branch = self._motion(t), self._robot, self._branch
-        start = branch.next_start() if branch.known else None
-        if branch.known and start is None:
-            return without_answer(robot, SampleStatus.BRANCH_LOST)
-        pose = self._arguments.parts[:3]
-        known = branch.refusal(pose)
-        if known is not None:
-            return without_answer(robot, *known)
-        try:
-            (tree, _), reduced = self._followed(motion, start)
-        except REFUSALS as error:
-            answer = refused(robot, error)
-            branch.refuse(pose, answer.status, answer.residual)
-            return answer
+        found = branch.by_kinematics(self._arguments.parts[:3], partial(self._followed, motion))
+        if isinstance(found, Refusal):
+            return without_answer(robot, *found)
+        (tree, _), reduced = found
         x, xd, xdd, s, sd, sdd, _ = self._arguments.parts
         margin, residual = float(tree.serial_margin_bound[0]), float(tree.residual[0])
         branch.move(tree.q[0], tree.state(0), margin)
@@ -357,7 +362,7 @@ class JointStateCall:
         UnsupportedRobotError: fewer main actuators than degrees of freedom.
     """
 
-    def __init__(self, robot: Robot, code: Code, follow: Callable[[Start, Array, Array], Driven]) -> None:
+    def __init__(self, robot: Robot, code: Code, follow: Callable[[Start | None, Array, Array], Driven]) -> None:
         few = too_few_motors(robot)
         if few:
             raise UnsupportedRobotError(few, remedy="Determine the other degrees of freedom by other means.")
@@ -369,6 +374,7 @@ class JointStateCall:
         self._ends = np.cumsum([model.nq, model.nv, int(np.prod(self._shape)), robot.n]).tolist()
         self._results = np.zeros(self._ends[-1] + 2)
         branch = self._branch = _Branch(robot, code)
+        branch.known = True  # that of the reference
         self._robot, self._follow, self._ranges = robot, follow, range_table(robot)
         given = branch.numbers, branch.state, branch.reached, self._arguments.memory, self._results
         self._call = _caller(code, "rp_joint_state", *given, self._ranges, len(self._ranges))
@@ -410,24 +416,16 @@ class JointStateCall:
 
     def _by_kinematics(self) -> int:
         """Solve a sample where K is singular, or beyond such a pose, by kinematics; returns its status."""
-        robot, branch, start = self._robot, self._branch, self._branch.next_start()
+        robot, branch = self._robot, self._branch
         position, velocity, s, sd = self._arguments.parts
         given = position, velocity
-        if start is None or not is_finite(given, 0.0):
-            return int(SampleStatus.BRANCH_LOST if start is None else SampleStatus.NOT_FINITE)
-        known = branch.refusal(given)
-        if known is not None:
-            self._results[-1] = known[1]
-            return int(known[0])
-        try:
-            found = self._follow(start, position.copy(), velocity.copy())
-        except REFUSALS as error:
-            _, status, *_, residual, _ = refused(robot, error)
-            if status is SampleStatus.TYPE_I:  # of the motors as coordinates
-                status = SampleStatus.TYPE_II
-            branch.refuse(given, status, residual)
-            self._results[-1] = residual
-            return int(status)
+        if not is_finite(given, 0.0):
+            return int(SampleStatus.NOT_FINITE)
+        found = branch.by_kinematics(given, lambda start: self._follow(start, position.copy(), velocity.copy()))
+        if isinstance(found, Refusal):
+            self._results[-1] = found.residual
+            of_motors = found.status is SampleStatus.TYPE_I  # of the motors as coordinates
+            return int(SampleStatus.TYPE_II if of_motors else found.status)
         if found.serial_margin < SINGULAR_MARGIN:
             return int(SampleStatus.TYPE_I)
         branch.move(found.q, found.state, found.closing_margin)

@@ -26,7 +26,6 @@ from redundancy_pin.dynamics.compiled.design import Design
 from redundancy_pin.dynamics.compiled.parameters import Topology, parameter_vector, topology_of, trig_at
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, Distribution, distribute
-from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.spectrum import scaled
 
@@ -191,11 +190,11 @@ def _written(topology: Topology, count: int, pattern: tuple[tuple[int, int], ...
     rates = chain.row_rates
     second = ca.substitute(rates, chain.v, chain.a) + chain.bias
     # where the coordinates are, less x: what a parameter opens is closed again by K times a tangent step
-    position = ca.vertcat(-chain.closure_rows, chain.missing)
+    opened = by_parameters(ca.vertcat(-chain.closure_rows, chain.missing))
     efforts, ground = chain.efforts
     outputs = [
         chain.K,
-        by_parameters(position),
+        ca.substitute(opened, chain.x, chain.coordinates),
         chain.by_tangent(rates)[:, columns],
         by_parameters(rates),
         chain.by_tangent(second)[:, columns],
@@ -215,7 +214,7 @@ def _written(topology: Topology, count: int, pattern: tuple[tuple[int, int], ...
     pose, constants = [chain.q, chain.trig], [chain.parameters, slopes]
     return _Functions(
         chain,
-        _function("motion", [*pose, chain.x, chain.v, chain.a, chain.external, *constants], outputs),
+        _function("motion", [*pose, chain.v, chain.a, chain.external, *constants], outputs),
         _function(
             "transposed",
             [*pose, multiplier, *constants],
@@ -243,45 +242,27 @@ def _evaluated(function: Any, constants: tuple[Array, Array], *inputs: Array) ->
 # --- the numbers ------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class TreeSamples:
-    """N samples of the tree, carriers not yet in them.
-
-    ``x`` (N, n or 16), ``q`` (N, nq), ``v`` and ``a`` (N, nv), ``reachable`` (N,) which close, ``external`` (N, 6 w)
-    the wrenches.
-    """
-
-    x: Array
-    q: Array
-    v: Array
-    a: Array
-    reachable: BoolArray
-    external: Array
-
-
 def motion_partials(
-    robot: Robot, design: Design, tree: TreeSamples, carriers: CarrierMotion
+    robot: Robot, design: Design, q: Array, v: Array, a: Array, external: Array
 ) -> tuple[dict[str, Partials], Array, Array]:
     """Return the derivatives along a motion whose kinematics are solved, by names of ``MotionDerivatives``; W and Λ.
 
     Args:
         robot: the robot.
         design: how its numbers depend on the parameters.
-        tree: the motion of the tree.
-        carriers: the motion of the carriers.
+        q: (N, nq) configurations, carriers included; NaN where the chains do not close.
+        v: (N, nv) velocities, likewise.
+        a: (N, nv) accelerations, likewise.
+        external: (N, 6 w) the wrenches on the robot.
     """
     functions, constants = _functions(robot, design)
-    samples, known = len(tree.q), np.flatnonzero(tree.reachable)
-    q, v, a = tree.q.copy(), tree.v.copy(), tree.a.copy()
-    q[:, robot.carrier_position] = carriers.s
-    v[:, robot.carrier_velocity] = carriers.sd
-    a[:, robot.carrier_velocity] = carriers.sdd
+    samples, known = len(q), np.flatnonzero(np.isfinite(v).all(axis=1))
     wholes = {
         name: np.full((samples, *shape), np.nan) for name, shape in _shapes(functions.chain, len(design.names)).items()
     }
     for part in blocks(len(known), _SAMPLES_PER_BLOCK):
         at = known[part]
-        motion = tree.x[at], q[at], v[at], a[at], tree.external[at]
+        motion = q[at], v[at], a[at], external[at]
         for name, result in _block(functions, constants, len(design.names), *motion).items():
             wholes[name][at] = result
     W, share = read_only(wholes.pop("actuation")), read_only(wholes.pop("share"))
@@ -313,7 +294,6 @@ def _block(
     functions: _Functions,
     constants: tuple[Array, Array],
     parameters: int,
-    x: Array,
     q: Array,
     v: Array,
     a: Array,
@@ -330,7 +310,7 @@ def _block(
     )
     trig = trig_at(robot, q)
     K, opened, A_q, A_d, C_q, C_v, C_d, efforts, *rest = _evaluated(
-        functions.motion, constants, q, trig, x, v, a, external
+        functions.motion, constants, q, trig, v, a, external
     )
     inverse: Array = np.asarray(np.linalg.inv(K), dtype=np.float64)
     # (q, v, a): the platform's rows are prescribed, the closures stay shut

@@ -176,34 +176,32 @@ static int go_far(const double *numbers, Pose *pose, const double *here, const d
   return follow(numbers, pose, x);
 }
 
-/* Velocity and acceleration of the tree at a closed pose, Γ, W and the margin; K v = (0, xd), K a = (0, xdd) - bias. */
-static double rates(const double *numbers, const Pose *pose, const double *xd, const double *xdd, double *v, double *a, double *gamma, double *W) {
-  double size = 0.0, X[NP + 1][NP + 1], bias[NP + 1], rest[NP + 1], inverse_unit[NP + 1];
+/* The inverse X of K at a pose, row by row, Γ (NV x N) and W (N x M); returns the margin, one over the norm of X. */
+static double invert_pose(const double *numbers, const Pose *pose, double X[NP + 1][NP + 1], double *gamma, double *W) {
+  double size = 0.0, inverse_unit[N];
   invert(pose->lu, pose->pivot, X);
-  clear(v, NV);
-  clear(a, NV);
   clear(gamma, NV * N);
-  for (int i = 0; i < NP; ++i) inverse_unit[i] = 1.0 / EQUATION_UNIT[i];
+  for (int j = 0; j < N; ++j) inverse_unit[j] = 1.0 / EQUATION_UNIT[R + j];
   for (int i = 0; i < NP; ++i) {
-    double sum = 0.0, speed = 0.0, *of = gamma + COLUMNS[i] * N;
-    for (int j = 0; j < NP; ++j) sum += X[i][j] * X[i][j];
-    for (int j = 0; j < N; ++j) {
-      of[j] = X[i][R + j] * (VELOCITY_UNIT[COLUMNS[i]] * inverse_unit[R + j]);
-      speed += of[j] * xd[j];
-    }
-    v[COLUMNS[i]] = speed;
-    size += sum;
+    double *of = gamma + COLUMNS[i] * N;
+    for (int j = 0; j < N; ++j) of[j] = X[i][R + j] * (VELOCITY_UNIT[COLUMNS[i]] * inverse_unit[j]);
+    size += dot(X[i], X[i], NP);
   }
   for (int i = 0; i < N; ++i)
     for (int j = 0; j < M; ++j) W[i * M + j] = gamma[ACTUATED[j] * N + i];
-  bias_of(numbers, pose->q, pose->trig, v, bias);
-  for (int i = 0; i < NP; ++i) rest[i] = ((i < R ? 0.0 : xdd[i - R]) - bias[i]) * inverse_unit[i];
-  for (int i = 0; i < NP; ++i) {
-    double sum = 0.0;
-    for (int j = 0; j < NP; ++j) sum += X[i][j] * rest[j];
-    a[COLUMNS[i]] = sum * VELOCITY_UNIT[COLUMNS[i]];
-  }
   return size > 0.0 ? 1.0 / sqrt(size) : INFINITY;
+}
+
+/* Velocity and acceleration of the tree at a closed pose, Γ, W and the margin; K v = (0, xd), K a = (0, xdd) - bias. */
+static double rates(const double *numbers, const Pose *pose, const double *xd, const double *xdd, double *v, double *a, double *gamma, double *W) {
+  double X[NP + 1][NP + 1], bias[NP + 1], rest[NP + 1], margin = invert_pose(numbers, pose, X, gamma, W);
+  clear(v, NV);
+  clear(a, NV);
+  for (int i = 0; i < NP; ++i) v[COLUMNS[i]] = dot(gamma + COLUMNS[i] * N, xd, N);
+  bias_of(numbers, pose->q, pose->trig, v, bias);
+  for (int i = 0; i < NP; ++i) rest[i] = ((i < R ? 0.0 : xdd[i - R]) - bias[i]) / EQUATION_UNIT[i];
+  for (int i = 0; i < NP; ++i) a[COLUMNS[i]] = dot(X[i], rest, NP) * VELOCITY_UNIT[COLUMNS[i]];
+  return margin;
 }
 
 static int in_mode(const double *numbers, const Pose *pose) {
@@ -213,9 +211,6 @@ static int in_mode(const double *numbers, const Pose *pose) {
     if (!(sides[i] > 0.0)) return 0;
   return 1;
 }
-
-/* Place a pose at a configuration that is closed at x: what follow() starts from. */
-static int start_at(const double *numbers, Pose *pose, const double *q, const double *x) { return newton(numbers, q, x, 0, pose); }
 
 /* Squares of the Frobenius norms of the inverse of a pose's K, and of its columns that belong to the platform. */
 static void inverse_sizes(const Pose *pose, double *all, double *platform) {

@@ -17,7 +17,7 @@ static int pose_at(const double *numbers, const double *q, double sign, Pose *po
   if (!finite(q, NQ) || !isfinite(sign)) return STATUS_NOT_FINITE;
   turns_of(q, trig);
   coordinates_of(numbers, q, trig, x);
-  if (!start_at(numbers, pose, q, x) || pose->sign * sign < 0.0) return STATUS_UNREACHABLE;
+  if (!newton(numbers, q, x, 0, pose) || pose->sign * sign < 0.0) return STATUS_UNREACHABLE;
   return STATUS_OK;
 }
 
@@ -190,15 +190,6 @@ static void back(const double *numbers, const Spectrum *s, const double *rate, d
   for (int i = 0; i < N; ++i) xd[i] = result[i] / ROW_SCALE[i];
 }
 
-/* W of a pose whose K is decomposed, row by row. */
-static void actuation(const double *numbers, const Pose *pose, double X[NP + 1][NP + 1], double *W) {
-  invert(pose->lu, pose->pivot, X);
-  for (int i = 0; i < NP; ++i)
-    for (int j = 0; j < M; ++j)
-      if (ACTUATED[j] == COLUMNS[i])
-        for (int c = 0; c < N; ++c) W[c * M + j] = X[i][R + c] * (VELOCITY_UNIT[COLUMNS[i]] / EQUATION_UNIT[R + c]);
-}
-
 /* [J_c; S] without unit, decomposed; it serves for steps so small that its own change does not slow them down. */
 typedef struct {
   double A[NP * NP + 1];
@@ -225,12 +216,12 @@ static int actuated_step(const double *numbers, Pose *pose, const double *off, d
 /* The step of Gauss and Newton's method, of more actuators than DOF: the loops close to first order by X (row by row the inverse
    of K), then the coordinates move by dx with W^T dx nearest to what the actuators miss. Returns 0 where that is singular. */
 static int actuated_step(const double *numbers, Pose *pose, const double *off, double *step, Driven *driven) {
-  double X[NP + 1][NP + 1], closing[NV], rest[M], dx[N], W[N * M];
+  double X[NP + 1][NP + 1], closing[NV], rest[M], dx[N], gamma[NV * N], W[N * M];
   Spectrum s;
   Pose here = *pose;
   driven->known = 0;
   if (decompose(here.lu, here.pivot) == 0.0) return 0;
-  actuation(numbers, &here, X, W);
+  invert_pose(numbers, &here, X, gamma, W);
   spectrum_of(numbers, W, &s);
   if (s.rank < N) return 0;
   clear(closing, NV);
@@ -245,10 +236,10 @@ static int actuated_step(const double *numbers, Pose *pose, const double *off, d
 
 /* Why Newton's method failed at a pose with K not decomposed yet. */
 static int failure_at(const double *numbers, Pose *pose) {
-  double X[NP + 1][NP + 1], W[N * M];
+  double X[NP + 1][NP + 1], gamma[NV * N], W[N * M];
   Spectrum s;
   if (decompose(pose->lu, pose->pivot) == 0.0) return STATUS_TYPE_I;
-  actuation(numbers, pose, X, W);
+  invert_pose(numbers, pose, X, gamma, W);
   spectrum_of(numbers, W, &s);
   return s.rank < N ? STATUS_TYPE_II : STATUS_UNREACHABLE;
 }
@@ -298,15 +289,14 @@ typedef struct {
    Returns a status; the platform is written where it is OK or NEAR_SINGULAR. */
 static int platform_of(const double *numbers, Pose *pose, const double *position, const double *velocity, Platform *out) {
   Spectrum s;
-  double none[N], off[M], rate[M], v[NV], a[NV], W[N * M];
+  double X[NP + 1][NP + 1], off[M], rate[M], W[N * M];
   clear(out->x, NX);
   clear(out->xd, N);
   out->mismatch = out->residual = out->margin = out->type_I_margin = 0.0;
   int status = forward(numbers, pose, position, 0, off);
   if (status) return status;
   coordinates_of(numbers, pose->q, pose->trig, out->x);
-  clear(none, N);
-  out->type_I_margin = rates(numbers, pose, none, none, v, a, out->gamma, W);
+  out->type_I_margin = invert_pose(numbers, pose, X, out->gamma, W);
   if (!(out->type_I_margin >= SINGULAR_MARGIN)) return STATUS_TYPE_I;
   if (!in_mode(numbers, pose)) return STATUS_BRANCH_LOST;
   spectrum_of(numbers, W, &s);
