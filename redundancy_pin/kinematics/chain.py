@@ -36,6 +36,7 @@ class ClosedChain(TreePlacement):
         self.robot = robot
         self.system = system = constraint_system(robot)
         self.pose_columns, self.rows = system.pose_columns, len(system.rows)
+        self._closure_unit = system.closure_unit
         # without a platform, unit rows of joints stand in the place of those of its twist
         self._unit_rows = system.independent if robot.platform is None else None
         self._placements: dict[str, tuple[Array, Array]] = {}  # views
@@ -82,7 +83,9 @@ class ClosedChain(TreePlacement):
 
     def matrix(self) -> Array:
         """Return K (r + n, p): both Jacobians without units and without the carrier columns."""
-        return self.system.relative(self.full_jacobian().take(self.pose_columns, 1))
+        K: Array = self.full_jacobian().take(self.pose_columns, 1)
+        K *= self.system.relative_factor
+        return K
 
     def matrix_rate(self) -> Array:
         """Return (r + n, p) the rate of K, without units."""
@@ -96,7 +99,7 @@ class ClosedChain(TreePlacement):
 
     def relative_residual(self) -> Array:
         """Return (r,) the closure residuals without units: angles, and lengths over the characteristic length."""
-        relative: Array = self.residual() / self.system.closure_unit
+        relative: Array = self.placed.residual()[: self.rows] / self._closure_unit
         return relative
 
     def largest_residual(self) -> float:

@@ -308,8 +308,7 @@ class LoopSolver:
     ) -> bool:
         """Return whether the step between states is what the trapezoidal rule over Γ says of an increment (n,) of x."""
         predicted = (0.5 * (here.gamma + new.gamma)).dot(increment)
-        error = self.length(self.tangent(here.q, new.q) - predicted)
-        return bool(_is_within(error, self.length(predicted), tolerance))
+        return bool(_is_within(self.length(self.tangent(here.q, new.q) - predicted), self.length(predicted), tolerance))
 
     def rates(self, state: ClosedState, xd: Array, xdd: Array) -> Rates:
         """Return v = Γ ẋ and a (nv,): K a = (−J̇_c v, ẍ − J̇_x v).
