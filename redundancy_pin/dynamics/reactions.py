@@ -88,7 +88,7 @@ class ClosureEquations:
         determined = bool(values.min(initial=np.inf) > SINGULAR_MARGIN)
         inverse = np.divide(1.0, values, out=np.zeros_like(values), where=values > 0.0)
         forces = unit[:, None] * (right.T @ (inverse[:, None] * (left.T @ (scale * wanted))))
-        return ClosureSolution(forces, wanted - transposed @ forces, determined, chain.closures.wrench)
+        return ClosureSolution(forces, wanted - transposed @ forces, determined, chain.placed.wrench[:, : chain.rows])
 
 
 def joint_reactions(along: RneaAlongMotion, tau: ArrayLike, carriers: CarrierMotion | None = None) -> JointReactions:

@@ -334,9 +334,8 @@ class RneaAlongMotion(Frozen):
             return read_only(np.ones(len(margin)))
         for i in np.flatnonzero(self.tree.reachable):
             chain.update(self.tree.q[i], self.tree.v[i])
-            closures = chain.closure_rows()
-            values = np.linalg.svd(closures, compute_uv=False)
-            K = np.concatenate([closures, chain.platform_jacobian()[:, chain.pose_columns]])
+            K = chain.matrix()
+            values = np.linalg.svd(K[: chain.rows], compute_uv=False)
             margin[i] = np.linalg.slogdet(K)[0] * values[-1] / values[0]
         return read_only(margin)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -24,7 +25,7 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, in_working_mode
-from redundancy_pin.robot.scales import closure_tolerance, velocity_unit
+from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, velocity_unit
 
 SETTLED_STEP = 1e-8
 """A Newton step this small (rad, or characteristic lengths) leaves an error of its square: below rounding."""
@@ -37,18 +38,16 @@ TURNED_OVER = 1.0
 """Axes further apart than this (rad) at the end of Newton have closed the wrong way round, which takes π/2 or more."""
 
 
-@dataclass(frozen=True, eq=False)
-class Projection:
-    """The inverse of K at N configurations.
+class Projection(NamedTuple):
+    """What the inverse of K says at N configurations.
 
     Attributes:
-        inverse: (N, p, r + n) inverse of K; p = r + n pose velocities. NaN at a type I singularity.
-        gamma: (N, nv, n) tree velocity per unit of each independent velocity; carrier rows are zero.
+        gamma: (N, nv, n) tree velocity per unit of each independent velocity; carrier rows are zero. NaN at a type I
+            singularity.
         margin: (N,) lower bound of the smallest singular value of K in scaled units, within a factor √p of it; 0 where
             it is below ``SINGULAR_MARGIN``: at a type I singularity.
     """
 
-    inverse: Array
     gamma: Array
     margin: Array
 
@@ -81,7 +80,7 @@ class Assembly:
 
     @cached_property
     def projection(self) -> Projection:
-        """The inverse of K."""
+        """Γ and margins."""
         return project(self.system, self.state)
 
     @property
@@ -199,12 +198,11 @@ def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
     # 1 / σ_min is the 2-norm of the scaled inverse; the Frobenius norm bounds it within √p and needs no decomposition
     with np.errstate(over="ignore"):  # next to a singularity, where the margin is zero all the same
         size = np.sqrt(np.einsum("nij,nij->n", inverse, inverse))
-    inverse *= system.step_unit[:, None] / system.equation_unit
     margin = np.where(size < 1.0 / SINGULAR_MARGIN, 1.0 / np.where(size > 0.0, size, np.inf), 0.0)
-    inverse[margin == 0.0] = np.nan
     gamma = np.zeros((len(inverse), robot.model.nv, robot.n))
-    gamma[:, columns] = inverse[:, :, len(system.rows) :]
-    return Projection(inverse, gamma, margin)
+    gamma[:, columns] = inverse[:, :, len(system.rows) :] * (system.step_unit[:, None] / coordinate_unit(robot))
+    gamma[np.ix_(margin == 0.0, columns)] = np.nan
+    return Projection(gamma, margin)
 
 
 def integrate(model: pin.Model, q: Array, step: Array) -> Array:
@@ -229,14 +227,14 @@ def _linearise(
     The residuals (N, e) are what is missing to the goal, the matrix (N, e, p) their negative derivatives by the pose
     columns, both without units; ``far``: angles in place of sines, where frames are turned far away from each other.
     """
-    state, unit = system.evaluate(q), system.equation_unit
+    state = system.evaluate(q)
     if target is not None:
         off = difference(system.robot, target, coordinates(system.robot, state))
         residual, rows = np.concatenate([-state.phi, off], axis=1), state.K
     else:
         phi, jacobian = system.rotation_rows(state) if far else (state.phi, state.Jc)
-        residual, rows, unit = -phi, jacobian[:, :, system.pose_columns], system.closure_unit
-    return residual / unit, rows * (system.step_unit / unit[:, None]), state
+        residual, rows = -phi, jacobian[:, :, system.pose_columns]
+    return residual / system.equation_unit[: residual.shape[1]], system.relative(rows), state
 
 
 def _newton_step(system: ConstraintSystem, matrix: Array, residual: Array, rank_tolerance: float | None) -> Array:

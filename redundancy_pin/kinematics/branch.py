@@ -175,9 +175,8 @@ class Follower(LoopSolver):
         if not residual < closure_tolerance(self.robot):
             status = SampleStatus.UNREACHABLE
         else:
-            margin = float(solved.projection.margin[0])
-            rank_lost = margin < self.near and self.closure_margin(solved.q[0]) < self.near
-            status = SampleStatus.BRANCH_LOST if margin > 0.0 and not rank_lost else SampleStatus.TYPE_I
+            rank_lost = self.closure_margin(solved.q[0]) < self.near
+            status = SampleStatus.BRANCH_LOST if solved.regular[0] and not rank_lost else SampleStatus.TYPE_I
         return BranchEnd(status, x, last, read_only(solved.q[0]), residual, rank_lost)
 
     def step(self, here: ClosedState, x: Array) -> ClosedState | None:
@@ -287,7 +286,7 @@ class Follower(LoopSolver):
     def _at_rank_loss(self, here: ClosedState, x: Array) -> ClosedState | None:
         """Return the state at coordinates where the closures lose rank, None where they do not or no branch goes on."""
         guess = self.integrate(here.q, here.gamma.dot(difference(self.robot, x, here.x)))
-        if self.margin(guess, here.basis) > 10.0 * self.near or not self.closures_lose_rank(guess, here.basis):
+        if not self.closures_lose_rank(guess, here.basis):
             return None
         closed = self.close(guess, x, here.basis)
         if closed is not None and closed.margin > self.near:

@@ -14,8 +14,8 @@ from redundancy_pin.robot.lookup import find_link_index
 class ClosedChain(TreePlacement):
     """Closure rows and platform rows of a robot at one state.
 
-    An evaluator with a workspace: ``update`` sets the state, the other methods answer for it. ``place`` alone is for
-    those who place rows of their own. ``coordinates.coordinates`` reads the independent coordinates off it.
+    An evaluator with a workspace: ``place`` sets the configuration, ``update`` the state, the other methods answer for
+    it. ``coordinates.coordinates`` reads the independent coordinates off it.
 
     Args:
         robot: the robot.
@@ -24,16 +24,21 @@ class ClosedChain(TreePlacement):
         system: the rows.
         rows: number r of closure rows.
         pose_columns: velocity indices that move the pose.
-        closures: the closure rows, placed at the last state.
-    """
 
-    closures: PlacedRows
+    Example:
+        >>> chain = ClosedChain(robot)
+        >>> chain.place(np.array(robot.q_reference))
+        >>> K, residual = chain.matrix(), chain.relative_residual()
+    """
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot.model)
         self.robot = robot
         self.system = system = constraint_system(robot)
         self.pose_columns, self.rows = system.pose_columns, len(system.rows)
+        self._closure_unit = system.closure_unit
+        # without a platform, unit rows of joints stand in the place of those of its twist
+        self._unit_rows = system.independent if robot.platform is None else None
         self._placements: dict[str, tuple[Array, Array]] = {}  # views
 
     def __reduce__(self) -> tuple[type[ClosedChain], tuple[Robot]]:
@@ -44,37 +49,88 @@ class ClosedChain(TreePlacement):
         """Set the state: q (nq,), v (nv,)."""
         self.place_moving(q, v)
         self.v = v
-        self.closures = self.system.closures.place(self.vectors, q)
-        self._platform: PlacedRows | None = None  # closures alone are what most calls need
+
+    def _update_frames(self) -> None:
+        super()._update_frames()
+        self._placed: PlacedRows | None = None
+        self._jacobian: Array | None = None
+
+    # --- closure rows over the rows of the independent velocities ----------------------------------------------------
+
+    @property
+    def placed(self) -> PlacedRows:
+        """The closure rows, and behind them those of the platform's twist, at the configuration."""
+        if self._placed is None:
+            self._placed = self.system.all_rows.place(self.vectors, self.q)
+        return self._placed
+
+    def full_jacobian(self) -> Array:
+        """Return (r + n, nv) J_c over J_x."""
+        if self._jacobian is None:
+            rows = self.placed.jacobian(self.J)
+            self._jacobian = rows if self._unit_rows is None else np.concatenate([rows, self._unit_rows])
+        return self._jacobian
+
+    def full_bias(self) -> Array:
+        """Return (r + n,) J̇_c v over J̇_x v."""
+        bias = self.system.all_rows.bias_at(self.placed, self.J, self.dJ, self.v)
+        return bias if self._unit_rows is None else np.concatenate([bias, np.zeros(len(self._unit_rows))])
+
+    def full_rate(self) -> Array:
+        """Return (r + n, nv) J̇_c over J̇_x."""
+        rate = self.placed.jacobian_rate(self.J, self.dJ, self.v)
+        return rate if self._unit_rows is None else np.concatenate([rate, np.zeros_like(self._unit_rows)])
+
+    def matrix(self) -> Array:
+        """Return K (r + n, p): both Jacobians without units and without the carrier columns."""
+        K: Array = self.full_jacobian().take(self.pose_columns, 1)
+        K *= self.system.relative_factor
+        return K
+
+    def matrix_rate(self) -> Array:
+        """Return (r + n, p) the rate of K, without units."""
+        return self.system.relative(self.full_rate().take(self.pose_columns, 1))
+
+    # --- closures ----------------------------------------------------------------------------------------------------
 
     def residual(self) -> Array:
         """Return (r,) the closure residuals Φ, m; for rotation rows the sine of the angle that is off."""
-        return self.closures.residual()
-
-    def jacobian(self) -> Array:
-        """Return J_c (r, nv)."""
-        return self.closures.jacobian(self.J)
-
-    def closure_rows(self) -> Array:
-        """Return J_c (r, p) without units and without the carrier columns."""
-        return self.system.relative(self.jacobian().take(self.pose_columns, 1))
+        return self.placed.residual()[: self.rows]
 
     def relative_residual(self) -> Array:
         """Return (r,) the closure residuals without units: angles, and lengths over the characteristic length."""
-        relative: Array = self.residual() / self.system.closure_unit
+        relative: Array = self.placed.residual()[: self.rows] / self._closure_unit
         return relative
 
     def largest_residual(self) -> float:
         """Return the largest closure residual, m; angles count times the characteristic length."""
         return self.robot.characteristic_length * float(np.abs(self.relative_residual()).max(initial=0.0))
 
+    def jacobian(self) -> Array:
+        """Return J_c (r, nv)."""
+        return self.full_jacobian()[: self.rows]
+
+    def closure_rows(self) -> Array:
+        """Return J_c (r, p) without units and without the carrier columns."""
+        return self.system.relative(self.jacobian().take(self.pose_columns, 1))
+
     def bias(self) -> Array:
         """Return J̇_c v (r,)."""
-        return self.system.closures.bias_at(self.closures, self.J, self.dJ, self.v)
+        return self.full_bias()[: self.rows]
 
     def jacobian_rate(self) -> Array:
         """Return J̇_c (r, nv)."""
-        return self.closures.jacobian_rate(self.J, self.dJ, self.v)
+        return self.full_rate()[: self.rows]
+
+    # --- platform ----------------------------------------------------------------------------------------------------
+
+    def platform_jacobian(self) -> Array:
+        """Return J_x (n, nv): rows of the platform twist, world-aligned at its origin, or unit rows of joints."""
+        return self.full_jacobian()[self.rows :]
+
+    def platform_jacobian_rate(self) -> Array:
+        """Return J̇_x (n, nv)."""
+        return self.full_rate()[self.rows :]
 
     def placement(self, frame: str) -> tuple[Array, Array]:
         """Return rotation (3, 3) and origin (3,), m, of a link by its name: views, which change with the state."""
@@ -82,32 +138,3 @@ class ClosedChain(TreePlacement):
         if known is None:
             known = self._placements[frame] = frame_placement(self.vectors, find_link_index(self.model, frame))
         return known
-
-    def platform_rows(self) -> PlacedRows:
-        """Return the rows of the platform's twist, at the state."""
-        if self._platform is None:
-            self._platform = self.system.platform.place(self.vectors, self.q)
-        return self._platform
-
-    def platform_jacobian(self) -> Array:
-        """Return J_x (n, nv): rows of the platform twist, world-aligned at its origin, or unit rows of joints."""
-        if self.robot.platform is None:
-            return self.system.independent
-        return self.platform_rows().jacobian(self.J)
-
-    def matrix(self) -> Array:
-        """Return K (r + n, p) without units: J_c over J_x, without the carrier columns."""
-        return self._relative(self.jacobian(), self.platform_jacobian())
-
-    def matrix_rate(self) -> Array:
-        """Return the rate of K (r + n, p), without units."""
-        return self._relative(self.jacobian_rate(), self.platform_jacobian_rate())
-
-    def _relative(self, *rows: Array) -> Array:
-        return self.system.relative(np.concatenate(rows).take(self.pose_columns, 1))
-
-    def platform_jacobian_rate(self) -> Array:
-        """Return J̇_x (n, nv)."""
-        if self.robot.platform is None:
-            return np.zeros_like(self.system.independent)
-        return self.platform_rows().jacobian_rate(self.J, self.dJ, self.v)

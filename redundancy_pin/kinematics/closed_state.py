@@ -132,16 +132,15 @@ class LoopSolver:
         self.robot, self._model = robot, robot.model
         self.system = constraint_system(robot)
         self.chain = chain = ClosedChain(robot)
-        self._rows, self.rank = self.system.all_rows, len(self.system.rows)
+        self.rank = len(self.system.rows)
         self._redundant, self._widest = bool(robot.all_closures), dependent_row_tolerance(robot)
         self._every = constraint_system(with_all_rows(robot))
         self._columns, self._nv = chain.pose_columns, robot.model.nv
         self._flat = robot.model.nq == robot.model.nv
         self._shape = (4, 4) if is_pose(robot) else (robot.n,)
-        self._row_unit, self._step_unit = self.system.equation_unit, self.system.step_unit
+        self._step_unit = self.system.step_unit
         self.unit, self._radians = coordinate_unit(robot), 1.0 / velocity_unit(robot)
         self._gamma_unit = self._step_unit[:, None] / self.unit
-        self._fixed = chain.system.independent[:, self._columns] if robot.platform is None else None
         self._aligned = self.system.aligned
 
     @cached_property
@@ -163,24 +162,19 @@ class LoopSolver:
 
     def matrix(self, q: Array, basis: Array | None = None) -> tuple[Array, Array]:
         """Return K (p, p) and the closure residuals (r,) at q (nq,), without units; ``basis`` as in ``ClosedState``."""
-        chain = self.chain
-        chain.place(q)
-        placed = self._rows.place(chain.vectors, q)
-        K = placed.jacobian(chain.J).take(self._columns, 1)
-        if self._fixed is not None:
-            K = np.concatenate([K, self._fixed])
-        K *= self.system.relative_factor
+        self.chain.place(q)
+        K = self.chain.matrix()
         if basis is None:
-            return K, placed.residual()[: self.rank] / self._row_unit[: self.rank]
+            return K, self.chain.relative_residual()
         rows, phi = self._every_row(q)
         K[: self.rank] = basis.T @ rows
         return K, phi.dot(basis)
 
     def _every_row(self, q: Array) -> tuple[Array, Array]:
         """Return the Jacobian (R, p) and residuals (R,) of all closure rows, without units, where q is placed."""
-        placed = self._every.closures.place(self.chain.vectors, q)
-        rows = self._every.relative(placed.jacobian(self.chain.J).take(self._columns, 1))
-        return rows, placed.residual() / self._every.closure_unit
+        placed, every = self._every.all_rows.place(self.chain.vectors, q), self._every
+        rows = every.relative(placed.jacobian(self.chain.J)[: len(every.rows), self._columns])
+        return rows, placed.residual()[: len(every.rows)] / every.closure_unit
 
     def _independent(self, q: Array, basis: Array | None, inverse: Array) -> tuple[Array | None, Array]:
         """Return the basis that serves at a closed configuration, and K⁻¹ with it.
@@ -314,8 +308,7 @@ class LoopSolver:
     ) -> bool:
         """Return whether the step between states is what the trapezoidal rule over Γ says of an increment (n,) of x."""
         predicted = (0.5 * (here.gamma + new.gamma)).dot(increment)
-        error = self.length(self.tangent(here.q, new.q) - predicted)
-        return bool(_is_within(error, self.length(predicted), tolerance))
+        return bool(_is_within(self.length(self.tangent(here.q, new.q) - predicted), self.length(predicted), tolerance))
 
     def rates(self, state: ClosedState, xd: Array, xdd: Array) -> Rates:
         """Return v = Γ ẋ and a (nv,): K a = (−J̇_c v, ẍ − J̇_x v).
@@ -339,15 +332,12 @@ class LoopSolver:
                 margin=state.margin,
             )
         chain, v = self.chain, state.gamma.dot(xd)
-        chain.place_moving(state.q, v)
-        placed = self._rows.place(chain.vectors, state.q)
-        bias = np.zeros(len(self._row_unit))
-        bias[: self._rows.size] = self._rows.bias_at(placed, chain.J, chain.dJ, v)
-        bias /= self._row_unit
+        chain.update(state.q, v)
+        bias = chain.full_bias() / self.system.equation_unit
         if state.basis is not None:
-            every = self._every.closures
+            every = self._every.all_rows
             every_bias = every.bias_at(every.place(chain.vectors, state.q), chain.J, chain.dJ, v)
-            bias[: self.rank] = (every_bias / self._every.closure_unit).dot(state.basis)
+            bias[: self.rank] = (every_bias[: len(self._every.rows)] / self._every.closure_unit).dot(state.basis)
         rest = -bias
         rest[self.rank :] += xdd / self.unit
         a = np.zeros(self._nv)

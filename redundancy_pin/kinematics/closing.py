@@ -90,6 +90,8 @@ def closed_neighbours(
     """
     rng, free = np.random.default_rng(SEED), free_motions(system, q, rank_tolerance)
     starts = draw_starts(system, q, count, rng, turn=spread, slide=spread, along=free)
-    reached = [close(system, each, rank_tolerance) for each in (q, *starts)]
-    closed = [each for each, gap in reached if gap < tolerance * system.robot.characteristic_length]
-    return np.array(closed) if closed else q[None]
+    reached = assemble(
+        system, np.concatenate([q[None], starts]), rank_tolerance=rank_tolerance, max_iterations=_ITERATIONS
+    )
+    closed = reached.residual < tolerance * system.robot.characteristic_length
+    return reached.q[closed] if closed.any() else q[None]

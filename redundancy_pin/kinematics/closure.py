@@ -332,9 +332,8 @@ class ConstraintState:
     def overwrite(self, at: IntArray, other: ConstraintState, chosen: BoolArray) -> None:
         """Replace the configurations ``at`` by chosen ones of another evaluation of the same system."""
         self.vectors[:, at] = other.vectors[:, chosen]
-        for own, new in ((self.q, other.q), (self.columns, other.columns), (self.phi, other.phi), (self.K, other.K)):
-            own[at] = new[chosen]
-        self.Jc[at], self.Jx[at] = other.Jc[chosen], other.Jx[chosen]
+        for name in ("q", "columns", "phi", "Jc", "Jx", "K"):
+            getattr(self, name)[at] = getattr(other, name)[chosen]
 
 
 class ConstraintSystem:
@@ -346,8 +345,8 @@ class ConstraintSystem:
     Attributes:
         rows: the r rows of the constraints: of the closures, then an empty one for each coupling.
         couplings: what the empty rows stand for, if there are any.
-        closures, platform, all_rows: closure rows; rows of the platform's twist (none where the independent velocities
-            are those of joints); both.
+        all_rows: closure rows, and behind them rows of the platform's twist; none of these where the independent
+            velocities are those of joints.
         support: (nv,) by frame name, 1 where a velocity moves that frame.
         aligned: pairs of places in ``TreePlacement.vectors`` of axes that point the same way when closed.
         pose_columns: velocity indices that move the pose: all but the carriers.
@@ -379,10 +378,7 @@ class ConstraintSystem:
         empty = Row((world, 0), (world, 1), world, world, 1.0)
         self.couplings = CouplingRows(robot, len(closures)) if robot.couplings else None
         self.rows = (*closures, *(empty for _ in robot.couplings))
-        platform = _platform_rows(robot, at)
-        self.closures = RowSet(self.rows, support, ids, self.couplings)
-        self.platform = RowSet(platform, support, ids)
-        self.all_rows = RowSet((*self.rows, *platform), support, ids, self.couplings)
+        self.all_rows = RowSet((*self.rows, *_platform_rows(robot, at)), support, ids, self.couplings)
         # of many configurations only these frames are kept, one behind the other
         self._kept = (12 * ids[:, None] + np.arange(12)).ravel()
         self._order = np.zeros(12 * robot.model.nframes, dtype=np.intp)
@@ -392,6 +388,7 @@ class ConstraintSystem:
             for closure in robot.closures
             for k in _aligned(closure)
         ]
+        self._aligned_places = np.array(self.aligned, dtype=np.intp).reshape(-1, 2).T
         self.pose_columns = np.setdiff1d(np.arange(nv), robot.carrier_velocity, assume_unique=True)
         self.selection = np.zeros((robot.m, nv))
         self.selection[np.arange(robot.m), robot.actuated_velocity] = 1.0
@@ -469,14 +466,9 @@ class ConstraintSystem:
         where all rows vanish this is 0 for a true closure and at least π/2 for a false one. Closures with less than
         two rotation rows have no such axes.
         """
-        apart = [
-            state.placement(closure.frame_b)[0][:, k] - state.placement(closure.frame_a)[0][:, k]
-            for closure in self.robot.closures
-            for k in _aligned(closure)
-        ]
-        chords = np.reshape([np.linalg.norm(each, axis=0) for each in apart], (len(apart), len(state.q)))
+        first, second = (state.vectors[self._order[part] + np.arange(3)[:, None]] for part in self._aligned_places)
         # an arc cosine would be off by 1e-8 rad where axes coincide
-        turned: Array = 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0))
+        turned = 2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(second - first, axis=0), 1.0))
         worst: Array = turned.max(axis=0, initial=0.0)
         return worst
 

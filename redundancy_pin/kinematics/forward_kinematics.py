@@ -318,7 +318,7 @@ def platform_rates(robot: Robot, q: Array, v: Array, a: Array) -> tuple[Array, A
     for k in np.flatnonzero(np.isfinite(q).all(axis=1)):
         chain.update(q[k], v[k])
         rows = chain.platform_jacobian()
-        xd[k], xdd[k] = rows @ v[k], rows @ a[k] + chain.platform_jacobian_rate() @ v[k]
+        xd[k], xdd[k] = rows @ v[k], rows @ a[k] + chain.full_bias()[chain.rows :]
     return xd, xdd
 
 

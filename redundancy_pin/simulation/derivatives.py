@@ -52,13 +52,11 @@ def row_derivatives(chain: ClosedChain, q: Array, v: Array, a: Array) -> RowDeri
     no differentials: with δθ = J δq, δω = d(δθ)/dt + δθ × ω.
     """
     J, dJ, ddJ = _world_columns(chain, q, v, a)
-    K, Kd, Kdd = chain.closures.time_derivatives(J, dJ, ddJ, v, a)
+    K, Kd, Kdd = chain.placed.time_derivatives(J, dJ, ddJ, v, a)
     robot, r = chain.robot, chain.rows
     if robot.platform is None:  # unit rows
-        platform = (chain.platform_jacobian(), *np.zeros((2, robot.n, robot.model.nv)))
-    else:
-        platform = chain.platform_rows().time_derivatives(J, dJ, ddJ, v, a)
-    K, Kd, Kdd = (np.concatenate(parts) for parts in zip((K, Kd, Kdd), platform, strict=True))
+        still = np.zeros((robot.n, robot.model.nv))
+        K, Kd, Kdd = map(np.concatenate, ((K, chain.system.independent), (Kd, still), (Kdd, still)))
     by_q, rate_by_q, rate_by_v = Kd.copy(), Kdd.copy(), 2.0 * Kd
     if robot.platform is not None and robot.platform.is_pose:
         turning = [r + robot.platform.axes.index(axis) for axis in ("rx", "ry", "rz")]
@@ -205,12 +203,11 @@ def _row_force_derivative(chain: ClosedChain, q: Array, multiplier: Array) -> Ar
     """Return (nv, nv) the derivative of Kᵀμ by q, μ held: K̇ is linear in v, so unit velocities give its parts."""
     model = chain.model
     result = np.empty((model.nv, model.nv))
-    closures, platform = multiplier[: chain.rows], multiplier[chain.rows :]
     for j in range(model.nv):
         unit = np.zeros(model.nv)
         unit[j] = 1.0
         chain.update(q, unit)
-        result[:, j] = closures @ chain.jacobian_rate() + platform @ chain.platform_jacobian_rate()
+        result[:, j] = multiplier @ chain.full_rate()
     return result
 
 
@@ -264,7 +261,7 @@ def linearise(robot: Robot, state: State, tau: Array, carrier_force: Array | Non
     inverse = inverse_derivatives(robot, state.q, state.v, a, np.asarray(tau, dtype=float), loads)
     chain = dynamics.chain
     chain.update(state.q, state.v)
-    platform = chain.platform_jacobian() @ a + chain.platform_jacobian_rate() @ state.v
+    platform = chain.platform_jacobian() @ a + chain.full_bias()[chain.rows :]
     parts = LinearParts(inverse.mass, inverse.force_y, inverse.force_z, inverse.input)
     return _linearisation(robot, parts, inverse.rate_y, platform, a)
 

@@ -114,7 +114,6 @@ class EventFunctions:
         self._one_sided = np.array([kind in ONE_SIDED for kind in self.kinds])
         self._chain, self._columns = chain, chain.pose_columns
         self._unit = chain.system.step_unit
-        self._platform_scale = self._unit / chain.system.equation_unit[chain.rows :, None]
         self._actuated = np.eye(robot.model.nv)[robot.actuated_velocity][:, self._columns]
         self._still = np.zeros(robot.model.nv)
 
@@ -127,12 +126,10 @@ class EventFunctions:
         by_actuators, by_platform, rows = np.empty((count, p, p)), np.empty((count, p, p)), np.empty((count, r, p))
         for i, one in enumerate(q):
             chain.update(one, self._still)
-            rows[i] = chain.closure_rows()
+            by_platform[i] = K = chain.matrix()
+            rows[i] = K[:r]
             if self._square:
                 by_actuators[i, :r], by_actuators[i, r:] = rows[i], self._actuated
-            if not self._by_legs:
-                platform = chain.platform_jacobian()[:, columns] * self._platform_scale
-                by_platform[i, :r], by_platform[i, r:] = rows[i], platform
         parts = [self._side * (self._bound - q.take(self._position, 1))]
         type_i = mode_indicator(chain.robot, q) if self._by_legs else np.linalg.det(by_platform)[:, None]
         parts.append(type_i)

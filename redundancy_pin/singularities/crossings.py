@@ -24,12 +24,11 @@ from redundancy_pin.errors import (
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name
+from redundancy_pin.kinematics.coordinates import distance, mode_indicator, mode_name
 from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import coordinate_unit, row_scale
 from redundancy_pin.singularities.classify import Margins, SingularityKind, classify, margins_of
 from redundancy_pin.singularities.roots import ZOOM, Zero, zeros
 from redundancy_pin.status import SampleStatus
@@ -177,7 +176,7 @@ def _slope(system: ConstraintSystem, path: FollowedPath, t: float) -> float:
     half = float(np.diff(path.t).max()) / ZOOM
     times = np.array([max(path.law.start, t - half), min(path.law.end, t + half)])
     x = path.law.sample_at(times).x
-    length = float(np.linalg.norm(difference(robot, x[1:], x[:-1])[0] * row_scale(robot)))
+    length = float(distance(robot, x[1:], x[:-1])[0])
     if length == 0.0:
         return 0.0
     margins = path.margins(times).parallel
@@ -295,6 +294,6 @@ def _sampling_times(robot: Robot, law: ContinuousMotion, spacing: float) -> Arra
     """Return (N,) times with steps of at most ``spacing`` characteristic lengths between them."""
     t = np.linspace(law.start, law.end, _FEWEST_STEPS + 1)
     x = law.sample_at(t).x
-    steps = np.linalg.norm(difference(robot, x[1:], x[:-1]) / coordinate_unit(robot), axis=1)
+    steps = distance(robot, x[1:], x[:-1]) / robot.characteristic_length
     nodes = np.concatenate([[0.0], np.cumsum(np.maximum(np.ceil(steps / spacing), 1.0))])
     return np.interp(np.arange(nodes[-1] + 1.0), nodes, t)

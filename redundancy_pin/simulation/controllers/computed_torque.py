@@ -99,8 +99,7 @@ class ReducedModel:
     def _equations(self, q: Array, v: Array) -> Equations:
         chain = self.chain
         chain.update(q, v)
-        system = np.concatenate([chain.jacobian(), chain.platform_jacobian()])[:, self._columns]
-        rates = np.concatenate([chain.bias(), chain.platform_jacobian_rate().dot(v)])
+        system, rates = chain.full_jacobian()[:, self._columns], chain.full_bias()
         effort, mass = tree_equations(self.robot, chain.data, q, v, np.zeros(len(v)))
         return Equations(system, rates, np.triu(mass) + np.triu(mass, 1).T, effort)
 
