@@ -425,12 +425,16 @@ _OFF_AXIS = 1e-2
 """rad: ten times what placements of a file are off by (``arrays.FILE_TOLERANCE``)."""
 
 
+_BRANCH = "Which branch?"
+"""How the question begins."""
+
+
 def _which_branch(robot: Robot) -> str:
     """Return the question on which branch the machine is, with where the joints are on the one nearby."""
     single = [name for name in joint_names(robot.model) if find_joint(robot.model, name).nv == 1]
     at = (f"{name}={joint_position(robot, name, robot.q_reference[None])[0]:.3g}" for name in single)
     return (
-        "Which branch? Where all joints start, loops lie in a line and branches meet. Name where the joints are near "
+        f"{_BRANCH} Where all joints start, loops lie in a line and branches meet. Name where the joints are near "
         f"the reference: --guess JOINT=VALUE,...; one branch nearby has --guess {','.join(at)}."
     )
 
@@ -445,11 +449,14 @@ def _turning(proposal: Proposal, robot: Robot) -> tuple[str, ...]:
 def _require_decided(proposal: Proposal, file: Path) -> None:
     """Refuse a file that leaves something open."""
     if proposal.questions:
-        is_motors = file.suffix != ".xacro" and not proposal.motors
-        named = ' Motors alone: load_robot(..., actuated="a,b"), or --set actuated=a,b.' if is_motors else ""
+        ways = [f"`redundancy-pin new {file.name}` with these flags writes a robot.yaml that does."]
+        if file.suffix != ".xacro" and not proposal.motors:
+            ways.append('Motors alone: load_robot(..., actuated="a,b"), or --set actuated=a,b.')
+        if file.suffix in (".xml", ".mjcf") and proposal.questions[-1].startswith(_BRANCH):
+            ways.append('Or load_robot(..., keyframe="home"), --set keyframe=home, with a keyframe on the branch.')
         raise DeclarationError(
             f"{file.name} does not say it all. {' '.join(proposal.questions)}",
-            remedy=f"`redundancy-pin new {file.name}` with these flags writes a robot.yaml that does.{named}",
+            remedy=" ".join(ways),
             questions=proposal.questions,
         )
 

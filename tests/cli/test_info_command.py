@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from command_line import call, refused
 import redundancy_pin
 from redundancy_pin import load_robot
 from redundancy_pin.io import limited
+from redundancy_pin.robot.formats import xacro_engine
 from redundancy_pin.robot.urdf import shipped_robots
 
 COMMANDS = ("reproduce", "inverse-dynamics", "singularities", "validate", "info")
@@ -139,13 +141,19 @@ def test_a_robot_without_description_and_parameters_has_no_empty_places(tmp_path
     assert '"reference": 0.7' in call("info", "--robot", tmp_path, "--json").stdout
 
 
-def test_a_strangers_file_is_read_in_a_process_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_strangers_file_is_read_in_a_process_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """``--untrusted`` ends a reader that takes too long, and no file is both."""
-    xacro = Path(__file__).parents[2] / "models" / "five_bar" / "robot.yaml"
+    shutil.copytree(Path(__file__).parents[2] / "models" / "five_bar", tmp_path / "five_bar")
+    xacro, calls, run = tmp_path / "five_bar" / "robot.yaml", list[str](), limited.run_limited
+    monkeypatch.setattr(xacro_engine, "run_limited", lambda *given: calls.append(given[0]) or run(*given))
     assert call("info", "--robot", xacro, "--untrusted").stdout == call("info", "--robot", xacro).stdout
+    assert len(calls) == 2  # the robot, and its defaults
     assert "trust and untrusted are both true" in refused("info", "--robot", xacro, "--untrusted", "--trust")
     monkeypatch.setattr(limited, "SECONDS", 0.01)
-    for arguments in (("info", "--robot", xacro), ("new", xacro.with_name("five_bar.urdf.xacro"), "--out", "x.yaml")):
+    for arguments in (
+        ("info", "--robot", xacro),
+        ("new", xacro.with_name("five_bar.urdf.xacro"), "--out", tmp_path / "x.yaml"),
+    ):
         assert "takes more than 0.01 s" in refused(*arguments, "--untrusted")
 
 
