@@ -84,6 +84,26 @@ def test_all_modes_of_the_three_rrr_close_or_report_how_far_the_corner_is(pose, 
         np.testing.assert_array_equal(np.sign(side)[clear], np.array(mode)[clear])
 
 
+def test_thesis_formulas_for_theta_and_jacobian():
+    """Angles by arc cosine and the Jacobian's entries as printed (Parsa 2014, eq. 2.22-2.38)."""
+    pose, mode = np.array([1.0, 0.4, 0.3]), (1, -1, 1)
+    legs = inverse_displacement(UNEQUAL, pose[None], mode)
+    l1, l2, l3 = 1.2, 0.9, 0.3
+    for i in range(3):
+        xA, yA = corners(UNEQUAL, pose)[i] - UNEQUAL.base_points[i]
+        rho = np.hypot(xA, yA)
+        theta = np.arctan2(yA, xA) + mode[i] * np.arccos((l1**2 + rho**2 - l2**2) / (2 * l1 * rho))
+        phi = pose[2] + PHI[i]
+        a, b = xA - l1 * np.cos(theta), yA - l1 * np.sin(theta)
+        c, d = l1 * (xA * np.sin(theta) - yA * np.cos(theta)), l3 * (a * np.sin(phi) - b * np.cos(phi))
+        assert abs(np.exp(1j * theta) - np.exp(1j * legs.theta[i, 0])) < ROUNDING
+        np.testing.assert_allclose(legs.jacobian[:, i, 0], -np.array([a, b, d]) / c, atol=ROUNDING)
+        np.testing.assert_allclose(legs.c[i, 0], c, atol=ROUNDING)
+
+
+UNEQUAL_LENGTHS = {"base_radius": 0.9, "platform_radius": 0.3, "proximal_length": 1.2, "distal_length": 0.9}
+
+
 @pytest.mark.parametrize(("beyond", "reached"), [(0.5 * CLOSURE_TOLERANCE, True), (1e-9, False), (0.3, False)])
 def test_reach_ends_at_the_stretched_leg(beyond, reached):
     """Leg 1 is stretched along its own arm: G, B, A and P on one line at 30 degrees."""
