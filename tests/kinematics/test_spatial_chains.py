@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 import zoo
 from loop_oracle import Loops
-from spatial_chains import CHAINS, chain_of
+from spatial_chains import CHAINS, RCCC_TWISTS, chain_of
 from written import urdf_of, write_robot
 
 import redundancy_pin as rp
@@ -162,3 +162,19 @@ def test_a_centre_of_mass_off_the_line_by_little_is_noted(tmp_path: Path) -> Non
         notes = [note for note in rp.load_robot(path).notes if "off that line: near by 0.0001 m" in note]
         assert len(notes) == is_noted
         assert any("off that line" in note for note in rp.load_robot(path).notes) == is_noted
+
+
+def test_rccc_axes_obey_the_spherical_four_bar() -> None:
+    """Duffy's cosine law: the axes' directions form a spherical quadrilateral, whatever the slides do."""
+    robot = chain_of("cylindrical")
+    q = inverse_kinematics(robot, swing(robot, np.linspace(0.0, 1.2, 15))).q
+    crank, turn_2 = (q[:, zoo.index(robot, name)] for name in ("crank", "turn_2"))
+    alpha, beta, gamma, delta = RCCC_TWISTS
+    # axis 1 = z of the base, axis 4 = z of the pivot; axes 3 and 4 keep the angle gamma
+    axis_4 = np.array([0.0, -np.sin(delta), np.cos(delta)])
+    about_z = np.array([[np.cos(crank), -np.sin(crank)], [np.sin(crank), np.cos(crank)]])
+    inner = np.array([np.sin(beta) * np.sin(turn_2), -np.sin(beta) * np.cos(turn_2), np.full_like(crank, np.cos(beta))])
+    y = np.cos(alpha) * inner[1] - np.sin(alpha) * inner[2]
+    z = np.sin(alpha) * inner[1] + np.cos(alpha) * inner[2]
+    axis_3 = np.array([about_z[0, 0] * inner[0] + about_z[0, 1] * y, about_z[1, 0] * inner[0] + about_z[1, 1] * y, z])
+    np.testing.assert_allclose(axis_4 @ axis_3, np.cos(gamma), atol=CLOSED)
