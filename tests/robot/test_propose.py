@@ -315,5 +315,5 @@ def test_a_file_of_many_marks_is_asked_about_in_time(tmp_path: Path) -> None:
 def test_joints_that_a_file_marks_as_independent_are_its_motors(tmp_path: Path) -> None:
     path = written(tmp_path, J("a", "revolute", "base", "one"), J("b", "revolute", "one", "two", (1.0, 0.0, 0.0)))
     path.write_text(path.read_text().replace('name="b" type', 'independent="false" name="b" type'))
-    proposal, robot = propose_robot(path, is_open=True)
+    proposal, _ = propose_robot(path, is_open=True)
     assert (proposal.mechanism.actuated, proposal.motors) == (("a",), "marked as independent by the file")
