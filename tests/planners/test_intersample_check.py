@@ -126,6 +126,18 @@ def test_a_singularity_crossed_twice_between_two_samples_has_no_peak(depth: floa
         assert np.isfinite(plan.between.force_peak).all()
 
 
+def test_parked_carriers_have_no_peak_where_the_platform_crosses_the_line_of_the_bases() -> None:
+    """There the two legs of the 2-RPR are parallel, and nothing pushes the platform across them."""
+    robot, line = rp.load_robot("2rpr", end_effector_mass=0.2, cylinder_mass=0.1), reference.line(speed=0.2)
+    parked = PlanFunctions(continuous_motion(line), PiecewisePolynomial.constant(np.zeros(2), 0.0, line.duration))
+    peaks = extremes_between(rp.VirtualWork(robot), parked, 0.0, line.duration)
+    infinite = peaks.ends[np.isinf(peaks.value[:, :2]).all(axis=1)]
+    assert len(infinite)
+    height = line.sample_at(infinite.ravel()).x[:, 1].reshape(-1, 2)
+    assert (height[:, 0] * height[:, 1] <= 0.0).all()
+    assert np.isfinite(peaks.value[:, 2:]).all()  # the carriers' own forces
+
+
 def test_a_carrier_that_leaves_its_track_between_the_samples_breaks_a_limit() -> None:
     """By hand: s = 0.1 + 0.12 t − 0.2 t² is largest, 0.118, at t = 0.3."""
     robot = zoo.robot_of("3rrr")
