@@ -62,7 +62,7 @@ def test_the_jumps_of_the_thesis_are_those_of_its_discretisation(speed, jumps):
         zero = np.zeros(2)
         back = boundary_polynomial(end, end + 0.4, [*state, zero], [zero] * 4)
         later = np.array([end + dt])
-        carriers = CarrierMotion(*(back(later, order) for order in range(3)))
+        carriers = CarrierMotion(*(back.derivative(order)(later) for order in range(3)))
         reduced = dynamics.reduce(trajectory.sample_at(later), carriers, check_track=False)
         found.append(np.abs(np.linalg.solve(reduced.W[0], reduced.f[0])))
     np.testing.assert_allclose(found[0], jumps, atol=0.03)
