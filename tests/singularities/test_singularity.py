@@ -18,7 +18,7 @@ from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot.scales import column_scale, row_scale
-from redundancy_pin.singularities.classify import SingularityKind, classify, classify_motion
+from redundancy_pin.singularities.classify import SingularityKind, classify, classify_motion, signed_margin
 from redundancy_pin.spectrum import scaled, spectrum_of
 
 ROUNDING = 1e-12
@@ -398,3 +398,11 @@ def test_figure_has_an_ellipse_a_pose_in_each_panel(name: str) -> None:
         assert abs(length.max() / length.min() - performance.force.condition[-1]) < 1e-9
     with pytest.raises(InputError, match="A performance was expected"):
         rp.plot.ellipsoids(5)
+
+
+def test_a_signed_margin_is_negative_where_the_determinant_is() -> None:
+    """Singular values 2 and 1/2 by construction; no determinant without a square matrix, and none of NaN."""
+    turned = np.array([[0.6, -0.8], [0.8, 0.6]])
+    W = np.stack([turned @ np.diag([2.0, sign]) for sign in (0.5, -0.5, np.nan)])
+    np.testing.assert_allclose(signed_margin(W), [0.5, -0.5, np.nan], atol=1e-15)
+    np.testing.assert_allclose(signed_margin(np.array([[[-2.0, 0.0, 0.0], [0.0, 0.5, 0.0]]])), [0.5], atol=1e-15)
