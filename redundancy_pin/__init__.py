@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from redundancy_pin.loading import load_robot, robot_from_model, with_parameters
     from redundancy_pin.motion import CarrierMotion, PlatformMotion
     from redundancy_pin.planners.check import check_plan
+    from redundancy_pin.planners.optimal.time_optimal import plan_time_optimal
+    from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
     from redundancy_pin.planners.plan import Plan, load_plan, load_robot_of
     from redundancy_pin.planners.receding_horizon import RecedingHorizon
     from redundancy_pin.planners.stepwise.planner import plan_stepwise
     from redundancy_pin.planners.switch_off.planner import plan_switch_off
-    from redundancy_pin.planners.time_optimal.planner import plan_time_optimal
-    from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
     from redundancy_pin.robot import Robot
     from redundancy_pin.robot.changes import with_limits
     from redundancy_pin.robot.loads import JointForces, Payload, Spring, Wrench
@@ -69,8 +69,8 @@ _PLACES = {
         "planners.receding_horizon": "RecedingHorizon",
         "planners.stepwise.planner": "plan_stepwise",
         "planners.switch_off.planner": "plan_switch_off",
-        "planners.time_optimal.planner": "plan_time_optimal",
-        "planners.whole_trajectory.planner": "plan_whole_trajectory",
+        "planners.optimal.time_optimal": "plan_time_optimal",
+        "planners.optimal.whole_trajectory": "plan_whole_trajectory",
         "robot": "Robot",
         "robot.changes": "with_limits",
         "robot.loads": "JointForces Payload Spring Wrench",

@@ -19,10 +19,9 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, RedundancyPinError, shown
 from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.planners.optimal import OBJECTIVES, plan_time_optimal
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon import RecedingHorizon
-from redundancy_pin.planners.time_optimal import plan_time_optimal
-from redundancy_pin.planners.whole_trajectory import OBJECTIVES
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import source_in
 from redundancy_pin.studies.case import BACKENDS

@@ -20,10 +20,10 @@ from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import PlannedMotion
 from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
-from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.trajectory import Trajectory, reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion

@@ -39,13 +39,13 @@ from redundancy_pin.errors import (
 from redundancy_pin.loading import with_parameters
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.optimal.objectives import Mesh, Objective, Solver, checked_settings
+from redundancy_pin.planners.optimal.problem import Task
+from redundancy_pin.planners.optimal.sensitivity import MOVED, DesignSlopes, Moved, design_gradient
+from redundancy_pin.planners.optimal.solve import Outcome
+from redundancy_pin.planners.optimal.transcription import objective_values
+from redundancy_pin.planners.optimal.whole_trajectory import optimise, plan_whole_trajectory
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.whole_trajectory.multistart import Outcome
-from redundancy_pin.planners.whole_trajectory.options import Mesh, Objective, Solver, checked_settings
-from redundancy_pin.planners.whole_trajectory.planner import optimise, plan_whole_trajectory
-from redundancy_pin.planners.whole_trajectory.problem import Task
-from redundancy_pin.planners.whole_trajectory.sensitivity import MOVED, DesignSlopes, Moved, design_gradient
-from redundancy_pin.planners.whole_trajectory.transcription import objective_values
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.measures import numbers
@@ -216,7 +216,7 @@ class Search:
         for i, task in enumerate(self.tasks):
             one = _planning_task(task, robots[id(task.dynamics.robot)])
             warm = None if near is None else near.solved[i][1]
-            planned.append((one, *optimise(one, None if warm is None else warm.solution.position(warm.problem))))
+            planned.append((one, *optimise(one, None if warm is None else warm.problem.position(warm.solution.values))))
         solved = tuple((plan, outcome) for _, plan, outcome in planned)
         values = np.array([_value(outcome) for _, outcome in solved])
         before = values if near is None else near.before

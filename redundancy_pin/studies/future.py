@@ -11,8 +11,8 @@ import numpy as np
 from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.base_wrench import load_at_rest
+from redundancy_pin.planners.optimal.time_optimal import plan_time_optimal
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.time_optimal.planner import plan_time_optimal
 from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.simulation.replay import replay
 from redundancy_pin.status import ResultStatus

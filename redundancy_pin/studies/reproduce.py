@@ -29,9 +29,9 @@ from redundancy_pin.crosscheck import CrossCheckReport
 from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError, OutputError
 from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
+from redundancy_pin.planners.optimal.nlp import casadi
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_of_record
-from redundancy_pin.planners.whole_trajectory.options import casadi
 from redundancy_pin.simulation.replay import Drive, Replay, replay
 from redundancy_pin.studies import beyond, cases, future, planned
 from redundancy_pin.studies.case import Case, Plans

@@ -16,8 +16,8 @@ import numpy as np
 from redundancy_pin.arrays import Frozen, one_of, whole
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.base_wrench import load_at_rest
+from redundancy_pin.planners.optimal import OBJECTIVES
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.whole_trajectory import OBJECTIVES
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.case import Case, Plans
 from redundancy_pin.studies.cases import at_speed

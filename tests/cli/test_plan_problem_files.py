@@ -14,9 +14,9 @@ from plan_cases import PROBLEM, same, write_problem
 
 import redundancy_pin as rp
 from redundancy_pin.cli.plan_problem import STEPWISE, SWITCH_OFF, WHOLE_TRAJECTORY
+from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
-from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 from redundancy_pin.studies.case import TRAJECTORIES
 from redundancy_pin.trajectory import reference
 

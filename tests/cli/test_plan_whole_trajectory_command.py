@@ -15,8 +15,8 @@ from command_line import call, refused
 import redundancy_pin as rp
 from redundancy_pin.cli.plan_problem import weights
 from redundancy_pin.errors import InputError
+from redundancy_pin.planners.optimal import nlp as whole_trajectory_solver
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.whole_trajectory import solver as whole_trajectory_solver
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
 

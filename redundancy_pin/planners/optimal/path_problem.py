@@ -18,7 +18,8 @@ from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import TERMS, CarrierModel, carrier_model, turning_model
 from redundancy_pin.planners.limits import ResolvedLimits
-from redundancy_pin.planners.whole_trajectory.problem import Grid, SingularNode
+from redundancy_pin.planners.optimal.mesh import Grid
+from redundancy_pin.planners.optimal.problem import SingularNode
 
 POWERS = 4
 """1, ṗ, ṗ² and p̈: the last axis of every coefficient."""

@@ -16,8 +16,9 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.dynamics.base import ExactAlongMotion
 from redundancy_pin.planners.carrier_model import terms
-from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, Quantities, casadi
-from redundancy_pin.planners.whole_trajectory.problem import SingularNode, WholeTrajectoryProblem
+from redundancy_pin.planners.optimal.nlp import NLP, casadi
+from redundancy_pin.planners.optimal.objectives import OBJECTIVES, Quantities
+from redundancy_pin.planners.optimal.problem import Problem, SingularNode
 
 RESERVE = 1e-9
 """Fraction of the limits kept in reserve for the rounding of the solver."""
@@ -45,70 +46,7 @@ SHARED = 8
 """Nodes that share one copy of the peak; 8 and 32 are a tenth faster than 1 and than all."""
 
 
-class NLP:
-    """minimise f(x) subject to l ≤ x ≤ u and b ≤ g(x) ≤ c, put together block by block.
-
-    ``blocks``: the variables by name, matrices; ``cost``: the expression f, to be added to; ``derivatives``: gradient,
-    Jacobian and Hessian as options of a solver, once one has made them; ``rows``: the options of ``transcribe`` that
-    say which rows there are.
-    """
-
-    def __init__(self) -> None:
-        self.blocks: dict[str, Any] = {}
-        self.cost: Any = 0.0
-        self.derivatives: dict[str, Any] = {}
-        self.rows: dict[str, Any] = {}
-        self._rows: list[Any] = []
-        self._bounds: dict[str, list[Array]] = {"lbx": [], "ubx": [], "lbg": [], "ubg": []}
-
-    def variable(self, name: str, shape: tuple[int, int], lower: Any = -np.inf, upper: Any = np.inf) -> Any:
-        """Add a block of variables within bounds."""
-        self.blocks[name] = casadi().MX.sym(name, *shape)
-        for side, bound in (("lbx", lower), ("ubx", upper)):
-            self._bounds[side].append(np.broadcast_to(bound, shape).ravel(order="F"))
-        return self.blocks[name]
-
-    def within(self, expression: Any, lower: Any = 0.0, upper: Any = 0.0) -> None:
-        """Add lower ≤ expression ≤ upper where a bound is finite; bounds broadcast to the matrix."""
-        low, high = (np.broadcast_to(bound, expression.shape).ravel(order="F") for bound in (lower, upper))
-        bounded = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
-        if len(bounded):
-            column = casadi().vec(expression)
-            self._rows.append(column if len(bounded) == len(low) else column[bounded.tolist()])
-            self._bounds["lbg"].append(low[bounded])
-            self._bounds["ubg"].append(high[bounded])
-
-    @cached_property
-    def functions(self) -> dict[str, Any]:
-        """The finished programme, as the solver wants it."""
-        ca = casadi()
-        x = ca.vertcat(*(ca.vec(block) for block in self.blocks.values()))
-        return {"x": x, "f": self.cost, "g": ca.densify(ca.vertcat(*self._rows))}
-
-    def keep_derivatives(self, solver: Any) -> None:
-        """Keep the derivatives that a solver has made of the programme: the next one need not make them again."""
-        if not self.derivatives:
-            names = {"grad_f": "nlp_grad_f", "jac_g": "nlp_jac_g", "hess_lag": "nlp_hess_l"}
-            self.derivatives = {option: solver.get_function(name) for option, name in names.items()}
-
-    @property
-    def bounds(self) -> dict[str, Array]:
-        """Bounds of variables and rows under the names the solver has for them."""
-        return {name: np.concatenate([np.empty(0), *parts]) for name, parts in self._bounds.items()}
-
-    def split(self, x: Array) -> dict[str, Array]:
-        """Return the blocks of a vector of all variables by name."""
-        parts = np.split(x, np.cumsum([block.numel() for block in self.blocks.values()])[:-1])
-        named = zip(self.blocks.items(), parts, strict=True)
-        return {name: part.reshape(block.shape, order="F") for (name, block), part in named}
-
-    def join(self, values: dict[str, Array]) -> Array:
-        """Return the vector of all variables from blocks; those left out are zero."""
-        filled = (np.broadcast_to(values.get(name, 0.0), block.shape) for name, block in self.blocks.items())
-        return np.concatenate([part.ravel(order="F") for part in filled])
-
-
-def scaled_bounds(problem: WholeTrajectoryProblem) -> dict[str, tuple[Array, Array]]:
+def scaled_bounds(problem: Problem) -> dict[str, tuple[Array, Array]]:
     """Return lower and upper bounds of s, ṡ, s̈, τ and the carriers' force over their sizes, a little narrowed."""
     settings, u = problem.settings, problem.scales
     limits = settings.limits
@@ -129,8 +67,8 @@ def scaled_bounds(problem: WholeTrajectoryProblem) -> dict[str, tuple[Array, Arr
         "force": limits.carrier_force / u.force,
     }
     if problem.shares is not None:
-        m = len(limits.effort)
-        most |= {"tau": most["tau"] * problem.shares[:, :m], "force": most["force"] * problem.shares[:, m:]}
+        m, k = len(limits.effort), len(limits.names)
+        most |= {"tau": most["tau"] * problem.shares[:, :m], "force": most["force"] * problem.shares[:, m : m + k]}
     symmetric = {name: (-bound * (1.0 - RESERVE), bound * (1.0 - RESERVE)) for name, bound in most.items()}
     return {"s": ((lower + low_margin) / u.s, (upper - high_margin) / u.s), **symmetric}
 
@@ -141,10 +79,13 @@ class Transcription(Quantities):
     In an elastic programme each kind of limit has one fraction e ≥ 0 by which all of its bounds are let out.
     """
 
-    def __init__(self, problem: WholeTrajectoryProblem, elastic: Sequence[str]) -> None:
+    def __init__(self, problem: Problem, elastic: Sequence[str]) -> None:
         u = problem.scales
         super().__init__(problem.grid.h, u, problem.target, problem.actuated_rate)
         self.nlp = NLP()
+        # The objective is a mean over the nodes. Multiplied by their number, it gives multipliers of size one.
+        # Otherwise the barrier, which starts at one size, outweighs the objective of a long plan.
+        self.nlp.size = float(len(problem.grid.t))
         self._problem, self._bounds = problem, scaled_bounds(problem)
         self._slack: dict[str, Any] = {}
         for kind in elastic:
@@ -363,7 +304,7 @@ class Transcription(Quantities):
 class Evaluation(Quantities):
     """The quantities as numbers, of scaled variables by name."""
 
-    def __init__(self, problem: WholeTrajectoryProblem, values: dict[str, Array]) -> None:
+    def __init__(self, problem: Problem, values: dict[str, Array]) -> None:
         super().__init__(problem.grid.h, problem.scales, problem.target, problem.actuated_rate)
         for name, value in values.items():
             if name in KIND_OF:
@@ -381,45 +322,36 @@ class Evaluation(Quantities):
         return casadi().mmax(casadi().fabs(values))
 
 
-def objective_values(problem: WholeTrajectoryProblem, values: dict[str, Array]) -> dict[str, float]:
+def objective_values(problem: Problem, values: dict[str, Array]) -> dict[str, float]:
     """Return each weighted or bounded objective at the nodes, in its unit, from scaled variables by name."""
     quantities = Evaluation(problem, values)
     named = {**problem.settings.objective, **problem.settings.at_most}
     return {name: float(OBJECTIVES[name].formula(quantities)) for name in named}
 
 
-def objective_sizes(problem: WholeTrajectoryProblem) -> dict[str, float]:
+def objective_sizes(problem: Problem) -> dict[str, float]:
     """Return the size that each weighted or bounded objective is divided by, in its unit."""
     named = {**problem.settings.objective, **problem.settings.at_most}
     return {name: float(OBJECTIVES[name].size(problem.scales)) for name in named}
 
 
 def transcribe(
-    problem: WholeTrajectoryProblem,
-    elastic: Sequence[str] = (),
-    between: Sequence[BoolArray] | None = None,
-    limit_force: bool = True,
+    problem: Problem, elastic: Sequence[str] = (), between: BoolArray | None = None, limit_force: bool = True
 ) -> NLP:
     """Return the programme of a problem.
 
     ``elastic``: kinds of limits (``KINDS``) that may be exceeded, at a price, to find out which of them are in the way;
-    ``between``: groups of steps, (M − 1,) each, in which track and speed limits hold between the nodes as well; all
-    when left out. Their rows come last and group by group, so that those of a longer list are appended;
+    ``between`` (M − 1,): steps in which track and speed limits hold between the nodes as well; all when left out;
     ``limit_force``: whether the limits of the carriers' forces are held.
     """
     programme = Transcription(problem, elastic)
-    programme.nlp.rows = {
-        "elastic": tuple(elastic),
-        "between": None if between is None else tuple(between),
-        "limit_force": limit_force,
-    }
+    programme.nlp.rows = {"elastic": tuple(elastic), "between": between, "limit_force": limit_force}
     programme.motion()
     programme.dynamics()
     if limit_force and np.isfinite(problem.settings.limits.carrier_force).any():
         programme.force  # noqa: B018 # adds the forces as variables within their limits
     programme.objective()
-    for steps in [np.ones(len(problem.grid.h), dtype=bool)] if between is None else between:
-        programme.limits_between_nodes(steps)
+    programme.limits_between_nodes(np.ones(len(problem.grid.h), dtype=bool) if between is None else between)
     return programme.nlp
 
 

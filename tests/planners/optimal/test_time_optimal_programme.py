@@ -13,11 +13,11 @@ import pytest
 import zoo
 
 import redundancy_pin as rp
-import redundancy_pin.planners.time_optimal.planner as planner
-from redundancy_pin.planners.time_optimal.problem import TimeOptimalProblem
-from redundancy_pin.planners.time_optimal.transcription import REGULARISATION, transcribe
-from redundancy_pin.planners.whole_trajectory.problem import Grid, with_middles
-from redundancy_pin.planners.whole_trajectory.transcription import RESERVE
+import redundancy_pin.planners.optimal.time_optimal as planner
+from redundancy_pin.planners.optimal.mesh import Grid, with_middles
+from redundancy_pin.planners.optimal.path_problem import TimeOptimalProblem
+from redundancy_pin.planners.optimal.path_transcription import REGULARISATION, transcribe
+from redundancy_pin.planners.optimal.transcription import RESERVE
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -452,80 +452,3 @@ def test_singular_nodes_on_a_jump_of_the_curvature_have_a_side_each(monkeypatch)
     planner.path_problem(rp.VirtualWork(of.other.robot), unit, nodes, np.full(3, np.inf), given)
     places = grid.t[[1, jump, jump + 1, last]].tolist()
     assert seen == list(zip([1, jump, jump + 1, last], places, ["right", "left", "right", "right"], strict=True))
-
-
-class Solved:
-    """In place of the solver, for which time passes as told."""
-
-    def __init__(self, monkeypatch, **outcome):
-        self.outcome = {"optimal": True, "feasible": True, "takes": 1.0, "leaves": lambda asked: [], **outcome}
-        self.clock, self.asked, self.problem = 100.0, [], case("corner").problem
-        monkeypatch.setattr(planner.time, "perf_counter", lambda: self.clock)
-        monkeypatch.setattr(planner, "transcribe", lambda problem, between: between.copy())
-        monkeypatch.setattr(planner, "solve_nlp", self.solve)
-        monkeypatch.setattr(planner, "leaves_limits", self.leaves)
-
-    def solve(self, between, guess, left, options):
-        self.asked.append((between, guess, left, options))
-        self.clock += self.outcome["takes"]
-        count, optimal = len(self.asked), self.outcome["optimal"]
-        return planner.Solution(
-            {"solution": count}, optimal(count) if callable(optimal) else optimal, self.outcome["feasible"],
-            self.outcome.get("message", "tired"), 0.0, 0.25, 10 * count, self.outcome["takes"], None, {},
-        )  # fmt: skip
-
-    def leaves(self, problem, solution):
-        leaves = np.zeros(len(problem.grid.h), dtype=bool)
-        leaves[self.outcome["leaves"](len(self.asked))] = True
-        return leaves
-
-
-def test_each_way_to_solve_is_tried_in_turn_while_there_is_time(monkeypatch):
-    solver = Solved(monkeypatch)
-    found = planner.solved_programme(solver.problem, {}, 60.0)
-    assert [(left, options) for _, _, left, options in solver.asked] == [(60.0, planner.STRATEGIES[0])]
-    assert (found.iterations, found.seconds) == (10, 1.0)
-    # the second one where the first one does not end; the time is that of both
-    solver = Solved(monkeypatch, optimal=lambda count: count == 2, takes=7.0)
-    found = planner.solved_programme(solver.problem, {}, 60.0)
-    assert [(left, options) for _, _, left, options in solver.asked] == list(
-        zip([60.0, 53.0], planner.STRATEGIES, strict=True)
-    )
-    assert (found.iterations, found.seconds) == (30, 14.0)
-    # from a solution on fewer nodes, in one more way
-    solver = Solved(monkeypatch, optimal=False, takes=7.0)
-    planner.solved_programme(solver.problem, {"tau": 0.0}, 60.0)
-    assert [options for *_, options in solver.asked] == [planner.WARM, *planner.STRATEGIES]
-    # and none when the time is over
-    solver = Solved(monkeypatch, optimal=False, takes=61.0)
-    planner.solved_programme(solver.problem, {"tau": 0.0}, 60.0)
-    assert len(solver.asked) == 1
-
-
-def test_rows_between_the_nodes_are_added_where_limits_are_left_four_times_at_most(monkeypatch):
-    count = len(case("corner").problem.grid.h)
-    steps = [count - 1, 0, 0, 0, 6, 7]
-    solver = Solved(monkeypatch, leaves=lambda asked: [steps[asked - 1]])
-    planner.solved_programme(solver.problem, {"first": 0}, 60.0)
-    # that of a step that has its rows already ends it
-    assert len(solver.asked) == 3
-    between = [np.flatnonzero(each).tolist() for each, *_ in solver.asked]
-    assert between == [[], [count - 3, count - 2, count - 1], [0, 1, 2, count - 3, count - 2, count - 1]]
-    assert [guess for _, guess, *_ in solver.asked] == [{"first": 0}, {"solution": 1}, {"solution": 2}]
-    solver = Solved(monkeypatch, leaves=lambda asked: [count - 1, 0] if asked % 2 else [count // 2])
-    monkeypatch.setattr(planner, "widened", lambda leaves, by: np.zeros_like(leaves))
-    planner.solved_programme(solver.problem, {}, 60.0)
-    assert len(solver.asked) == 5
-
-
-@pytest.mark.parametrize(
-    ("message", "constraint", "words"),
-    [("Maximum_CpuTime_Exceeded", "seconds", "within 60 s"), ("tired", "effort", "that keeps the limits")],
-)
-def test_what_has_no_timing_is_told_from_what_had_no_time(monkeypatch, message, constraint, words):
-    message = planner.OUT_OF_TIME if constraint == "seconds" else message
-    solver = Solved(monkeypatch, feasible=False, optimal=False, message=message, leaves=lambda asked: [0])
-    with pytest.raises(rp.errors.InfeasiblePlanError, match=words) as caught:
-        planner.solved_programme(solver.problem, {}, 60.0)
-    assert len(solver.asked) == len(planner.STRATEGIES)
-    assert (caught.value.details["constraint"], caught.value.details["amount"]) == (constraint, 0.25)

@@ -3,47 +3,32 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import has_expressions
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
-from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import LOWERED, IntersampleCheck, PlannedMotion, intersample_check
 from redundancy_pin.planners.limits import Limits, grouped
+from redundancy_pin.planners.optimal.infeasible import relax, require_bounds
+from redundancy_pin.planners.optimal.mesh import first_mesh, resample, steps_around, with_middles
+from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
+from redundancy_pin.planners.optimal.objectives import End, Mesh, Objective, Solver, checked_settings
+from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
+from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, solve
+from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
-from redundancy_pin.planners.whole_trajectory.multistart import (
-    Multistart,
-    Outcome,
-    first_guess,
-    fit_and_solve,
-    multistart,
-    relax,
-    require_bounds,
-)
-from redundancy_pin.planners.whole_trajectory.options import End, Mesh, Objective, Solver, checked_settings
-from redundancy_pin.planners.whole_trajectory.problem import (
-    Grid,
-    Task,
-    WholeTrajectoryProblem,
-    first_mesh,
-    read_coefficients,
-    steps_around,
-    with_middles,
-)
-from redundancy_pin.planners.whole_trajectory.solver import OUT_OF_TIME, Solution, draft, exceeds_force, solve
-from redundancy_pin.planners.whole_trajectory.transcription import objective_sizes, objective_values
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 BESIDE = 4
 """Steps on both sides of one with a middle node that get one as well: the next plan would have its kink just beside the
@@ -89,14 +74,14 @@ def plan_whole_trajectory(
 
     The efforts τ are unknowns and W τ = f(s, ṡ, s̈) is a constraint, so W may lose rank. Type II singularities on the
     way are found exactly and lie on nodes. There f has to lie in the range of W (compatibility), τ is what W⁻¹ f tends
-    to (``whole_trajectory.problem``), and the carriers' jerk is continuous, which makes both limits the same.
+    to (``optimal.problem``), and the carriers' jerk is continuous, which makes both limits the same.
 
     s̈ is linear between the nodes and may jump only where the reference acceleration jumps; s and ṡ follow exactly.
     Track and speed limits hold between the nodes as well, by their Bézier hulls where they are met. For carriers on
     straight tracks f is quadratic in (s, ṡ) and affine in s̈ with coefficients that depend on time alone
     (``carrier_model``): they are read off the backend in a fixed number of calls, and the solver (IPOPT) works on them.
     Carriers that turn add waves of their angles. Where f has yet other terms, as with carriers on carriers, it is the
-    backend's own expression (``CompiledDynamics``) or fitted around each course in turn (``multistart``).
+    expression of generated code (``CompiledDynamics``).
 
     The plan is then judged by the backend between the nodes, right beside the singularities included. Where efforts
     there exceed the peak at the nodes by more than 5 %, or efforts or carrier forces their limits by more than 2 %, the
@@ -148,7 +133,7 @@ def plan_whole_trajectory(
 
     Raises:
         InputError: a setting out of its domain, or given both ways.
-        UnsupportedRobotError: no carriers.
+        UnsupportedRobotError: no carriers; or a carrier carries another, and the backend has f as no expression.
         InfeasiblePlanError: no motion of the carriers keeps every limit; carries constraint, carrier, time, amount and
             the limit that would suffice. Or the motion touches a type II singularity, rests in it or stays in it
             (constraint "singular_touch"), where no finite efforts are determined.
@@ -194,80 +179,66 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     settings = task.settings
     report = settings.solver.progress or (lambda line: None)
     nodes = first_mesh(task.dynamics, task.source, settings.mesh.dt)
+    problem, readers = read_problem(task, nodes)
+    guess = None if position is None else problem.scaled(carriers_at(position, nodes.t))
     ratios: list[float] = []
-    kinds: Sequence[bool] = (False, True)
-    shares: Array | None = None
-    refined, lowered, most = 0, 0, settings.mesh.refinements
+    refined = lowered = 0
 
-    def remedy(look: IntersampleCheck) -> str:
-        """Return what to do about what is between the nodes: "finer" nodes, "lower" limits at them, or nothing."""
-        if look.passed:
-            return ""
-        if refined < most and look.too_coarse(worst_of(look) if lowered else []).any():
-            return "finer"
-        return "lower" if not look.within_limits and lowered < LOWERED else ""
+    @cache
+    def check(solution: Solution) -> IntersampleCheck:
+        return intersample_check(_planned(task, problem, solution))
 
-    def worst_of(look: IntersampleCheck) -> list[float]:
-        return [*ratios, float(look.worst.max(initial=1.0))]
+    def is_coarse(solution: Solution) -> bool:
+        found = check(solution)
+        return refined < settings.mesh.refinements and not found.passed and bool(found.too_coarse([]).any())
 
     while True:
         report(f"{len(nodes.t)} nodes, {len(nodes.singular)} of them singular: solving")
-        problem, fitted, kinds = _read(task, nodes, kinds)
-        problem = replace(problem, shares=shares)
-        guess, look = first_guess(problem, position, 0), None
-        begun = None if fitted else draft(problem, guess, settings.solver.seconds)
-        if begun is not None and not begun.optimal:
-            require_bounds(problem, guess)
-        if begun is not None and begun.optimal and not exceeds_force(problem, begun):
-            solution, look = begun, _look_between(task, problem, begun)
-        if look is None or not remedy(look):
-            try:
-                result = _solve(task, problem, fitted, position, begun)
-            except InfeasiblePlanError:
-                if shares is None:
-                    raise
-                # nothing keeps the lower limits at the nodes: the plan keeps them as they are there, and says the rest
-                shares, most, lowered = None, refined, LOWERED
-                continue
-            problem, solution = result.best.problem, result.best.solution
-            look = _look_between(task, problem, solution)
-        position, then, ratios = solution.position(problem), remedy(look), worst_of(look)
-        at_nodes = np.abs(solution.tau(problem)).max()
-        report(f"peak effort {at_nodes:.4g} at the nodes, {look.peaks.peak.max():.4g} between them")
-        if not (then and solution.optimal):
+        try:
+            result = _solve(task, problem, guess, is_coarse)
+        except InfeasiblePlanError:
+            if not lowered:
+                raise
+            break  # nothing keeps the lower limits at the nodes: the last plan stands, and says what it exceeds
+        solution = result.best.solution
+        found = check(solution)
+        at_nodes = np.abs(problem.tau(solution.values)).max()
+        report(f"peak effort {at_nodes:.4g} at the nodes, {found.peaks.peak.max():.4g} between them")
+        ratios.append(float(found.worst.max(initial=1.0)))
+        marked = found.too_coarse(ratios if lowered else [])
+        finer = bool(marked.any()) and refined < settings.mesh.refinements
+        if found.passed or not solution.optimal or not (finer or (not found.within_limits and lowered < LOWERED)):
             break
-        if then == "finer":
-            marked = look.too_coarse(ratios if lowered else [])
+        guess = solution.values
+        if finer:
             # on the first mesh the carriers still use what they find between the nodes, and most of it goes by itself
             for least in (0.0, TWICE) if refined else (0.0,):
-                nodes = with_middles(nodes, steps_around(nodes, look.middle[marked & (look.worst > least)], BESIDE))
-            shares, refined = None, refined + 1
+                nodes = with_middles(nodes, steps_around(nodes, found.middle[marked & (found.worst > least)], BESIDE))
+            guess = resample(solution.values, problem.grid.t, nodes.t)
+            problem, readers = read_problem(task, nodes, readers, problem.scales)
+            refined += 1
         else:
-            shares, lowered = look.shares(nodes.t, shares), lowered + 1
-    plan = _plan(task, result, look)
+            problem, lowered = replace(problem, shares=found.shares(nodes.t, problem.shares)), lowered + 1
+    plan = _plan(task, result, found)
     timing = {"dense_ratios": ratios, "seconds": time.perf_counter() - began}
     return replace(plan, diagnostics={**plan.diagnostics, **timing}), result.best
 
 
-def _look_between(task: Task, problem: WholeTrajectoryProblem, solution: Solution) -> IntersampleCheck:
-    return intersample_check(_planned(task, problem, solution))
-
-
-def _planned(task: Task, problem: WholeTrajectoryProblem, solution: Solution) -> PlannedMotion:
+def _planned(task: Task, problem: Problem, solution: Solution) -> PlannedMotion:
     """Return what a solution plans.
 
     At singular nodes the efforts are those of the solution, which W⁻¹ f tends to; elsewhere, and with as many main
     actuators as coordinates, W τ = f leaves no choice. With more actuators the efforts are the nearest to the planned
     ones, which are linear in a step.
     """
-    robot, nodes, tau = task.dynamics.robot, problem.grid, solution.tau(problem)
+    robot, nodes, tau = task.dynamics.robot, problem.grid, problem.tau(solution.values)
     prescribed = tau.copy()
     if robot.m <= robot.n:
         prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan
     preferred = PiecewisePolynomial.linear(nodes.t, tau)
     return PlannedMotion(
         task.dynamics,
-        PlanFunctions(task.source, solution.position(problem).made_continuous(), preferred=preferred),
+        PlanFunctions(task.source, problem.position(solution.values).made_continuous(), preferred=preferred),
         task.dynamics.along(task.source.sample_at(nodes.t)),
         problem.carriers(solution.values),
         task.settings.limits,
@@ -279,40 +250,19 @@ def _planned(task: Task, problem: WholeTrajectoryProblem, solution: Solution) ->
     )
 
 
-def _read(task: Task, nodes: Grid, kinds: Sequence[bool]) -> tuple[WholeTrajectoryProblem, bool, Sequence[bool]]:
-    """Return the problem on a mesh, whether it holds around parked carriers only, and what to try on the next mesh.
-
-    ``kinds``: whether to read f as that of carriers that turn, in the order to be tried.
-    """
-    for turning in kinds:
-        try:
-            return read_coefficients(task, nodes, turning=turning), False, (turning, not turning)
-        except UnsupportedRobotError as error:
-            if "deviation" not in error.details:
-                raise
-    # f has more terms than those of carriers that slide or turn, each on a link of its own
-    at = np.tile(task.settings.start, (len(nodes.t), 1))
-    exact = has_expressions(task.dynamics.along(task.source.sample_at(nodes.t[:1])))
-    return read_coefficients(task, nodes, CarrierMotion(at, 0.0 * at, 0.0 * at), exact=exact), not exact, ()
-
-
 def _solve(
-    task: Task, problem: WholeTrajectoryProblem, fitted: bool, warm: PiecewisePolynomial | None, begun: Solution | None
+    task: Task, problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Solution], bool]
 ) -> Multistart:
-    """Solve from all first guesses, the first of which is a motion that is known, or a draft."""
-    if fitted:
-        return multistart(problem, warm, partial(fit_and_solve, task, problem))
-    drafts = [] if begun is None else [begun]
-
-    def solve_from(guess: dict[str, Array], seconds: float) -> Outcome:
-        return Outcome(problem, solve(problem, guess, seconds, drafts.pop() if drafts else None))
-
-    result = multistart(problem, warm, solve_from)
+    """Solve from all first guesses; ``guess``: scaled blocks by name, in place of parked carriers."""
+    result = multistart(problem, guess, stop)
     if result.feasible:
         return result
+    guess = first_guess(problem)
+    if problem.settings.at_most:
+        require_bounds(problem, guess)
     # raises where limits are in the way; else what it returns keeps them, and the solver can begin there
     message = result.outcomes[0].solution.message
-    relaxed = relax(problem, robot_record(task.dynamics.robot), first_guess(problem, warm, 0), message)
+    relaxed = relax(problem, robot_record(task.dynamics.robot), guess, message)
     seconds = task.settings.solver.seconds
     last = solve(problem, relaxed.values, seconds)
     if not last.feasible:
@@ -328,7 +278,7 @@ def _solve(
     return replace(result, outcomes=(*result.outcomes, Outcome(problem, last)))
 
 
-def _plan(task: Task, result: Multistart, look: IntersampleCheck) -> Plan:
+def _plan(task: Task, result: Multistart, found: IntersampleCheck) -> Plan:
     """Return the plan of the best solution, with what the search found."""
     problem, solution = result.best.problem, result.best.solution
     nodes, starts = problem.grid, result.summary
@@ -345,7 +295,6 @@ def _plan(task: Task, result: Multistart, look: IntersampleCheck) -> Plan:
             "solver_messages": starts["messages"],
             "objective": objective_values(problem, solution.values),
             "objective_size": objective_sizes(problem),
-            "fits": [outcome.fits for outcome in result.outcomes if outcome.fits],
             "nodes": len(nodes.t),
             "singular_instants": np.unique(nodes.t[nodes.singular]).tolist(),
             "singular_nodes": nodes.singular.tolist(),
@@ -353,4 +302,4 @@ def _plan(task: Task, result: Multistart, look: IntersampleCheck) -> Plan:
             "solver_seconds": solution.seconds,
         },
     )
-    return finish_plan(planned, look)
+    return finish_plan(planned, found)

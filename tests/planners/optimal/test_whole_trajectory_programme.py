@@ -12,15 +12,10 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.planners.whole_trajectory.options import Limits, Mesh, Objective, checked_settings
-from redundancy_pin.planners.whole_trajectory.problem import (
-    Task,
-    WholeTrajectoryProblem,
-    first_mesh,
-    grid_of,
-    read_coefficients,
-)
-from redundancy_pin.planners.whole_trajectory.transcription import (
+from redundancy_pin.planners.optimal.mesh import first_mesh, grid_of
+from redundancy_pin.planners.optimal.objectives import Limits, Mesh, Objective, checked_settings
+from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
+from redundancy_pin.planners.optimal.transcription import (
     BEYOND,
     ELASTIC_OBJECTIVE,
     REGULARISATION,
@@ -59,7 +54,7 @@ class Case:
     source: ContinuousMotion
     other: rp.RneaDynamics | rp.VirtualWork
     baseline: rp.RneaDynamics | None
-    problem: WholeTrajectoryProblem
+    problem: Problem
     limits: dict[str, np.ndarray]
     between: np.ndarray
 
@@ -97,7 +92,7 @@ def case(name: str) -> Case:
     source = continuous_motion(motion)
     checked = checked_settings(robot, goal, Limits(**limits), Mesh(0.2), **settings)
     grid = first_mesh(planned, source, 0.2)
-    problem = read_coefficients(Task(planned, source, checked), grid, turning=name == "turning")
+    problem = read_problem(Task(planned, source, checked), grid)[0]
     return Case(source, other, baseline, problem, limits, (grid.h > 0.0) & (np.arange(len(grid.h)) % 2 == 0))
 
 
@@ -107,7 +102,7 @@ class Numbers:
     def __init__(self, of: Case, elastic: tuple[str, ...] = ()) -> None:
         self.of, problem = of, of.problem
         self.u, self.grid = problem.scales, problem.grid
-        self.nlp = transcribe(problem, elastic, [of.between])
+        self.nlp = transcribe(problem, elastic, of.between)
         self.bounds, parts, rng = self.nlp.bounds, self.nlp.functions, np.random.default_rng(4)
         value = casadi.Function("value", [parts["x"]], [parts["f"], parts["g"]])
         self.points, self.costs, rows = [], [], []
@@ -407,7 +402,7 @@ def test_a_limit_on_which_the_carriers_begin_or_end_gives_way_by_less_than_count
         robot, Objective(), Limits(track=(-0.2, 0.3), speed=2.0), Mesh(0.3), start=start, start_speed=speed, datum=datum
     )
     dynamics = rp.RneaDynamics(robot)
-    problem = read_coefficients(Task(dynamics, source, settings), grid_of(source, [], 0.3))
+    problem = read_problem(Task(dynamics, source, settings), grid_of(source, [], 0.3))[0]
     nlp, u = transcribe(problem), problem.scales
     lower, upper = (nlp.split(nlp.bounds[side]) for side in ("lbx", "ubx"))
     room = {"low": 0.5 * RESERVE, "high": -0.5 * RESERVE, "speed": -2.0 * RESERVE}
@@ -431,7 +426,7 @@ def test_sizes_are_those_of_limits_or_of_the_parked_machine(limited):
         limits |= {"track": (-np.inf, np.inf), "speed": np.inf, "acceleration": np.inf}
     dynamics, other = rp.VirtualWork(robot), rp.RneaDynamics(robot)
     settings = checked_settings(robot, Objective({"base_wrench": 1.0}), Limits(**limits), Mesh(0.2))
-    problem = read_coefficients(Task(dynamics, source, settings), grid_of(source, [], 0.2))
+    problem = read_problem(Task(dynamics, source, settings), grid_of(source, [], 0.2))[0]
     u, T = problem.scales, source.end - source.start
     assert u.duration == T
     s = np.diff(limits["track"]).ravel() / 2.0 if limited else np.ones(3)

@@ -9,17 +9,8 @@ import numpy as np
 import pytest
 
 from redundancy_pin.errors import InputError
-from redundancy_pin.planners.whole_trajectory.problem import (
-    APART,
-    DEGREE,
-    NEAR,
-    grid_of,
-    near_singular,
-    steps_around,
-    times_beside,
-    widened,
-    with_middles,
-)
+from redundancy_pin.planners.optimal.mesh import NEAR, grid_of, near_singular, steps_around, widened, with_middles
+from redundancy_pin.planners.optimal.problem import APART, DEGREE, times_beside
 
 START, END = 3.0, 5.0
 """s, of the motions here."""

@@ -20,28 +20,21 @@ from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import LOWERED, PlannedMotion, intersample_check
 from redundancy_pin.planners.limits import Limits, grouped
-from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.time_optimal.problem import PathScales, TimeOptimalProblem, read_model
-from redundancy_pin.planners.time_optimal.transcription import transcribe
-from redundancy_pin.planners.whole_trajectory.options import LIMITS, MOST_REFINEMENTS, End
-from redundancy_pin.planners.whole_trajectory.problem import (
-    Grid,
-    SingularNode,
-    first_mesh,
-    near_singular,
-    singular_node,
-    widened,
-)
-from redundancy_pin.planners.whole_trajectory.solver import (
-    ADAPTIVE,
+from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, near_singular, widened
+from redundancy_pin.planners.optimal.nlp import (
+    FALLBACK,
+    FIRST,
     LEAST_SECONDS,
-    LINEAR_SYSTEM,
     OUT_OF_TIME,
-    UNREFINED,
-    Options,
+    WARM,
     Solution,
     solve_nlp,
 )
+from redundancy_pin.planners.optimal.objectives import LIMITS, MOST_REFINEMENTS, End
+from redundancy_pin.planners.optimal.path_problem import PathScales, TimeOptimalProblem, read_model
+from redundancy_pin.planners.optimal.path_transcription import transcribe
+from redundancy_pin.planners.optimal.problem import SingularNode, singular_node
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -62,18 +55,6 @@ LONG = 0.05
 
 APART = 0.02
 """Of a step, from a node to a new one inside at least."""
-
-WARM: Options = {
-    **LINEAR_SYSTEM,
-    **UNREFINED,
-    "ipopt.mu_init": 1e-7,
-    "ipopt.bound_push": 1e-4,
-    "ipopt.bound_frac": 1e-4,
-}
-"""From the solution on fewer nodes."""
-
-STRATEGIES: tuple[Options, ...] = ({**LINEAR_SYSTEM, **UNREFINED, **ADAPTIVE}, {})
-"""What IPOPT tries in turn."""
 
 ROUNDS = 4
 """Of rows between the nodes, where a carrier leaves its track or its speed limit there."""
@@ -424,7 +405,7 @@ def solved_programme(problem: TimeOptimalProblem, guess: dict[str, Array], secon
     between: BoolArray = np.zeros(len(problem.grid.h), dtype=bool)
     iterations, spent = 0, 0.0
     for _ in range(ROUNDS + 1):
-        for options in STRATEGIES if "tau" not in guess else (WARM, *STRATEGIES):
+        for options in (WARM if "tau" in guess else FIRST, FALLBACK):
             left = max(deadline - time.perf_counter(), LEAST_SECONDS)
             solution = solve_nlp(transcribe(problem, between), guess, left, options)
             iterations, spent = iterations + solution.iterations, spent + solution.seconds

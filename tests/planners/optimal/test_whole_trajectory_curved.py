@@ -1,7 +1,7 @@
 """Carriers on curved tracks: the 2-RPR with a mass on a turning arm on each leg, and what its plan must satisfy.
 
-f is known by its terms there. For carriers that carry others it is not, and the planner takes the backend's expressions
-or fits f: both are tried on the same robot, without the terms.
+f is known by its terms there. For carriers that carry others it is not, and the planner takes the expressions of
+generated code: that is tried on the same robot, without the terms.
 """
 
 import contextlib
@@ -13,23 +13,19 @@ import symbolic_mechanisms
 import symbolic_plans
 import yaml
 
-import redundancy_pin.planners.whole_trajectory.multistart as curved
-import redundancy_pin.planners.whole_trajectory.planner as planner
-import redundancy_pin.planners.whole_trajectory.problem as problem
-import redundancy_pin.planners.whole_trajectory.transcription as transcription
+import redundancy_pin.planners.optimal.problem as problem
+import redundancy_pin.planners.optimal.transcription as transcription
 from redundancy_pin import (
     CarrierMotion,
     CompiledDynamics,
     RneaDynamics,
-    VirtualWork,
     distribute,
     load_robot,
     plan_whole_trajectory,
 )
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.planners.base_wrench import base_wrench
-from redundancy_pin.planners.carrier_model import turning_model
-from redundancy_pin.planners.whole_trajectory.multistart import BALANCED
+from redundancy_pin.planners.carrier_model import carrier_model, turning_model
 from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
@@ -57,14 +53,8 @@ def unknown_terms():
         raise UnsupportedRobotError("f has other terms.", deviation=1.0)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(problem, "turning_model", unknown)
+        patch.setattr(problem, "READERS", (carrier_model, unknown, problem.linear_model))
         yield
-
-
-def plan_of(robot, name, objective, **settings):
-    """Plan by fits."""
-    with unknown_terms():
-        return plan_whole_trajectory(RneaDynamics(robot), TRAJECTORIES[name], objective=objective, dt=0.05, **settings)
 
 
 @pytest.mark.parametrize(
@@ -72,11 +62,9 @@ def plan_of(robot, name, objective, **settings):
     [("line", "peak"), *(pytest.param("circle", what, marks=pytest.mark.long) for what in ("effort", "peak"))],
 )
 def test_turning_carriers_are_planned_in_one_solution_by_any_backend(robot, name, objective, monkeypatch):
-    monkeypatch.setattr(planner, "fit_and_solve", never)
     monkeypatch.setattr(transcription, "loads_of", never)
     plan = plan_whole_trajectory(RneaDynamics(robot), TRAJECTORIES[name], objective=objective, dt=0.05, refinements=0)
     require_balanced(robot, plan)
-    assert plan.diagnostics["fits"] == []
     machine = symbolic_mechanisms.two_rpr(arm=ARM, **MASSES)
     theirs, _ = symbolic_plans.solve(machine, TRAJECTORIES[name], plan, objective, LIMITS)
     np.testing.assert_allclose(plan.diagnostics["objective"][objective], theirs, rtol=SAME)
@@ -114,13 +102,7 @@ def test_terms_of_carriers_that_slide_and_turn_are_exact(tmp_path):
 
 
 def never(*arguments, **settings):
-    raise AssertionError("f was fitted, or taken as an expression, where its terms are known")
-
-
-@pytest.fixture(scope="module")
-def planned(robot):
-    """Plans without refinements, each made once."""
-    return functools.cache(lambda name, objective: plan_of(robot, name, objective, refinements=0))
+    raise AssertionError("f was taken as an expression where its terms are known")
 
 
 def short_line():
@@ -142,30 +124,9 @@ def require_least(plan, theirs, name, objective):
         assert ours >= (1.0 - SAME) * theirs
 
 
-@pytest.mark.long_for("circle-effort")
-@pytest.mark.parametrize(
-    ("name", "objective"),
-    [
-        ("line", "peak"),
-        ("circle", "effort"),
-        *(pytest.param(*case, marks=pytest.mark.long) for case in (("line", "effort"), ("circle", "peak"))),
-    ],
-)
-def test_optimum_is_that_of_the_full_model(planned, name, objective):
-    trajectory = TRAJECTORIES[name]
-    plan = planned(name, objective)
-    assert plan.diagnostics["optimal"]
-    assert plan.diagnostics["violation"] <= BALANCED
-    assert plan.diagnostics["fits"][0] <= 10
-    assert len(plan.diagnostics["singular_nodes"]) == (2 if name == "circle" else 0)
-    machine = symbolic_mechanisms.two_rpr(arm=ARM, **MASSES)
-    theirs, _ = symbolic_plans.solve(machine, trajectory, plan, objective, LIMITS)
-    require_least(plan, theirs, name, objective)
-
-
 @pytest.mark.long
-def test_plan_through_singularities_balances_and_is_as_good_between_the_nodes(robot, planned):
-    plan = planned("circle", "effort")  # refinements would change nothing
+def test_plan_through_singularities_balances_and_is_as_good_between_the_nodes(robot, exact):
+    plan = exact("circle", "effort")  # refinements would change nothing
     assert plan.status is ResultStatus.OK
     assert plan.diagnostics["dense_check"]["passed"]
     reduced = RneaDynamics(robot).reduce(plan.motion, plan.carriers)
@@ -176,9 +137,9 @@ def test_plan_through_singularities_balances_and_is_as_good_between_the_nodes(ro
 
 
 @pytest.mark.long
-def test_small_changes_of_the_course_do_not_help(robot, planned):
+def test_small_changes_of_the_course_do_not_help(robot, exact):
     """To first order around the plan: efforts of the backend itself, along random changes that keep both ends."""
-    plan = planned("line", "effort")
+    plan = exact("line", "effort")
     dynamics, t, c = RneaDynamics(robot), plan.t, plan.carriers
     rng = np.random.default_rng(0)
     half = 0.5 * np.diff(t)
@@ -238,8 +199,7 @@ def require_balanced(robot, plan):
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "objective"), [("line", "peak"), ("circle", "effort"), ("circle", "peak")])
-def test_with_expressions_one_solution_finds_the_optimum_of_the_full_model(robot, exact, name, objective, monkeypatch):
-    monkeypatch.setattr(planner, "fit_and_solve", never)
+def test_with_expressions_one_solution_finds_the_optimum_of_the_full_model(robot, exact, name, objective):
     plan = exact(name, objective, starts=4 if (name, objective) == SEVERAL else 1)
     require_balanced(robot, plan)
     if objective == "effort":  # a peak comes to lie between nodes so far apart
@@ -274,32 +234,6 @@ def test_limits_that_no_course_keeps_are_named_by_the_exact_problem(robot, exact
     assert "effort" in {event["constraint"] for event in caught.value.details["relaxations"]}
 
 
-@pytest.mark.long
-def test_several_first_guesses(robot):
-    plan = plan_of(robot, "line", "effort", refinements=0, starts=3)
-    assert plan.diagnostics["starts"]["converged"] == 3
-    assert len(plan.diagnostics["fits"]) == 3
-    assert plan.diagnostics["cost"] == min(plan.diagnostics["costs"])
-
-
-def test_limits_of_curved_tracks_that_no_course_keeps_are_named(robot, planned):
-    free = planned("line", "peak")
-    with pytest.raises(InfeasiblePlanError) as caught:
-        plan_of(robot, "line", "effort", refinements=0, effort=0.5 * free.peak_effort.max())
-    assert "effort" in {event["constraint"] for event in caught.value.details["relaxations"]}
-
-
-@pytest.mark.long_for("circle-ResultStatus.UNBOUNDED")
-@pytest.mark.parametrize(("name", "status"), [("line", ResultStatus.NOT_CONVERGED), ("circle", ResultStatus.UNBOUNDED)])
-def test_a_plan_that_did_not_settle_says_so(robot, monkeypatch, name, status):
-    """Beside a singularity what is left unbalanced has no finite efforts, and the status says that too."""
-    monkeypatch.setattr(curved, "FITS", 2)
-    plan = plan_of(robot, name, "effort", refinements=0)
-    assert not plan.diagnostics["optimal"]
-    assert plan.status is status
-
-
-def test_straight_tracks_are_not_fitted(monkeypatch):
-    monkeypatch.setattr(planner, "fit_and_solve", never)
-    dynamics = VirtualWork(load_robot("2rpr"))
-    assert plan_whole_trajectory(dynamics, reference.circle(), dt=0.05, refinements=0).diagnostics["optimal"]
+def test_other_backends_than_generated_code_refuse_carriers_whose_f_is_no_sum_and_say_what_plans_them(robot):
+    with unknown_terms(), pytest.raises(UnsupportedRobotError, match=r"no sum over its carriers.*CompiledDynamics"):
+        plan_whole_trajectory(RneaDynamics(robot), TRAJECTORIES["line"], dt=0.05)

@@ -5,11 +5,10 @@ import pytest
 import zoo
 from scipy.interpolate import CubicSpline
 
-import redundancy_pin.planners.whole_trajectory.solver as constraint_generation
-import redundancy_pin.planners.whole_trajectory.solver as solver
+import redundancy_pin.planners.optimal.nlp as solver
+import redundancy_pin.planners.optimal.solve as constraint_generation
 from redundancy_pin import CompiledDynamics, RneaDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.whole_trajectory import multistart
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -34,13 +33,13 @@ def two_optima(**settings):
 
 def test_random_first_guesses_are_swings_that_end_where_they_began(monkeypatch):
     """Their rates are those of their positions, as far as they are not cut off at the limits."""
-    guesses, first_guess = [], multistart.first_guess
+    guesses, first_guess = [], constraint_generation.first_guess
 
-    def kept(problem, warm, number):
-        guesses.append((problem, first_guess(problem, warm, number)))
+    def kept(problem, number):
+        guesses.append((problem, first_guess(problem, number)))
         return guesses[-1][1]
 
-    monkeypatch.setattr(multistart, "first_guess", kept)
+    monkeypatch.setattr(constraint_generation, "first_guess", kept)
     circle = reference.circle(0.5, 0.2, 0.05)
     plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), circle, dt=0.03, refinements=0, starts=3)
     assert len(guesses) == 3
@@ -161,9 +160,8 @@ def square_plan(nodes, backend=VirtualWork, objective="peak"):
 
 
 @pytest.mark.long
-def test_iterations_do_not_grow_with_the_nodes(monkeypatch):
+def test_iterations_do_not_grow_with_the_nodes():
     """Ten times as many nodes. An objective that does not grow with them takes twice the iterations, 49 and 96."""
-    monkeypatch.setattr(solver, "serves", lambda problem: False)  # IPOPT's: at 3000 nodes it is alone
     few, many = (square_plan(nodes).diagnostics["iterations"] for nodes in (300, 3000))
     assert many <= 1.35 * few
 
@@ -180,39 +178,13 @@ def test_long_plans_are_the_same_from_both_backends():
 @pytest.mark.long_for("peak")
 @pytest.mark.parametrize("objective", ["effort", "peak"])
 def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monkeypatch, objective):
+    """Efforts too: within the tolerance alone those of two strategies are 2e-5 of the peak apart."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle()
     settings = {"objective": objective, "dt": 0.05, "refinements": 0}
     usual = plan_whole_trajectory(dynamics, trajectory, **settings)
-    monkeypatch.setattr(solver, "serves", lambda problem: False)  # strategies of IPOPT alone
-    monkeypatch.setitem(solver.PREDICTED, "ipopt.max_iter", 3)
+    monkeypatch.setitem(solver.FIRST, "ipopt.max_iter", 3)
     other = plan_whole_trajectory(dynamics, trajectory, **settings)
     assert other.diagnostics["optimal"]
     assert other.diagnostics["iterations"] > usual.diagnostics["iterations"]
     assert other.diagnostics["cost"] == pytest.approx(usual.diagnostics["cost"], rel=SAME_COST)
-
-
-def test_flat_optima_are_finished_whatever_led_to_them(monkeypatch):
-    """Within tolerance the efforts of two strategies are 2e-5 of the peak apart; the last steps mend it."""
-    monkeypatch.setattr(solver, "serves", lambda problem: False)  # strategies of IPOPT alone
-    dynamics, trajectory = VirtualWork(zoo.robot_of("3rrr")), reference.corner(0.013)
-    settings = {"objective": "peak", "dt": 0.03, "refinements": 0}
-    usual = plan_whole_trajectory(dynamics, trajectory, **settings)
-    monkeypatch.setitem(solver.PREDICTED, "ipopt.max_iter", 3)
-    other = plan_whole_trajectory(dynamics, trajectory, **settings)
     np.testing.assert_allclose(usual.tau, other.tau, atol=BOTH_BACKENDS * np.abs(other.tau).max())
-
-
-@pytest.mark.long
-def test_a_first_strategy_that_wanders_is_given_up(monkeypatch):
-    """On this line of the five-bar it nearly always does, and once, let for 80 iterations, ended a third worse."""
-    monkeypatch.setattr(solver, "serves", lambda problem: False)  # strategies of IPOPT alone
-    path = Line((0.36395008276923135, 0.3972365808628847), (0.16252613968460775, 0.6383251732788081))
-    trajectory = Trajectory(path, SpeedProfile(path.length, 0.2562291898747395, 0.2))
-    dynamics, dt = CompiledDynamics(zoo.robot_of("five_bar")), trajectory.duration / 352
-    settings = {"objective": "peak", "speed": 0.5975863272111532, "dt": dt, "refinements": 0}
-    plan = plan_whole_trajectory(dynamics, trajectory, **settings)
-    monkeypatch.setitem(solver.PREDICTED, "ipopt.max_iter", 1)
-    monotone = plan_whole_trajectory(dynamics, trajectory, **settings)
-    assert plan.diagnostics["optimal"]
-    assert plan.diagnostics["cost"] == pytest.approx(monotone.diagnostics["cost"], rel=SAME_COST)
-    assert plan.diagnostics["iterations"] <= monotone.diagnostics["iterations"] + 60

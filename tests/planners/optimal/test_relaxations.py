@@ -13,11 +13,15 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.optimal import infeasible
+from redundancy_pin.planners.optimal import solve as solving
+from redundancy_pin.planners.optimal.mesh import grid_of
+from redundancy_pin.planners.optimal.nlp import LEAST_SECONDS
+from redundancy_pin.planners.optimal.objectives import Limits, Mesh, Objective, checked_settings
+from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
+from redundancy_pin.planners.optimal.solve import REACH, Multistart, Outcome, first_guess
+from redundancy_pin.planners.optimal.transcription import KINDS, slack_name
 from redundancy_pin.planners.robot_record import robot_record
-from redundancy_pin.planners.whole_trajectory import multistart
-from redundancy_pin.planners.whole_trajectory.options import Limits, Mesh, Objective, checked_settings
-from redundancy_pin.planners.whole_trajectory.problem import Task, WholeTrajectoryProblem, grid_of, read_coefficients
-from redundancy_pin.planners.whole_trajectory.solver import Solution
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 
@@ -26,28 +30,28 @@ LIMITS = {"jerk": (900.0, 700.0), "speed": (2.0, 1.5), "acceleration": (9.0, 8.0
 
 
 @cache
-def problem(end: str = "datum") -> WholeTrajectoryProblem:
+def problem(end: str = "datum") -> Problem:
     dynamics = rp.VirtualWork(zoo.robot_of("2rpr"))
     source = continuous_motion(reference.circle(0.5, 0.2, 0.05))
     bounds = {"effort": 4.0, "energy": 9.0}
     settings = checked_settings(
         dynamics.robot, Objective("peak"), Limits(**LIMITS), Mesh(0.1, 0), end=end, at_most=bounds
     )
-    return read_coefficients(Task(dynamics, source, settings), grid_of(source, [], 0.1))
+    return read_problem(Task(dynamics, source, settings), grid_of(source, [], 0.1))[0]
 
 
-def solution(of: WholeTrajectoryProblem, fraction: float = 0.0, **changed: Any) -> Any:
+def solution(of: Problem, fraction: float = 0.0, **changed: Any) -> Any:
     """Scaled values of zero, but for some at a node and carrier, given in units."""
     count, k, m = len(of.grid.t), of.model.k, of.model.W.shape[2]
     values = {name: np.zeros((count, m if name == "tau" else k)) for name in ("s", "sd", "sdd", "tau", "force")}
     for name, (i, j, value) in changed.items():
         values[name][i, j] = value / np.broadcast_to(getattr(of.scales, name), values[name].shape[1:])[j]
-    values |= {multistart.slack_name(kind): np.full((1, 1), fraction) for kind in multistart.KINDS}
+    values |= {slack_name(kind): np.full((1, 1), fraction) for kind in KINDS}
     return SimpleNamespace(values=values)
 
 
-def event(of: WholeTrajectoryProblem, kind: str, fraction: float, **changed: Any) -> dict[str, Any]:
-    return multistart.elastic_event(of, robot_record(zoo.robot_of("2rpr")), solution(of, fraction, **changed), kind)
+def event(of: Problem, kind: str, fraction: float, **changed: Any) -> dict[str, Any]:
+    return infeasible.elastic_event(of, robot_record(zoo.robot_of("2rpr")), solution(of, fraction, **changed), kind)
 
 
 @pytest.mark.parametrize(
@@ -125,20 +129,20 @@ def test_limits_that_are_touched(kind: str, changed: dict[str, tuple[int, int, f
     of = problem()
     if kind == "jerk":
         changed = {"sdd": (4, 1, 699.0 * of.grid.h[4])}
-    assert multistart.is_touched(of, robot_record(zoo.robot_of("2rpr")), solution(of, **changed), kind) is touched
+    assert infeasible.is_touched(of, robot_record(zoo.robot_of("2rpr")), solution(of, **changed), kind) is touched
 
 
 def test_guesses_after_the_first_swing_about_the_start() -> None:
     """s, ṡ and s̈ of one motion: by differences where ṡ and s̈ are not cut off."""
     of = problem()
-    warm = multistart.first_guess(of, None, 0)
+    warm = first_guess(of, 0)
     np.testing.assert_allclose(warm["s"] * of.scales.s, np.tile(of.settings.start, (len(of.grid.t), 1)))
-    guess, u = multistart.first_guess(of, None, 3), of.scales
+    guess, u = first_guess(of, 3), of.scales
     t = of.grid.t
     s, sd, sdd = (guess[name] * getattr(u, name) for name in ("s", "sd", "sdd"))
     np.testing.assert_allclose(s[[0, -1]], np.zeros((2, 2)), atol=1e-12)
-    assert np.abs(guess["s"]).max() <= multistart.REACH
-    assert np.abs(guess["s"]).max() > 0.1 * multistart.REACH
+    assert np.abs(guess["s"]).max() <= REACH
+    assert np.abs(guess["s"]).max() > 0.1 * REACH
     # sums of sines of half a turn and its multiples: fitted, and differentiated
     waves = np.sin(np.pi * np.arange(1, 4) * ((t - t[0]) / (t[-1] - t[0]))[:, None])
     size, left, *_ = np.linalg.lstsq(waves, s, rcond=None)
@@ -159,7 +163,7 @@ BLAMED = [
 @pytest.mark.parametrize(("message", "constraint", "says"), BLAMED)
 def test_where_nothing_helps_the_time_or_the_balance_is_to_blame(message: str, constraint: str, says: str) -> None:
     elastic = SimpleNamespace(message=message, violation=0.25)
-    error = multistart.nothing_helps(problem(), elastic, "Infeasible_Problem_Detected")
+    error = infeasible.nothing_helps(problem(), elastic, "Infeasible_Problem_Detected")
     assert error.details["constraint"] == constraint
     assert says in str(error)
     assert error.details["amount"] == 0.25
@@ -173,7 +177,7 @@ def test_a_platform_at_rest_is_scaled_by_what_its_carriers_do() -> None:
     motion = rp.PlatformMotion(t, still + np.array([0.25, 0.2]), still, still)
     source = continuous_motion(motion)
     settings = checked_settings(dynamics.robot, Objective("effort"), Limits(acceleration=8.0), Mesh(0.1, 0))
-    scales = read_coefficients(Task(dynamics, source, settings), grid_of(source, [], 0.1)).scales
+    scales = read_problem(Task(dynamics, source, settings), grid_of(source, [], 0.1))[0].scales
     pushed = []
     for j in range(2):
         sdd = np.zeros((1, 2))
@@ -192,7 +196,7 @@ NOTHING = 1e-5
 def elastic(slacks: dict[str, float], iterations: int = 1, **how: Any) -> Any:
     """A solution in which limits give way by so much, and nothing moves."""
     made = solution(problem())
-    made.values |= {multistart.slack_name(kind): np.full((1, 1), fraction) for kind, fraction in slacks.items()}
+    made.values |= {slack_name(kind): np.full((1, 1), fraction) for kind, fraction in slacks.items()}
     usual = {"feasible": True, "optimal": True, "infeasible": False, "message": "said", "violation": 0.0}
     return SimpleNamespace(values=made.values, iterations=iterations, **{**usual, **how})
 
@@ -202,10 +206,10 @@ class Solved:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, answers: dict[tuple[str, ...], Any], spared: int) -> None:
         self.now, self.answers, self.tried = 100.0, answers, []
-        monkeypatch.setattr(multistart, "SPARED", spared * len(problem().grid.t))
-        monkeypatch.setattr(multistart, "transcribe", lambda _, kinds: tuple(kinds))
-        monkeypatch.setattr(multistart, "solve_nlp", self)
-        monkeypatch.setattr(multistart, "time", SimpleNamespace(perf_counter=lambda: self.now))
+        monkeypatch.setattr(infeasible, "SPARED", spared * len(problem().grid.t))
+        monkeypatch.setattr(infeasible, "transcribe", lambda _, kinds: tuple(kinds))
+        monkeypatch.setattr(infeasible, "solve_nlp", self)
+        monkeypatch.setattr(infeasible, "time", SimpleNamespace(perf_counter=lambda: self.now))
 
     def __call__(self, kinds: Any, guess: Any, seconds: float, most: Any = None, progress: Any = None) -> Any:
         self.now += 1.0
@@ -216,16 +220,16 @@ class Solved:
         of = problem()
         settings = replace(of.settings, solver=replace(of.settings.solver, seconds=seconds))
         with pytest.raises(InfeasiblePlanError) as caught:
-            multistart.relax(replace(of, settings=settings), robot_record(zoo.robot_of("2rpr")), {}, "said")
+            infeasible.relax(replace(of, settings=settings), robot_record(zoo.robot_of("2rpr")), {}, "said")
         return caught.value
 
 
 def test_limits_that_hardly_give_way_are_none(monkeypatch: pytest.MonkeyPatch) -> None:
     kept = elastic({"speed": 0.9 * NOTHING, "effort": 0.9 * NOTHING})
-    solved = Solved(monkeypatch, {multistart.KINDS: kept}, 100)
-    assert multistart.relax(problem(), robot_record(zoo.robot_of("2rpr")), {}, "said") is kept
-    solved.answers[multistart.KINDS] = elastic({"speed": 1.1 * NOTHING})
-    solved.answers |= {(kind,): elastic({}, optimal=False, infeasible=True) for kind in multistart.KINDS}
+    solved = Solved(monkeypatch, {KINDS: kept}, 100)
+    assert infeasible.relax(problem(), robot_record(zoo.robot_of("2rpr")), {}, "said") is kept
+    solved.answers[KINDS] = elastic({"speed": 1.1 * NOTHING})
+    solved.answers |= {(kind,): elastic({}, optimal=False, infeasible=True) for kind in KINDS}
     error = solved.refused()
     assert (error.details["constraint"], error.details["together"], error.details["untried"]) == ("speed", False, ())
 
@@ -235,7 +239,7 @@ def test_each_limit_that_gave_way_is_tried_alone_and_the_least_relaxation_comes_
 ) -> None:
     """Efforts first; a bound of an objective counts as touched. Each has what others left of iterations and time."""
     answers = {
-        multistart.KINDS: elastic({"speed": 0.1, "effort": 0.2, "jerk": 0.3}, 7),
+        KINDS: elastic({"speed": 0.1, "effort": 0.2, "jerk": 0.3}, 7),
         ("effort",): elastic({"effort": 0.5}, 30),
         ("speed",): elastic({"speed": 0.25}, 20),
         ("jerk",): elastic({}, 10, optimal=False, infeasible=True),
@@ -261,9 +265,7 @@ def test_where_iterations_or_time_run_out_the_rest_is_said_to_be_untried(
 ) -> None:
     """The first takes 30 iterations, and it and the elastic programme a second each."""
     stuck = elastic({}, 30, optimal=False, infeasible=True)
-    answers = {(kind,): stuck for kind in multistart.KINDS} | {
-        multistart.KINDS: elastic({"speed": 0.1, "effort": 0.2}, 7)
-    }
+    answers = {(kind,): stuck for kind in KINDS} | {KINDS: elastic({"speed": 0.1, "effort": 0.2}, 7)}
     solved = Solved(monkeypatch, answers, spared)
     details = solved.refused(seconds).details
     assert len(solved.tried) == 1 + tries
@@ -273,10 +275,10 @@ def test_where_iterations_or_time_run_out_the_rest_is_said_to_be_untried(
 
 
 def test_the_first_programme_has_at_least_as_many_iterations_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    answers = {(kind,): elastic({}, 1000, optimal=False, infeasible=True) for kind in multistart.KINDS}
-    solved = Solved(monkeypatch, answers | {multistart.KINDS: elastic({"speed": 0.1, "effort": 0.2}, 55)}, 9)
+    answers = {(kind,): elastic({}, 1000, optimal=False, infeasible=True) for kind in KINDS}
+    solved = Solved(monkeypatch, answers | {KINDS: elastic({"speed": 0.1, "effort": 0.2}, 55)}, 9)
     solved.refused()
-    assert [most for _, _, most in solved.tried] == [None, 55]
+    assert [most for _, _, most in solved.tried][1:] == [55]
 
 
 @pytest.mark.parametrize(
@@ -294,21 +296,21 @@ def test_bounds_are_compared_with_the_least_there_is(
     """The bounds are 4 and 9; of what is no optimum nothing is known."""
     asked = []
 
-    def solve(of: WholeTrajectoryProblem, *_: Any) -> Any:
+    def solve(of: Problem, *_: Any) -> Any:
         asked.append((dict(of.settings.objective), dict(of.settings.at_most)))
         return SimpleNamespace(values={}, optimal=optimal)
 
-    monkeypatch.setattr(multistart, "solve", solve)
-    monkeypatch.setattr(multistart, "objective_values", lambda of, values: least)
+    monkeypatch.setattr(infeasible, "solve", solve)
+    monkeypatch.setattr(infeasible, "objective_values", lambda of, values: least)
     optimal = False
-    multistart.require_bounds(problem(), {})
+    infeasible.require_bounds(problem(), {})
     assert asked == [({"effort": 1.0}, {}), ({"energy": 1.0}, {})]
     optimal = True
     if not named:
-        multistart.require_bounds(problem(), {})
+        infeasible.require_bounds(problem(), {})
         return
     with pytest.raises(InfeasiblePlanError, match="What is needed at least: ") as caught:
-        multistart.require_bounds(problem(), {})
+        infeasible.require_bounds(problem(), {})
     details = caught.value.details
     assert details["together"] is (len(named) > 1)
     for event in details["relaxations"]:
@@ -320,10 +322,10 @@ def test_bounds_are_compared_with_the_least_there_is(
 # --- several first guesses ---
 
 
-def ended(cost: float, place: float = 0.0, feasible: bool = True, optimal: bool = True) -> multistart.Outcome:
+def ended(cost: float, place: float = 0.0, feasible: bool = True, optimal: bool = True) -> Outcome:
     values = {"s": np.array([[0.0, 0.1], [0.0, place]])}
     made: Any = SimpleNamespace(cost=cost, values=values, feasible=feasible, optimal=optimal, message="said")
-    return multistart.Outcome(problem(), made)
+    return Outcome(problem(), made)
 
 
 def test_optima_of_one_cost_and_motion_are_one() -> None:
@@ -333,7 +335,7 @@ def test_optima_of_one_cost_and_motion_are_one() -> None:
         ended(-200.0 * (1.0 + 1.1e-5), 0.5),
         ended(-900.0, optimal=False), ended(-1e9, feasible=False, optimal=False), ended(-200.001, 0.5),
     )  # fmt: skip
-    said = multistart.Multistart(outcomes, 9).summary
+    said = Multistart(outcomes, 9).summary
     assert said["optima"] == [
         {"cost": -200.0 * (1.0 + 1.1e-5), "starts": [3]},
         {"cost": -200.001, "starts": [0, 1, 6]},
@@ -346,7 +348,7 @@ def test_optima_of_one_cost_and_motion_are_one() -> None:
 def test_the_best_is_an_optimum_before_what_keeps_the_limits_before_the_rest() -> None:
     only, kept, lost = ended(5.0), ended(3.0, optimal=False), ended(1.0, feasible=False, optimal=False)
     for outcomes, best in (((lost, kept, only), only), ((lost, kept), kept), ((lost,), lost)):
-        several = multistart.Multistart(outcomes, 3)
+        several = Multistart(outcomes, 3)
         assert several.best is best
         assert several.feasible is (best is not lost)
 
@@ -361,120 +363,17 @@ def test_first_guesses_share_the_time_there_is(
     """Four are asked for; the first is tried however little time there is."""
     of, clock, asked = problem(), [100.0], []
     of = replace(of, settings=replace(of.settings, solver=replace(of.settings.solver, starts=4, seconds=seconds)))
-    monkeypatch.setattr(multistart, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    monkeypatch.setattr(solving, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
 
-    def solve_from(guess: dict[str, Any], left: float) -> multistart.Outcome:
+    def solve(of: Problem, guess: dict[str, Any], left: float, stop: Any) -> Any:
         asked.append((guess, left))
         clock[0] += each
-        return ended(1.0)
+        return ended(1.0).solution
 
-    made = multistart.multistart(of, None, solve_from)
+    monkeypatch.setattr(solving, "solve", solve)
+    made = solving.multistart(of, None)
     assert (len(made.outcomes), made.requested) == (len(given), 4)
-    assert [left for _, left in asked] == [multistart.LEAST_SECONDS if left is None else left for left in given]
+    assert [left for _, left in asked] == [LEAST_SECONDS if left is None else left for left in given]
     assert set(asked[0][0]) == {"s"}
     for number, (guess, _) in enumerate(asked):
-        np.testing.assert_array_equal(guess["s"], multistart.first_guess(of, None, number)["s"])
-
-
-# --- fit after fit, where f has other terms ---
-
-
-class Fitted:
-    """Stands in for backend and solver: each fit leads to a course and efforts that are one larger, in a second.
-
-    ``left``: of each fit what the true f leaves unbalanced at a part of the step, over its size; ``parts``: the parts
-    of each step that were asked for.
-    """
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, costs: list[float], left: list[Any]) -> None:
-        self.first, self.now, self.costs, self.left = problem(), 100.0, costs, left
-        self.parts: list[list[float]] = []
-        self.given: list[float] = []
-        self.tau = np.zeros(2)
-        monkeypatch.setattr(multistart, "read_coefficients", self.read)
-        monkeypatch.setattr(multistart, "solve", self.solve)
-        monkeypatch.setattr(multistart, "time", SimpleNamespace(perf_counter=lambda: self.now))
-
-    def read(self, task: Any, grid: Any, course: Any) -> WholeTrajectoryProblem:
-        if self.parts:
-            self.tau = self.tau + self.parts[-1][-1] * (len(self.parts) - self.tau)
-        self.course = np.array(course.s[0])
-        self.parts.append([])
-        return self.first
-
-    def solve(self, of: Any, guess: dict[str, Any], seconds: float) -> Any:
-        number, count = len(self.parts), len(of.grid.t)
-        np.testing.assert_allclose(guess["tau"][0] * of.scales.tau, self.tau, atol=1e-12)
-        np.testing.assert_allclose(guess["s"][0] * of.scales.s, self.course, atol=1e-12)
-        self.given.append(seconds)
-        self.now += 1.0
-        rest = np.zeros((count, 2))
-        values = {"s": rest + number / of.scales.s, "sd": rest, "sdd": rest, "tau": rest + number / of.scales.tau}
-        cost = self.costs[number - 1]
-        return Solution(values, True, True, "said", cost, 0.5e-9, 10 + number, 1.0, (rest,) * 3, {})
-
-    def reduce(self, trial: Any) -> Any:
-        number = len(self.parts)
-        part = float((trial.s[3, 0] - self.course[0]) / (number - self.course[0]))
-        np.testing.assert_allclose(trial.s, np.broadcast_to(self.course + part * (number - self.course), trial.s.shape))
-        self.parts[-1].append(part)
-        assert len(self.parts[-1]) < 9, "the step is not halved"
-        f = np.einsum("nim,m->ni", self.first.model.W, self.tau + part * (number - self.tau))
-        f[5, 1] -= self.left[number - 1](part) * self.first.scales.row[1]
-        return SimpleNamespace(f=f)
-
-    def outcome(self, seconds: float = 60.0) -> multistart.Outcome:
-        dynamics = SimpleNamespace(along=lambda motion: self, robot=zoo.robot_of("2rpr"))
-        task: Any = SimpleNamespace(dynamics=dynamics, source=SimpleNamespace(sample_at=lambda t: None))
-        return multistart.fit_and_solve(task, self.first, {}, seconds)
-
-
-def always(value: float) -> Any:
-    return lambda part: value
-
-
-BALANCE, SETTLES = 1e-8, 1e-7
-"""What may be left of f, and how much the cost may change from fit to fit."""
-
-
-@pytest.mark.parametrize(
-    ("change", "left", "fits"),
-    [
-        (0.9 * SETTLES, 0.9 * BALANCE, 3),
-        (-0.9 * SETTLES, -0.9 * BALANCE, 3),
-        (1.1 * SETTLES, 0.9 * BALANCE, 4),
-        (-1.1 * SETTLES, 0.9 * BALANCE, 4),
-        (0.0, 1.1 * BALANCE, 4),
-        (0.0, -1.1 * BALANCE, 4),
-    ],
-)
-def test_fits_go_on_until_the_cost_stays_and_the_true_f_is_balanced(
-    change: float, left: float, fits: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A full step that leaves up to twice what the one before it left is taken, else half of it."""
-    costs = [-30.0, -20.0, -20.0 * (1.0 + change), -20.0 * (1.0 + change)]
-    steps = [always(1.0), lambda part: 2.1 if part == 1.0 else -1.9, always(left), always(0.5 * BALANCE)]
-    fitted = Fitted(monkeypatch, costs, steps)
-    outcome = fitted.outcome()
-    assert outcome.fits == fits
-    assert fitted.parts == [[1.0], [1.0, 0.5], [1.0], [1.0]][:fits]
-    solution = outcome.solution
-    assert (solution.optimal, solution.feasible) == (True, True)
-    assert solution.iterations == sum(10 + number for number in range(1, fits + 1))
-    assert solution.violation == pytest.approx(abs(left) if fits == 3 else 0.5 * BALANCE, rel=1e-4)
-    assert fitted.given == [60.0, 59.0, 58.0, 57.0][:fits]
-
-
-def test_a_step_is_taken_by_a_thirtysecond_at_least_and_nothing_settles_by_parts(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Time ends it: with what is known then, which is no optimum."""
-    steps = [always(1.0), always(9.0), lambda part: 0.0 if part == 0.25 else 99.0, always(9.0)]
-    fitted = Fitted(monkeypatch, [5.0] * 4, steps)
-    solution = fitted.outcome(2.5).solution
-    assert fitted.parts == [[1.0], [1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125], [1.0, 0.5, 0.25]]
-    assert (solution.optimal, solution.feasible) == (False, True)
-    assert fitted.given == [2.5, 1.5, 0.5]
-    solution = Fitted(monkeypatch, [5.0] * 4, [always(1.0), always(1.5), always(1.2)]).outcome(2.5).solution
-    assert (solution.optimal, solution.feasible) == (False, False)
-    assert solution.violation == pytest.approx(1.2)
+        np.testing.assert_array_equal(guess["s"], first_guess(of, number)["s"])

@@ -9,7 +9,7 @@ import zoo
 
 from redundancy_pin import VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InputError
-from redundancy_pin.planners.whole_trajectory import OBJECTIVES, Limits, Mesh, Objective, ObjectiveTerm, Solver
+from redundancy_pin.planners.optimal import OBJECTIVES, Limits, Mesh, Objective, ObjectiveTerm, Solver
 from redundancy_pin.trajectory import reference
 
 CIRCLE = reference.circle(0.5, 0.2, 0.05)
@@ -71,7 +71,7 @@ def test_an_objective_is_added_by_its_formula(monkeypatch):
     added = {
         "carrier_speed": ObjectiveTerm(lambda q: q.integral(q.sd**2), lambda u: u.duration * float(u.sd.max()) ** 2),
         "fastest_carrier": ObjectiveTerm(
-            lambda q: q.largest(q.sd, float(q.scales.sd.max())), lambda u: float(u.sd.max()), flat=True
+            lambda q: q.largest(q.sd, float(q.scales.sd.max())), lambda u: float(u.sd.max())
         ),
     }
     for name, term in added.items():
@@ -98,7 +98,7 @@ def test_formulas_may_bound_and_differentiate(monkeypatch, term):
         "absolute": (lambda q: q.integral(q.absolute(q.sd, float(q.scales.sd.max()))), lambda u: u.duration),
         "rate": (lambda q: q.integral_over_steps(q.rate(q.sdd) ** 2), lambda u: 1e3 * u.duration),
     }
-    monkeypatch.setitem(OBJECTIVES, term, ObjectiveTerm(*formulas[term], flat=True))
+    monkeypatch.setitem(OBJECTIVES, term, ObjectiveTerm(*formulas[term]))
     options = {"dt": 0.06, "refinements": 0, "effort": 0.3}
     plan, usual = (plan_of(objective=weights, **options) for weights in (term, {"effort": 1.0, term: 1e-9}))
     assert plan.diagnostics["objective"][term] < 0.9 * usual.diagnostics["objective"][term]

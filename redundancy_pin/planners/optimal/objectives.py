@@ -17,21 +17,16 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, each, fraction, frozen, one_of, positive, require_type, whole
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
-from redundancy_pin.errors import InputError, optional
+from redundancy_pin.errors import InputError
 from redundancy_pin.planners.base_wrench import point_of, weights_of
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.limits import Limits, ResolvedLimits
+from redundancy_pin.planners.optimal.nlp import Progress, casadi
 from redundancy_pin.robot import Robot
 
 
-def casadi() -> Any:
-    """Return the optional solver library."""
-    remedy = "Install it with `pip install casadi`."
-    return optional("casadi", "Planning over the whole trajectory needs", remedy)
-
-
 @dataclass(frozen=True, eq=False)
-class WholeTrajectoryScales:
+class Scales:
     """Sizes that variables, equations and objectives are divided by.
 
     ``s``, ``sd``, ``sdd`` (k,) of the carriers' motion, m, m/s, m/s²; ``tau``: of the main efforts, N or N·m; ``row``
@@ -69,7 +64,7 @@ class Quantities(ABC):
     base_force: Any
     base_moment: Any
 
-    def __init__(self, h: Array, scales: WholeTrajectoryScales, tau_target: Array, actuated_rate: Array) -> None:
+    def __init__(self, h: Array, scales: Scales, tau_target: Array, actuated_rate: Array) -> None:
         self.scales, self.tau_target, self.actuated_rate = scales, casadi().DM(tau_target), casadi().DM(actuated_rate)
         self._h, self._steps = h, np.flatnonzero(h > 0.0)
 
@@ -102,19 +97,12 @@ class ObjectiveTerm:
     Attributes:
         formula: from the quantities to a scalar.
         size: from the sizes of the quantities to that of the objective: all are divided by theirs before weighting.
-        flat: it leaves the carriers open over whole stretches. There the regularisation alone decides, and where the
-            conditions of a minimum hold within tolerance the efforts may still be 1e-2 off those that fulfil them: two
-            backends would give two plans. Such optima are finished with exact steps.
-        kinked: it has kinks in products of two unknowns, far from a quadratic programme: Mehrotra's
-            predictor-corrector crawls on it, and every step is refined.
         efforts: it says something of the main efforts. Where W τ = f leaves them a choice and no objective does, the
             smallest ones are taken.
     """
 
     formula: Callable[[Quantities], Any]
-    size: Callable[[WholeTrajectoryScales], float]
-    flat: bool = False
-    kinked: bool = False
+    size: Callable[[Scales], float]
     efforts: bool = True
 
 
@@ -126,7 +114,7 @@ def _energy(q: Quantities) -> Any:
 
 OBJECTIVES: dict[str, ObjectiveTerm] = {
     "effort": ObjectiveTerm(lambda q: q.integral(q.tau**2), lambda u: u.duration * u.tau**2),
-    "peak": ObjectiveTerm(lambda q: q.largest(q.tau, q.scales.tau), lambda u: u.tau, flat=True),
+    "peak": ObjectiveTerm(lambda q: q.largest(q.tau, q.scales.tau), lambda u: u.tau),
     "tracking": ObjectiveTerm(lambda q: q.integral((q.tau - q.tau_target) ** 2), lambda u: u.duration * u.tau**2),
     "carrier_force": ObjectiveTerm(
         lambda q: q.integral(q.force**2), lambda u: u.duration * float(u.force.max()) ** 2, efforts=False
@@ -146,7 +134,7 @@ OBJECTIVES: dict[str, ObjectiveTerm] = {
         efforts=False,
     ),
     "effort_rate": ObjectiveTerm(lambda q: q.integral_over_steps(q.rate(q.tau) ** 2), lambda u: u.tau**2 / u.duration),
-    "energy": ObjectiveTerm(_energy, lambda u: u.duration * u.power, flat=True, kinked=True),
+    "energy": ObjectiveTerm(_energy, lambda u: u.duration * u.power),
 }
 """All objectives by name."""
 
@@ -159,9 +147,6 @@ LIMITS = ("speed", "acceleration", "carrier_force", "jerk", "effort")
 
 # Each start is solved, and each refinement doubles nodes: more of them would never end
 MOST_STARTS, MOST_REFINEMENTS = 1000, 30
-
-Progress = Callable[[str], None]
-"""Takes one line of text."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +195,7 @@ class Solver:
 
 
 @dataclass(frozen=True, eq=False)
-class WholeTrajectorySettings:
+class Settings:
     """Checked options of ``plan_whole_trajectory``, see there: weights by name, one number a carrier or actuator."""
 
     objective: Mapping[str, float]
@@ -254,7 +239,7 @@ def checked_settings(
     end: End = "datum",
     datum: ArrayLike = 0.0,
     at_most: Mapping[str, float] | None = None,
-) -> WholeTrajectorySettings:
+) -> Settings:
     """Return the settings after checking every option."""
     require_carriers(robot)
     one_of(end, "end", get_args(End))
@@ -266,7 +251,7 @@ def checked_settings(
         )
     resolved = limits.resolved(robot)
     park = resolved.on_track(datum, "datum")
-    return WholeTrajectorySettings(
+    return Settings(
         objective=weights,
         lam=lam,
         baseline=None if objective.baseline is None else as_dynamics(objective.baseline),

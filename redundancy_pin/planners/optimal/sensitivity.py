@@ -23,10 +23,11 @@ from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.limits import ResolvedLimits
-from redundancy_pin.planners.whole_trajectory.multistart import Outcome
-from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, casadi
-from redundancy_pin.planners.whole_trajectory.problem import SingularNode, Task, WholeTrajectoryProblem, times_beside
-from redundancy_pin.planners.whole_trajectory.transcription import transcribe
+from redundancy_pin.planners.optimal.nlp import casadi
+from redundancy_pin.planners.optimal.objectives import OBJECTIVES
+from redundancy_pin.planners.optimal.problem import Problem, SingularNode, Task, times_beside
+from redundancy_pin.planners.optimal.solve import Outcome
+from redundancy_pin.planners.optimal.transcription import transcribe
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 MOVED = 1e-6
@@ -77,7 +78,7 @@ def design_gradient(task: Task, outcome: Outcome, slopes: Slopes, machines: Sequ
             remedy="Design with carriers that stand on links.",
         )
     carriers, motion = problem.carriers(solution.values), task.source.sample_at(problem.grid.t)
-    at_nodes, tau = slopes(motion, carriers), solution.tau(problem)
+    at_nodes, tau = slopes(motion, carriers), problem.tau(solution.values)
     turned = [_turned(task, problem, node, carriers, tau, slopes) for node in problem.singular]
     at_optimum, at_length = _lagrangian(outcome, problem), task.dynamics.robot.characteristic_length
     terms = ((weight, OBJECTIVES[name]) for name, weight in problem.settings.objective.items())
@@ -103,7 +104,7 @@ def design_gradient(task: Task, outcome: Outcome, slopes: Slopes, machines: Sequ
     return read_only(gradient)
 
 
-def _of_base(task: Task, problem: WholeTrajectoryProblem, motion: PlatformMotion, by: Array, slopes: Slopes) -> Array:
+def _of_base(task: Task, problem: Problem, motion: PlatformMotion, by: Array, slopes: Slopes) -> Array:
     """Return (N, 6, d) derivatives of the wrench on the base about the point, less the load at rest."""
     settings = problem.settings
     still, rest = np.zeros_like(motion.xd[:1]), np.zeros((1, len(settings.start)))
@@ -113,9 +114,7 @@ def _of_base(task: Task, problem: WholeTrajectoryProblem, motion: PlatformMotion
     return np.concatenate([less[:, :3], moment], axis=1)
 
 
-def _turned(
-    task: Task, problem: WholeTrajectoryProblem, node: SingularNode, plan: CarrierMotion, tau: Array, slopes: Slopes
-) -> Array:
+def _turned(task: Task, problem: Problem, node: SingularNode, plan: CarrierMotion, tau: Array, slopes: Slopes) -> Array:
     """Return (n, d) the rate of δW τ − δf along the plan at a singular node."""
     h, t, i = problem.grid.h, float(problem.grid.t[node.index]), node.index
     before = i == len(h) or h[i] == 0.0
@@ -150,7 +149,7 @@ def _turned(
     return change
 
 
-def _lagrangian(outcome: Outcome, problem: WholeTrajectoryProblem) -> float:
+def _lagrangian(outcome: Outcome, problem: Problem) -> float:
     """Return the Lagrangian, with the multipliers of the optimum, of a problem with other numbers."""
     solution = outcome.solution
     nlp = transcribe(problem, **solution.rows)

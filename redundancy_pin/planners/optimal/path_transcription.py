@@ -8,9 +8,9 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.planners.carrier_model import terms
-from redundancy_pin.planners.time_optimal.problem import POWERS, TimeOptimalProblem
-from redundancy_pin.planners.whole_trajectory.options import casadi
-from redundancy_pin.planners.whole_trajectory.transcription import NLP, RESERVE, product
+from redundancy_pin.planners.optimal.nlp import NLP, casadi
+from redundancy_pin.planners.optimal.path_problem import POWERS, TimeOptimalProblem
+from redundancy_pin.planners.optimal.transcription import RESERVE, product
 
 REGULARISATION = 1e-3
 """Weight of the mean squares of s̈ and p̈ over their sizes beside the duration over its own."""
@@ -28,6 +28,7 @@ class _Programme:
     def __init__(self, problem: TimeOptimalProblem, between: BoolArray) -> None:
         ca, u, limits = casadi(), problem.sizes, problem.limits
         self.nlp, self._problem = NLP(), problem
+        self.nlp.size = float(len(problem.grid.t))
         nodes, k, m = len(problem.grid.t), problem.model.k, problem.model.W.shape[2]
         keep = 1.0 - RESERVE
         edge = np.zeros((nodes, 1), dtype=bool)
@@ -124,7 +125,7 @@ class _Programme:
         return _sum(first, by_term, *motion), first[..., 0]
 
     def _singular(self, i: int, u: Array, rate: Any) -> None:
-        """Require uᵀ W' ṗ τ = uᵀ ḟ, see ``whole_trajectory.problem``; derivatives by p times ṗ are those by time."""
+        """Require uᵀ W' ṗ τ = uᵀ ḟ, see ``optimal.problem``; derivatives by p times ṗ are those by time."""
         ca, problem = casadi(), self._problem
         k, h = problem.model.k, problem.grid.h
         step = i if i < len(h) and h[i] > 0.0 else i - 1

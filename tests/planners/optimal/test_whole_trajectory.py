@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import zoo
 
-import redundancy_pin.planners.whole_trajectory.planner as planner
-import redundancy_pin.planners.whole_trajectory.solver as solver
 from redundancy_pin import CarrierMotion, CompiledDynamics, RneaDynamics, VirtualWork, distribute, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError, InputError, RedundancyPinError, UnsupportedRobotError
+from redundancy_pin.planners.optimal import nlp
 from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
@@ -310,25 +309,6 @@ def test_infeasible_says_how_much_would_suffice():
     assert {event.quantity for event in enough.limits.violated} == {"effort"}
 
 
-@pytest.mark.long
-def test_coarse_meshes_are_not_finished(monkeypatch):
-    """Rows between the nodes and exact last steps are for the mesh that shows the efforts; it ends as exactly."""
-    solved = []
-
-    def solve(problem, *given):
-        solved.append((problem, solver.solve(problem, *given)))
-        return solved[-1][1]
-
-    monkeypatch.setattr(planner, "solve", solve)
-    plan = plan_whole_trajectory(two_rpr(), circle(), objective="peak", dt=0.06)
-    ratios = plan.diagnostics["dense_ratios"]
-    assert len(ratios) > len(solved) == 1
-    assert ratios[0] > 1.05 >= ratios[-1]
-    assert plan.status is ResultStatus.OK
-    problem, solution = solved[0]
-    assert solver.solve(problem, {}, 60.0).cost == pytest.approx(solution.cost, rel=1e-8)
-
-
 @pytest.mark.parametrize("sense", [1.0, pytest.param(-1.0, marks=pytest.mark.long)])
 def test_infeasible_track_names_the_carrier(sense):
     """A start with a speed that no acceleration stops before the end of the track: v² / 2a is needed."""
@@ -355,7 +335,7 @@ def test_no_time_is_not_called_infeasible():
 
 
 def test_a_plan_that_is_not_optimal_says_so(monkeypatch):
-    monkeypatch.setattr(solver, "TOLERANCE", 1e-40)  # never reached, so the solver ends at what it calls acceptable
+    monkeypatch.setattr(nlp, "TOLERANCE", 1e-40)  # never reached, so the solver ends at what it calls acceptable
     plan = plan_whole_trajectory(two_rpr(), circle(), dt=0.05, refinements=0)
     assert plan.status is ResultStatus.NOT_CONVERGED
     assert not plan.diagnostics["optimal"]

@@ -9,7 +9,7 @@ import zoo
 
 from redundancy_pin import CompiledDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.whole_trajectory import multistart, planner
+from redundancy_pin.planners.optimal import infeasible, whole_trajectory
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
@@ -119,7 +119,7 @@ def test_what_is_said_to_suffice_suffices_and_less_does_not(seed):
 
 def test_what_was_not_tried_is_said(monkeypatch):
     """Of a limit that does not do by itself this takes ten times as long to see as of one that does."""
-    monkeypatch.setattr(multistart, "SPARED", 0)
+    monkeypatch.setattr(infeasible, "SPARED", 0)
     dynamics, trajectory, limits = random_problem(6)
     settings = {"dt": trajectory.duration / STEPS, "refinements": 0}
     with pytest.raises(InfeasiblePlanError, match="Not tried to the end: ") as caught:
@@ -134,7 +134,7 @@ def test_a_bound_below_the_least_there_is_names_that_least_without_a_search(monk
     least = plan_whole_trajectory(dynamics, trajectory, objective="energy", **settings).diagnostics["objective"][
         "energy"
     ]
-    monkeypatch.setattr(planner, "relax", None)
+    monkeypatch.setattr(whole_trajectory, "relax", None)
     with pytest.raises(InfeasiblePlanError, match="What would suffice: energy at most") as caught:
         plan_whole_trajectory(dynamics, trajectory, objective="peak", at_most={"energy": 0.5 * least}, **settings)
     assert caught.value.details["limit"] == pytest.approx(least, rel=1e-6)

@@ -1,0 +1,214 @@
+"""Why there is no plan: the smallest relaxation of the limits that admits one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.optimal.nlp import FIRST, OUT_OF_TIME, Solution, solve_nlp
+from redundancy_pin.planners.optimal.problem import Problem
+from redundancy_pin.planners.optimal.solve import solve
+from redundancy_pin.planners.optimal.transcription import (
+    KIND_OF,
+    KINDS,
+    objective_values,
+    scaled_bounds,
+    slack_name,
+    transcribe,
+)
+from redundancy_pin.planners.robot_record import RobotRecord
+
+NOTHING = 1e-5
+"""A relaxation below this fraction of a limit is none: the objective and the reserve leave as much."""
+
+SPARED = 15_000
+"""Iterations, times nodes, for finding out whether one limit does by itself: a second of the processor."""
+
+TOUCHED = 1e-4
+"""Fraction of its range within which a limit counts as reached."""
+
+
+def relax(problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], message: str) -> Solution:
+    """Find the smallest relaxation of the limits that admits a plan, and return it where it is none.
+
+    First all limits may give way at once, then each of those that did, or that are touched, by itself, as far as
+    ``SPARED`` goes: a limit that does by itself is found in as many iterations as the first took, one that does not in
+    ten times as many. Efforts come first: where carriers can move at all, they do.
+
+    ``problem``: the numbers; ``robot``: names of carriers and actuators, and which of them rotate; ``guess``: first
+    guess; ``message``: how the solver ended on the ordinary problem.
+
+    Raises:
+        InfeasiblePlanError: limits have to give way. It carries ``constraint`` (the limit of the smallest relaxation),
+            ``time`` and ``carrier`` where it is exceeded most, ``amount`` of that, and ``limit`` that would suffice;
+            ``relaxations``, the same for every limit that gave way; ``together``, whether all of these are needed
+            or one of them is enough; and ``untried``, limits of which it is not known whether they do by themselves.
+            Or nothing admits a plan, or the time ran out.
+    """
+    problem, settings = replace(problem, shares=None), problem.settings.solver  # what is said is said of whole limits
+    deadline = time.perf_counter() + settings.seconds
+    elastic = solve_nlp(transcribe(problem, KINDS), guess, settings.seconds, FIRST, settings.progress)
+    if not elastic.feasible:
+        raise nothing_helps(problem, elastic, message)
+    exceeded = [kind for kind in KINDS if _slack(elastic, kind) > NOTHING]
+    if not exceeded:
+        return elastic
+    # one that is only touched may do as well by itself: with a price on all, others gave way in its place
+    touched = [kind for kind in KINDS if kind not in exceeded and is_touched(problem, robot, elastic, kind)]
+    candidates = sorted([*exceeded, *touched], key=lambda kind: (exceeded != [kind], kind != "effort"))
+    alone: dict[str, Solution] = {}
+    untried: list[str] = []
+    left = max(elastic.iterations, SPARED // len(problem.grid.t))
+    for kind in candidates if len(candidates) > 1 else ():
+        seconds = deadline - time.perf_counter()
+        if left <= 0 or seconds <= 0.0:
+            untried.append(kind)
+            continue
+        options = {**FIRST, "ipopt.max_iter": left}
+        solution = solve_nlp(transcribe(problem, (kind,)), elastic.values, seconds, options, settings.progress)
+        left -= solution.iterations
+        if solution.optimal:
+            alone[kind] = solution
+        elif not solution.infeasible:
+            untried.append(kind)
+    relaxed = alone or dict.fromkeys(exceeded, elastic)
+    order = sorted(relaxed, key=lambda kind: _slack(relaxed[kind], kind))
+    events = [elastic_event(problem, robot, relaxed[kind], kind) for kind in order]
+    text = ("; or " if alone else "; and ").join(str(event.pop("text")) for event in events)
+    rest = f" Not tried to the end: {', '.join(untried)} alone." if untried else ""
+    raise InfeasiblePlanError(
+        f"No motion of the carriers keeps every limit. What would suffice: {text}.{rest}",
+        remedy=_REMEDY,
+        relaxations=tuple(events),
+        together=not alone and len(exceeded) > 1,
+        untried=tuple(untried),
+        **events[0],
+    )
+
+
+_REMEDY = "Widen these limits, slow the motion down, or leave the end free."
+
+
+def require_bounds(problem: Problem, guess: Mapping[str, Array]) -> None:
+    """Check that each bound of ``at_most`` is not below the least that there is of it within the limits.
+
+    That takes a solution for each, and no search for a way to keep them all: it is a tenth of the time.
+
+    Raises:
+        InfeasiblePlanError: one is, as ``relax``.
+    """
+    settings, events = problem.settings, []
+    for name, bound in settings.at_most.items():
+        least = replace(problem, settings=replace(settings, objective={name: 1.0}, at_most={}))
+        solution = solve(least, guess, settings.solver.seconds)
+        fraction = objective_values(least, solution.values)[name] / bound - 1.0
+        if solution.optimal and fraction > NOTHING:
+            events.append(_bound_event(problem, name, fraction))
+    if events:
+        text = "; and ".join(str(event.pop("text")) for event in events)
+        known = "What would suffice" if len(settings.at_most) == 1 else "What is needed at least"
+        raise InfeasiblePlanError(
+            f"No motion of the carriers keeps every limit. {known}: {text}. Not tried: wider limits.",
+            remedy=_REMEDY,
+            relaxations=tuple(events),
+            together=len(events) > 1,
+            untried=tuple(kind for kind in KINDS if kind != "at_most"),
+            **events[0],
+        )
+
+
+def _bound_event(problem: Problem, name: str, fraction: float) -> dict[str, object]:
+    """Return by how much a bound of ``at_most`` has to be wider."""
+    bound = problem.settings.at_most[name]
+    text = f"{name} at most, from {bound:.6g} to {bound * (1.0 + fraction):.6g} ({100.0 * fraction:.3g} %)"
+    numbers = {"amount": bound * fraction, "limit": bound * (1.0 + fraction), "fraction": fraction}
+    return {"constraint": "at_most", "objective": name, "time": float(problem.grid.t[0]), **numbers, "text": text}
+
+
+def _slack(solution: Solution, kind: str) -> float:
+    return float(solution.values[slack_name(kind)][0, 0])
+
+
+def is_touched(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> bool:
+    """Return whether a limit is reached somewhere."""
+    if kind == "at_most":
+        return bool(problem.settings.at_most)
+    if kind == "end" or (kind == "force" and "force" not in elastic.values):
+        return False
+    values, low, high, _ = _quantity(problem, robot, elastic, kind)
+    with np.errstate(invalid="ignore"):
+        near = TOUCHED * np.where(np.isfinite(high - low), high - low, 0.0)
+    return bool(((values >= high - near) | (values <= low + near)).any())
+
+
+def nothing_helps(problem: Problem, elastic: Solution, message: str) -> InfeasiblePlanError:
+    """Return the error of a problem that wider limits do not make feasible."""
+    if elastic.message == OUT_OF_TIME:
+        constraint = "seconds"
+        text = "The time ran out before any plan was found, and before any limit was shown to be in the way."
+        remedy = "Allow more seconds, or a longer dt."
+    else:
+        constraint = "balance"
+        ends = f"the solver says {message}, then {elastic.message}; unbalanced by {elastic.violation:.2g} of f"
+        text = f"No plan was found, nor one with relaxed limits ({ends})."
+        remedy = "The actuators and carriers cannot balance this motion at all: lead the platform elsewhere."
+    amount, start = elastic.violation, float(problem.grid.t[0])
+    return InfeasiblePlanError(text, remedy=remedy, constraint=constraint, time=start, amount=amount)
+
+
+def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> dict[str, object]:
+    """Return what is exceeded most, where, and what would suffice."""
+    fraction = _slack(elastic, kind)
+    t = problem.grid.t
+    if kind == "at_most":
+        costs = objective_values(problem, elastic.values)
+        name, _ = max(problem.settings.at_most.items(), key=lambda one: costs[one[0]] / one[1])
+        return _bound_event(problem, name, fraction)
+    if kind == "end":
+        missed = np.abs(elastic.values["s"][-1] - problem.settings.datum / problem.scales.s) * problem.scales.s
+        if problem.settings.end == "datum":
+            text = f"the carriers end up to {missed.max():.4g} m from the datum"
+        else:
+            text = f"the end state by {fraction:.3g} of its size"
+        return {"constraint": kind, "time": float(t[-1]), "amount": float(missed.max()), "text": text}
+    values, low, high, names = _quantity(problem, robot, elastic, kind)
+    excess = np.maximum(values - high, low - values)
+    i, j = np.unravel_index(int(np.argmax(np.where(np.isfinite(excess), excess, -np.inf))), excess.shape)
+    upper = bool(values[i, j] - high[j] >= low[j] - values[i, j])
+    limit, amount, unit = float((high if upper else low)[j]), float(excess[i, j]), robot.limit_unit(kind, names[j])
+    enough = limit + (amount if upper else -amount)
+    if kind != "track" and low[j] == -high[j]:
+        # a limit of the size, as users write it; the ends of a track are places
+        limit, enough = abs(limit), abs(enough)
+    percent = f"{100.0 * fraction:.3g}" if fraction < 1.0 else f"{100.0 * fraction:.0f}"
+    text = f"the {kind} of {names[j]}, from {limit:.6g} to {enough:.6g} {unit} ({percent} %), most at t = {t[i]:.6g} s"
+    return {
+        "constraint": kind,
+        "carrier": names[j],
+        "time": float(t[i]),
+        "amount": amount,
+        "limit": enough,
+        "unit": unit,
+        "fraction": fraction,
+        "text": text,
+    }
+
+
+def _quantity(
+    problem: Problem, robot: RobotRecord, elastic: Solution, kind: str
+) -> tuple[Array, Array, Array, tuple[str, ...]]:
+    """Return the values of a limited quantity at the nodes, its bounds, and whose they are."""
+    u = problem.scales
+    if kind == "jerk":
+        h = np.where(problem.grid.h > 0.0, problem.grid.h, np.inf)[:, None]
+        jerk = np.diff(elastic.values["sdd"], axis=0) * u.sdd / h
+        return jerk, -problem.settings.limits.jerk, problem.settings.limits.jerk, robot.carriers
+    name = next(name for name, limit in KIND_OF.items() if limit == kind)
+    size = np.broadcast_to(getattr(u, name), elastic.values[name].shape[1:])
+    low, high = (bound * size for bound in scaled_bounds(problem)[name])
+    return elastic.values[name] * size, low, high, robot.actuated if kind == "effort" else robot.carriers

@@ -1,0 +1,278 @@
+"""Nonlinear programmes, put together block by block and solved by IPOPT (Wächter and Biegler 2006, in casadi)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import optional
+
+Options = dict[str, Any]
+"""Options of IPOPT by name."""
+
+Progress = Callable[[str], None]
+"""Takes one line of text."""
+
+TOLERANCE = 1e-9
+"""Of the conditions of a minimum, in scaled variables."""
+
+FEASIBLE = 1e-7
+"""Violation of the scaled constraints below which a point that is not optimal may still be presented, as such."""
+
+LEAST_SECONDS = 1e-3
+"""Time the solver is given when there is none left; it accepts none of zero."""
+
+OPTIMAL = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Feasible_Point_Found")
+"""IPOPT's words for an optimum. Acceptable is what keeps ``TOLERANCE`` after as many steps as rounding allows."""
+
+OUT_OF_TIME = "Maximum_WallTime_Exceeded"
+"""The solver's word for it."""
+
+LONG = 1000
+"""Nodes from which the iterations are reported; below, a plan takes less than a second or two."""
+
+PERIOD = 0.5
+"""Time between two reports at least, s."""
+
+LINEAR_SYSTEM: Options = {"ipopt.mumps_permuting_scaling": 0, "ipopt.mumps_scaling": 0, "ipopt.mumps_pivot_order": 2}
+"""Leaves the linear system as it is, for the programme is scaled already, and orders it by approximate minimum fill.
+The search for a permutation takes a time that grows with the square of the nodes (25 s of 27 for six iterations at
+10 000 nodes), and METIS, which long problems get by themselves, takes 1.4 to 1.7 times as long."""
+
+BARRIER = 1e-10
+"""Barrier parameter at which the solver ends. At a parameter that stays Newton's steps converge to rounding, also on
+flat optima, where within ``TOLERANCE`` the efforts of two backends may be 1e-2 apart."""
+
+LAST_STEPS = 3
+"""Consecutive steps within ``TOLERANCE`` that end the search, where rounding does not let it come closer."""
+
+_EXACT: Options = {"ipopt.mu_target": BARRIER, "ipopt.acceptable_iter": LAST_STEPS}
+
+FIRST: Options = {**_EXACT, **LINEAR_SYSTEM, "ipopt.mu_strategy": "adaptive", "ipopt.max_iter": 250}
+"""Options from a guess: on least peak two thirds of the iterations of the monotone strategy. Plans take 10 to 100
+iterations, those of least energy up to 230."""
+
+FALLBACK: Options = _EXACT
+"""Options where the first ones did not end at an optimum. The linear solver's own scaling takes time, and is needed
+where events are a ten thousandth of a step apart."""
+
+_PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+
+WARM: Options = {
+    **_EXACT,
+    **LINEAR_SYSTEM,
+    "ipopt.max_iter": 250,
+    "ipopt.mu_init": 1e-4,
+    "ipopt.bound_mult_init_method": "mu-based",
+    **{f"ipopt.{name}": 1e-4 for name in _PUSHES},
+}
+"""Options from the optimum of the same task on other nodes, or with fewer rows."""
+
+
+def casadi() -> Any:
+    """Return the optional solver library."""
+    remedy = "Install it with `pip install casadi`."
+    return optional("casadi", "Planning over the whole trajectory needs", remedy)
+
+
+class NLP:
+    """minimise f(x) subject to l ≤ x ≤ u and b ≤ g(x) ≤ c, put together block by block.
+
+    ``blocks``: the variables by name, matrices; ``cost``: the expression f, to be added to; ``size``: what the solver
+    multiplies f by; ``derivatives``: gradient, Jacobian and Hessian as options of a solver, once one has made them;
+    ``rows``: the options of ``transcribe`` that say which rows there are.
+    """
+
+    def __init__(self) -> None:
+        self.blocks: dict[str, Any] = {}
+        self.cost: Any = 0.0
+        self.size = 1.0
+        self.derivatives: dict[str, Any] = {}
+        self.rows: dict[str, Any] = {}
+        self._rows: list[Any] = []
+        self._bounds: dict[str, list[Array]] = {"lbx": [], "ubx": [], "lbg": [], "ubg": []}
+
+    def variable(self, name: str, shape: tuple[int, int], lower: Any = -np.inf, upper: Any = np.inf) -> Any:
+        """Add a block of variables within bounds."""
+        self.blocks[name] = casadi().MX.sym(name, *shape)
+        for side, bound in (("lbx", lower), ("ubx", upper)):
+            self._bounds[side].append(np.broadcast_to(bound, shape).ravel(order="F"))
+        return self.blocks[name]
+
+    def within(self, expression: Any, lower: Any = 0.0, upper: Any = 0.0) -> None:
+        """Add lower ≤ expression ≤ upper where a bound is finite; bounds broadcast to the matrix."""
+        low, high = (np.broadcast_to(bound, expression.shape).ravel(order="F") for bound in (lower, upper))
+        bounded = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
+        if len(bounded):
+            column = casadi().vec(expression)
+            self._rows.append(column if len(bounded) == len(low) else column[bounded.tolist()])
+            self._bounds["lbg"].append(low[bounded])
+            self._bounds["ubg"].append(high[bounded])
+
+    @cached_property
+    def functions(self) -> dict[str, Any]:
+        """The finished programme, as the solver wants it."""
+        ca = casadi()
+        x = ca.vertcat(*(ca.vec(block) for block in self.blocks.values()))
+        return {"x": x, "f": self.cost, "g": ca.densify(ca.vertcat(*self._rows))}
+
+    def keep_derivatives(self, solver: Any) -> None:
+        """Keep the derivatives that a solver has made of the programme: the next one need not make them again."""
+        if not self.derivatives:
+            names = {"grad_f": "nlp_grad_f", "jac_g": "nlp_jac_g", "hess_lag": "nlp_hess_l"}
+            self.derivatives = {option: solver.get_function(name) for option, name in names.items()}
+
+    @property
+    def bounds(self) -> dict[str, Array]:
+        """Bounds of variables and rows under the names the solver has for them."""
+        return {name: np.concatenate([np.empty(0), *parts]) for name, parts in self._bounds.items()}
+
+    def split(self, x: Array) -> dict[str, Array]:
+        """Return the blocks of a vector of all variables by name."""
+        parts = np.split(x, np.cumsum([block.numel() for block in self.blocks.values()])[:-1])
+        named = zip(self.blocks.items(), parts, strict=True)
+        return {name: part.reshape(block.shape, order="F") for (name, block), part in named}
+
+    def join(self, values: Mapping[str, Array]) -> Array:
+        """Return the vector of all variables from blocks; those left out are zero."""
+        filled = (np.broadcast_to(values.get(name, 0.0), block.shape) for name, block in self.blocks.items())
+        return np.concatenate([part.ravel(order="F") for part in filled])
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What the solver ended with.
+
+    ``values``: the variables by name, scaled; ``optimal``: whether the conditions of a minimum hold; ``feasible``:
+    whether every constraint holds; ``message``: the solver's own word for how it ended; ``cost``: the scaled objective;
+    ``violation``: largest violation of a scaled constraint; ``iterations``: number of iterations; ``seconds``: time
+    taken; ``point``: x and the multipliers of its bounds and of the rows; ``rows``: which rows these are (``NLP``).
+    """
+
+    values: dict[str, Array]
+    optimal: bool
+    feasible: bool
+    message: str
+    cost: float
+    violation: float
+    iterations: int
+    seconds: float
+    point: tuple[Array, Array, Array]
+    rows: Mapping[str, Any]
+
+    @property
+    def infeasible(self) -> bool:
+        """Whether the solver is convinced that no point keeps every constraint (nearby, as for any such solver)."""
+        return self.message == "Infeasible_Problem_Detected"
+
+
+def solve_nlp(
+    nlp: NLP, guess: Mapping[str, Array], seconds: float, options: Options = FIRST, progress: Progress | None = None
+) -> Solution:
+    """Solve a programme by IPOPT from one first guess.
+
+    ``guess``: blocks by name, of which those left out start at zero; ``seconds``: time bound, s; ``progress``: called
+    with a line of text now and then where the programme is long.
+    """
+    began = time.perf_counter()
+    bounds = nlp.bounds
+    rows = len(bounds["lbg"])
+    is_long = nlp.blocks["s"].shape[0] >= LONG
+    reporter = None if progress is None or not is_long else _reporter(len(bounds["lbx"]), rows, progress)
+    settings = {
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "print_time": False,
+        "ipopt.tol": 1e-3 * TOLERANCE,
+        "ipopt.acceptable_tol": TOLERANCE,
+        "ipopt.constr_viol_tol": 1e-10,
+        "ipopt.bound_relax_factor": 0.0,
+        "ipopt.obj_scaling_factor": nlp.size,
+        "ipopt.max_iter": 1000,
+        "ipopt.max_wall_time": seconds,
+        "no_nlp_grad": True,  # multipliers of parameters, of which there are none
+        **nlp.derivatives,
+        **({} if reporter is None else {"iteration_callback": reporter}),
+        **options,
+    }
+    function = casadi().nlpsol("plan", "ipopt", nlp.functions, settings)
+    nlp.keep_derivatives(function)
+    result = function(x0=nlp.join(guess), **bounds)
+    if reporter is not None and reporter.error is not None:
+        raise reporter.error
+    stats, g = function.stats(), np.asarray(result["g"]).ravel()
+    message = str(stats["return_status"])
+    x, lam_x, lam_g = (np.asarray(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
+    violation = float(np.maximum(bounds["lbg"] - g, g - bounds["ubg"]).max(initial=0.0))
+    return Solution(
+        values=nlp.split(x),
+        optimal=message in OPTIMAL,
+        feasible=violation <= FEASIBLE,
+        message=message,
+        cost=float(result["f"]),
+        violation=violation,
+        iterations=int(stats["iter_count"]),
+        seconds=time.perf_counter() - began,
+        point=(x, lam_x, lam_g),
+        rows=nlp.rows,
+    )
+
+
+def _now_and_then(progress: Progress) -> Callable[[int, float], None]:
+    """Return what reports an iteration and the scaled objective there twice a second at most."""
+    began, last = time.perf_counter(), -PERIOD
+
+    def report(iteration: int, cost: float) -> None:
+        nonlocal last
+        now = time.perf_counter() - began
+        if now - last >= PERIOD:
+            last = now
+            progress(f"iteration {iteration}, {now:.0f} s: scaled objective {cost:.6g}")
+
+    return report
+
+
+def _reporter(variables: int, rows: int, progress: Progress) -> Any:
+    """Return what the solver calls at every iteration: it reports the iteration and the scaled objective now and then.
+
+    What ``progress`` raises stops the solver and is kept in the attribute ``error``.
+    """
+    ca = casadi()
+    sizes = {"x": variables, "f": 1, "g": rows, "lam_x": variables, "lam_g": rows, "lam_p": 0}
+    base: Any = ca.Callback
+
+    class Reporter(base):  # type: ignore[misc] # the base class exists only once the library is loaded
+        def __init__(self) -> None:
+            ca.Callback.__init__(self)
+            self.count, self.report = 0, _now_and_then(progress)
+            self.error: BaseException | None = None
+            self.construct("reporter", {})
+
+        def get_n_in(self) -> int:
+            return int(ca.nlpsol_n_out())
+
+        def get_n_out(self) -> int:
+            return 1
+
+        def get_name_in(self, i: int) -> str:
+            return str(ca.nlpsol_out(i))
+
+        def get_sparsity_in(self, i: int) -> Any:
+            return ca.Sparsity.dense(sizes[ca.nlpsol_out(i)], 1)
+
+        def eval(self, arguments: Any) -> list[int]:
+            try:
+                self.report(self.count, float(arguments[1]))
+            except BaseException as error:  # an interruption too would be lost in the library
+                self.error = error
+                return [1]
+            self.count += 1
+            return [0]
+
+    return Reporter()

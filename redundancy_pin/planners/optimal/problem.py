@@ -1,0 +1,323 @@
+"""The numbers of a programme: what a backend contributes at the nodes.
+
+f is exactly a sum of terms over carriers that slide or turn, each on a link of its own (``carrier_model``): W, f and
+the carrier forces are coefficients at each node. Where carriers carry one another, f is an expression of generated
+code. The actuation matrix loses rank at a type II singularity, and the efforts there need the rates of these
+coefficients as well. At a singular instant there are directions u with uᵀ W = 0. Then W τ = f requires uᵀ f = 0,
+whatever τ is (compatibility), and leaves the part of τ in the null space of W open. Differentiating W τ = f in time and
+projecting on u determines it, since uᵀ W τ̇ = 0:
+
+    uᵀ Ẇ τ = uᵀ ḟ,    ḟ = ∂f/∂t + ∂f/∂s ṡ + ∂f/∂ṡ s̈ + ∂f/∂s̈ s⃛.
+
+Where the motion crosses the singularity at a rate, (W; uᵀ Ẇ) has full rank, and both equations together give the one
+τ that W⁻¹ f tends to. The jerk of the carriers enters: that it is the same on both sides makes the limits the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.dynamics.base import (
+    Dynamics,
+    DynamicsAlongMotion,
+    ExactAlongMotion,
+    has_expressions,
+)
+from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.base_wrench import BASE, BaseWrench, base_wrench, load_at_rest
+from redundancy_pin.planners.carrier_model import (
+    TERMS,
+    CarrierModel,
+    TimedModel,
+    carrier_model,
+    target_effort,
+    turning_model,
+)
+from redundancy_pin.planners.optimal.mesh import Grid
+from redundancy_pin.planners.optimal.objectives import Scales, Settings
+from redundancy_pin.spectrum import scaled
+from redundancy_pin.trajectory import Side
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times
+
+SDD = 4
+"""Place of s̈ among the terms of a ``CarrierModel``."""
+
+LOST = 1e-6
+"""Singular values below this fraction of the largest are lost at a singular instant; one that is only touched is known
+to the square root of rounding."""
+
+CROSSED = 1e-3
+"""Change of the vanishing singular value over the whole motion, at its rate at the singular instant and relative to the
+largest, from which the singularity is crossed. A touch leaves what rounding makes of it, 1e-6; on the circle of the
+2-RPR it is 4."""
+
+
+Reader = Callable[[DynamicsAlongMotion], CarrierModel]
+"""Reads the coefficients off a backend along a platform motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A planning task: what does not depend on the nodes."""
+
+    dynamics: Dynamics
+    source: ContinuousMotion
+    settings: Settings
+
+
+@dataclass(frozen=True, eq=False)
+class SingularNode:
+    """A node on a type II singularity; r directions are lost.
+
+    ``index``: its number among the nodes; ``lost`` (r, n) rows u with u W = 0; ``rate``: time derivatives of the
+    coefficients of W, f and the carrier forces, one sample; ``exact``: where f is no polynomial but an expression,
+    dynamics at the node and at times around it, and what the values at these weigh in a derivative by time.
+    """
+
+    index: int
+    lost: Array
+    rate: CarrierModel
+    exact: tuple[ExactAlongMotion, ExactAlongMotion, Array] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The numbers of the programme; M nodes, n coordinates, m main actuators, k carriers.
+
+    ``grid``: the nodes; ``model``: coefficients of W, f and the carrier forces at the nodes; ``singular``: the nodes on
+    type II singularities; ``actuated_rate`` (M, m) rates of the main actuators; ``target`` (M, m) efforts that the
+    objective "tracking" aims at; ``settings``: limits, ends and objective; ``scales``: sizes; ``exact``: where f has
+    other terms, dynamics whose expressions for f and the carrier forces stand in place of the terms of ``model``;
+    ``base``: the wrench on the base, where an objective is about it; ``shares`` (M, m + k): fractions of the limits of
+    efforts and forces that the nodes may use; all of them when left out.
+    """
+
+    grid: Grid
+    model: CarrierModel
+    singular: tuple[SingularNode, ...]
+    actuated_rate: Array
+    target: Array
+    settings: Settings
+    scales: Scales
+    exact: ExactAlongMotion | None = None
+    base: BaseWrench | None = None
+    shares: Array | None = None
+
+    def carrier_force(self, carriers: CarrierMotion) -> Array:
+        """Return the carrier forces (M, k) for a motion at the nodes, N."""
+        if self.exact is not None:
+            return np.asarray(self.exact.reduce(carriers).carrier_force)
+        return self.model.carrier_force(carriers.s, carriers.sd, carriers.sdd)
+
+    def carriers(self, values: Mapping[str, Array]) -> CarrierMotion:
+        """Return the motion at the nodes, in units, of scaled s, ṡ and s̈; what is left out is zero."""
+        u, zero = self.scales, np.zeros((len(self.grid.t), self.model.k))
+        return CarrierMotion(*(values.get(name, zero) * getattr(u, name) for name in ("s", "sd", "sdd")))
+
+    def position(self, values: Mapping[str, Array]) -> PiecewisePolynomial:
+        """Return the positions, m, as a function of time, of scaled s, ṡ and s̈: s̈ is linear in a step."""
+        carriers = self.carriers(values)
+        return PiecewisePolynomial.linear(self.grid.t, carriers.s, carriers.sd, carriers.sdd)
+
+    def tau(self, values: Mapping[str, Array]) -> Array:
+        """Return (M, m) the main efforts, N or N·m, of scaled ones."""
+        return values["tau"] * self.scales.tau
+
+    def scaled(self, carriers: CarrierMotion) -> dict[str, Array]:
+        """Return scaled s, ṡ and s̈ of a motion at the nodes."""
+        return {name: getattr(carriers, name) / getattr(self.scales, name) for name in ("s", "sd", "sdd")}
+
+
+def linear_model(along: DynamicsAlongMotion) -> CarrierModel:
+    """Return f and carrier forces about parked carriers: sizes, where f itself is an expression of the backend.
+
+    Raises:
+        UnsupportedRobotError: the backend has no expressions.
+    """
+    robot = along.robot
+    if not has_expressions(along):
+        raise UnsupportedRobotError(
+            f"f of {robot.name} is no sum over its carriers, as where a carrier carries another.",
+            remedy="Pass the robot or CompiledDynamics(robot): generated code has f as an expression.",
+        )
+    parked = along.reduce()
+    slopes = along.carrier_derivatives(CarrierMotion.parked(len(along.motion), robot.k))
+    f_terms = np.zeros((*slopes.f_sdd.shape, TERMS))
+    force_terms = np.zeros((*parked.carrier_force.shape, TERMS))
+    f_terms[..., SDD] = slopes.f_sdd
+    force_terms[..., SDD] = np.diagonal(slopes.force_sdd, axis1=1, axis2=2)
+    return CarrierModel(along.motion.t, parked.W, parked.f, f_terms, parked.carrier_force, force_terms)
+
+
+READERS: tuple[Reader, ...] = (carrier_model, turning_model, linear_model)
+"""Carriers that slide, that turn too, and any others, whose f is an expression."""
+
+
+def read_problem(
+    task: Task, grid: Grid, readers: Sequence[Reader] | None = None, scales: Scales | None = None
+) -> tuple[Problem, Sequence[Reader]]:
+    """Read the coefficients at all nodes off the backend.
+
+    ``task``: robot, motion and settings; ``readers``: what to try in turn, ``READERS`` when left out; ``scales``: those
+    of the same task on other nodes.
+
+    Returns:
+        The problem, and the readers in the order in which other nodes of the same task should try them.
+    """
+    readers = READERS if readers is None else readers
+    for read in readers:
+        try:
+            return _read(task, grid, read, scales), (read, *(other for other in readers if other is not read))
+        except UnsupportedRobotError as error:
+            if "deviation" not in error.details or read is readers[-1]:
+                raise
+    raise AssertionError("The last reader returns a problem or raises.")
+
+
+def _read(task: Task, grid: Grid, read: Reader, scales: Scales | None) -> Problem:
+    settings, motion = task.settings, task.source.sample_at(grid.t)
+    along = task.dynamics.along(motion)
+    model = read(along)
+
+    def node(i: int) -> SingularNode:
+        # of a jump, which has two nodes, the first one has its derivatives from the left
+        side: Side = "left" if i < len(grid.h) and grid.h[i] == 0.0 else "right"
+        return singular_node(task.dynamics, task.source, i, float(grid.t[i]), read, side, dt=settings.mesh.dt)
+
+    singular = tuple(node(i) for i in grid.singular.tolist())
+    used = {*settings.objective, *settings.at_most}
+    lam = settings.lam if "tracking" in used else 0.0
+    target, _ = target_effort(task.dynamics.robot, motion, lam, settings.baseline if lam else None)
+    rate: Array = np.einsum("nim,ni->nm", model.W, motion.xd)
+    sizes = scales or _scales(model, settings, along.reduce().row_scale, task.source.end - task.source.start, rate)
+    base = None
+    if set(BASE) & used:
+        if read is linear_model:
+            raise UnsupportedRobotError(
+                f"The base wrench of {task.dynamics.robot.name} is no sum over its carriers.",
+                remedy="Balancing needs carriers that slide or turn, each on a link of its own.",
+            )
+        rest = load_at_rest(task.dynamics, motion, settings.start, settings.base_point)
+        base = base_wrench(along, rest, settings.base_point, turning=read is turning_model)
+        if scales is None:
+            sizes = replace(sizes, base=base.sizes(sizes.sdd), length=task.dynamics.robot.characteristic_length)
+    exact = along if read is linear_model and has_expressions(along) else None
+    return Problem(grid, model, singular, read_only(rate), read_only(target), settings, sizes, exact, base)
+
+
+def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration: float, rate: Array) -> Scales:
+    """Return sizes from the limits, and from the parked robot where there are none."""
+    (lower, upper), speed, acceleration = settings.limits.track.T, settings.limits.speed, settings.limits.acceleration
+    s = np.where(np.isfinite(upper - lower), 0.5 * (upper - lower), 1.0)
+    sd = np.where(np.isfinite(speed), speed, 10.0 * s / duration)
+    sdd = np.where(np.isfinite(acceleration), acceleration, 10.0 * sd / duration)
+    size = float(np.abs(model.f0 / row_scale).max())
+    if size == 0.0:
+        size = float(np.abs(model.f_terms[..., SDD] / row_scale[:, None] * sdd).max()) or 1.0
+    largest = np.linalg.svd(model.W / row_scale[:, None], compute_uv=False)[:, 0]
+    tau = size / float(np.median(largest))
+    force = np.abs(model.force0).max(axis=0) + np.abs(model.force_terms[..., SDD]).max(axis=0) * sdd
+    power = tau * (float(np.abs(rate).max()) or 1.0)
+    return Scales(
+        s, sd, sdd, tau, size * row_scale, np.where(force > 0.0, force, 1.0), power, duration, np.ones(6), 1.0
+    )
+
+
+def singular_node(
+    dynamics: Dynamics,
+    source: ContinuousMotion,
+    index: int,
+    t: float,
+    read: Reader = carrier_model,
+    side: Side = "right",
+    *,
+    dt: float = 0.005,
+) -> SingularNode:
+    """Read the derivatives of the model at a singular instant off the backend.
+
+    ``t``: the instant, s; ``read``: what reads the model off; ``side``: from which the derivatives are taken; "left"
+    for the node before a jump of the reference acceleration; ``dt``: largest step between nodes, s.
+    """
+    if read is carrier_model:
+        model = TimedModel.of(dynamics, source, max(source.start, t - dt), min(source.end, t + dt))
+        rate = replace(model, interpolant=model.interpolant.derivative()).at(np.array([t]), side)
+    else:
+        rate = _rate_of_model(dynamics, source, t, read, side)
+    here = dynamics.along(source.sample_at(np.array([t])))
+    reduced = here.reduce()
+    u, values, v = np.linalg.svd(scaled(reduced.W, reduced.row_scale, reduced.column_scale)[0])
+    size = float(values[0])
+    if len(values) == 1:  # the only one vanishes: it is small beside what it is elsewhere
+        usual = dynamics.along(source.sample_at(_spread(source))).reduce()
+        size = float(np.linalg.norm(scaled(usual.W, usual.row_scale, usual.column_scale), axis=(1, 2)).max())
+    kept = int((values > LOST * size).sum())
+    turning = scaled(rate.W, reduced.row_scale, reduced.column_scale)[0]
+    _require_crossing(u[:, kept:].T @ turning @ v[kept:].T / size, source, t)
+    symbols = None
+    if read is linear_model:
+        edges, times = times_beside(source, t, side)
+        unit = PiecewisePolynomial.from_values(edges, np.eye(len(times))[None])
+        beside = dynamics.along(source.sample_at(times))
+        if has_expressions(here) and has_expressions(beside):
+            symbols = here, beside, unit.derivative().at(t)
+    return SingularNode(index, read_only(u[:, kept:].T / reduced.row_scale), rate, symbols)
+
+
+def _require_crossing(rate: Array, source: ContinuousMotion, t: float) -> None:
+    """Check that the singular values that vanish do so at a rate; ``rate`` (r, r or more), 1/s, is that of W there."""
+    slowest = float(np.linalg.svd(rate, compute_uv=False)[-1]) if rate.size else 0.0
+    changed = slowest * (source.end - source.start)
+    if changed > CROSSED:
+        return
+    speed, most = (float(np.abs(source.sample_at(at).xd).max()) for at in (np.array([t]), _spread(source)))
+    how = "rests in" if speed <= CROSSED * most else "touches, or follows,"
+    message = (
+        f"At t = {t:.6g} s the motion {how} a type II singularity without crossing it: what f and its rate say there "
+        "does not determine the efforts, and no condition on s, ṡ and s̈ keeps them finite beside it."
+    )
+    remedy = "Lead the motion across the singularity with a speed, or keep a distance from it."
+    raise InfeasiblePlanError(
+        message, remedy=remedy, constraint="singular_touch", time=t, amount=changed, at_rest=speed <= CROSSED * most
+    )
+
+
+def _spread(source: ContinuousMotion) -> Array:
+    return np.linspace(source.start, source.end, 101)
+
+
+APART = 2e-3
+"""Distance of the times from which derivatives are formed, s, where the motion is smooth for so long."""
+
+DEGREE = 5
+"""Of the polynomials in time whose derivatives they are."""
+
+
+def _rate_of_model(dynamics: Dynamics, source: ContinuousMotion, t: float, read: Reader, side: Side) -> CarrierModel:
+    """Return derivatives by time of the coefficients that are read off at times around an instant."""
+    edges, times = times_beside(source, t, side)
+    model = read(dynamics.along(source.sample_at(times)))
+
+    def rate(values: Array) -> Array:
+        polynomial = PiecewisePolynomial.from_values(edges, values.reshape(1, len(times), -1))
+        return read_only(polynomial.derivative().at(t).reshape(1, *values.shape[1:]))
+
+    parts = (model.W, model.f0, model.f_terms, model.force0, model.force_terms)
+    return CarrierModel(np.array([t]), *(rate(np.asarray(part)) for part in parts))
+
+
+def times_beside(source: ContinuousMotion, t: float, side: Side) -> tuple[Array, Array]:
+    """Return (2,) ends of a smooth stretch that holds an instant, s, and times in it for a polynomial."""
+    kinks = source.kinks
+    ahead = t == source.start or (side == "right" and t < source.end)
+    # beyond a kink, or the end, the motion is another
+    on_kink = bool((kinks == t).any())
+    start = t if on_kink and ahead else max(t - APART, float(kinks[kinks < t].max()))
+    end = t if on_kink and not ahead else min(t + APART, float(kinks[kinks > t].min()))
+    edges = np.array([start, end])
+    return edges, chebyshev_times(edges, DEGREE)

@@ -1,0 +1,201 @@
+"""A problem solved, from one or several first guesses, with rows between the nodes only where they are needed.
+
+Three rows a step and carrier hold track and speed everywhere by the hulls of the Bézier points, and double what the
+solver has to factorise, while a handful of steps touches a limit. So the problem is solved with the limits at the
+nodes, the exact extremes between the nodes are evaluated, rows are added around the steps that leave the limits, and
+it is solved again from where it was. The carriers' forces become variables only once one exceeds its limit.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.planners.optimal.mesh import widened
+from redundancy_pin.planners.optimal.nlp import FALLBACK, FIRST, LEAST_SECONDS, WARM, Solution, solve_nlp
+from redundancy_pin.planners.optimal.problem import Problem
+from redundancy_pin.planners.optimal.transcription import RESERVE, scaled_bounds, transcribe
+
+ROUNDS = 4
+"""Rounds of adding rows, after which all steps have them."""
+
+CLOSE = -1e-4
+"""Minus the distance from a limit, as a fraction of its size, at which steps of a known optimum have rows at once."""
+
+AROUND = 2
+"""Steps on both sides of one that leaves a limit that get rows as well: the next solution would leave it there."""
+
+
+def solve(
+    problem: Problem, guess: Mapping[str, Array], seconds: float, stop: Callable[[Solution], bool] | None = None
+) -> Solution:
+    """Solve a problem with every limit held at the nodes and between them.
+
+    ``guess``: first guess, scaled blocks by name; with efforts, an optimum of the same task; ``seconds``: time bound,
+    s; ``stop``: says of an optimum with limits at the nodes that it will do, as where it asks for other nodes anyway.
+
+    Returns:
+        An optimum that keeps every limit; or where that is not reached, the outcome with ``feasible`` as found.
+    """
+    deadline = time.perf_counter() + seconds
+    between: BoolArray = np.zeros(len(problem.grid.h), dtype=bool)
+    if "tau" in guess:
+        between = widened(leaves_limits(problem, guess, CLOSE), AROUND)
+    limit_force = False
+    iterations, spent = 0, 0.0
+    for added in range(ROUNDS + 2):
+        nlp = transcribe(problem, between=between, limit_force=limit_force)
+        first = WARM if "tau" in guess else FIRST
+        # a bound below the least there is takes long to refute here, and one solution elsewhere (``require_bounds``)
+        for options in (first,) if problem.settings.at_most else (first, FALLBACK):
+            left = max(deadline - time.perf_counter(), LEAST_SECONDS)
+            solution = solve_nlp(nlp, guess, left, options, problem.settings.solver.progress)
+            iterations, spent = iterations + solution.iterations, spent + solution.seconds
+            if solution.optimal or solution.infeasible or time.perf_counter() > deadline:
+                break
+        leaves = leaves_limits(problem, solution.values) & ~between
+        beyond = not limit_force and exceeds_force(problem, solution)
+        if not solution.feasible or not (leaves.any() or beyond):
+            break
+        if solution.optimal and stop is not None and stop(solution):
+            return replace(solution, iterations=iterations, seconds=spent)
+        limit_force = limit_force or beyond
+        between = between | widened(leaves, AROUND) if added < ROUNDS else np.ones_like(between)
+        guess = solution.values
+    kept = solution.feasible and not leaves.any() and not beyond
+    return replace(solution, optimal=solution.optimal and kept, feasible=kept, iterations=iterations, seconds=spent)
+
+
+def leaves_limits(problem: Problem, values: Mapping[str, Array], by: float = 0.0) -> BoolArray:
+    """Return (M − 1,) the steps inside which track or speed limits are exceeded, by more than a part of the reserve.
+
+    ``values``: scaled blocks by name; ``by``: by how much more, as a fraction of the sizes of s and ṡ.
+    """
+    bounds, position = scaled_bounds(problem), problem.position(values)
+    exceeded = np.zeros(len(problem.grid.h), dtype=bool)
+    for name, function in (("s", position), ("sd", position.derivative())):
+        (lower, upper), size = bounds[name], getattr(problem.scales, name)
+        width = upper - lower
+        spare = by + 0.25 * RESERVE * np.where(np.isfinite(width), width, 0.0)
+        least, most = function.ranges()
+        exceeded[problem.grid.h > 0.0] |= ((most / size > upper + spare) | (least / size < lower - spare)).any(axis=1)
+    return exceeded
+
+
+def exceeds_force(problem: Problem, solution: Solution) -> bool:
+    """Return whether a carrier needs more force at a node than its limit."""
+    carriers, (low, high) = problem.carriers(solution.values), scaled_bounds(problem)["force"]
+    force = problem.carrier_force(carriers) / problem.scales.force
+    return bool(((force > high) | (force < low)).any())
+
+
+# --- several first guesses ---
+
+_SWINGS = 3
+"""Sines of a random first guess."""
+
+REACH = 0.4
+"""Largest excursion of a random first guess as a fraction of half the track."""
+
+SAME_COST = 1e-5
+"""Relative difference of the costs of two solutions from which they are different optima."""
+
+SAME_MOTION = 0.01
+"""Difference of the positions, as a fraction of half the track, from which they are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What one first guess led to.
+
+    ``problem``: the numbers that were solved with; ``solution``: the solution.
+    """
+
+    problem: Problem
+    solution: Solution
+
+
+@dataclass(frozen=True, eq=False)
+class Multistart:
+    """The outcome from each first guess tried, of ``requested`` ones."""
+
+    outcomes: tuple[Outcome, ...]
+    requested: int
+
+    @property
+    def best(self) -> Outcome:
+        """The best optimum; where there is none, the best of what keeps the limits."""
+        return min(
+            self.outcomes, key=lambda one: (not one.solution.feasible, not one.solution.optimal, one.solution.cost)
+        )
+
+    @property
+    def feasible(self) -> bool:
+        """Whether any solution keeps every constraint."""
+        return any(outcome.solution.feasible for outcome in self.outcomes)
+
+    @property
+    def summary(self) -> dict[str, object]:
+        """What is known about the optimum being the best: see ``plan_whole_trajectory``."""
+        solutions = [outcome.solution for outcome in self.outcomes]
+        optima: list[list[int]] = []
+        for number, solution in enumerate(solutions):
+            if solution.optimal:
+                same = next((group for group in optima if _is_same(solutions[group[0]], solution)), None)
+                optima += [] if same else [[]]
+                (same or optima[-1]).append(number)
+        optima.sort(key=lambda group: min(solutions[i].cost for i in group))
+        return {
+            "asked": self.requested,
+            "tried": len(solutions),
+            "converged": sum(len(group) for group in optima),
+            "won": self.outcomes.index(self.best),
+            "optima": [{"cost": min(solutions[i].cost for i in group), "starts": group} for group in optima],
+            "costs": [solution.cost if solution.feasible else float("nan") for solution in solutions],
+            "messages": [solution.message for solution in solutions],
+        }
+
+
+def _is_same(one: Solution, other: Solution) -> bool:
+    size = max(abs(one.cost), abs(other.cost))
+    apart = float(np.abs(one.values["s"] - other.values["s"]).max())
+    return abs(one.cost - other.cost) <= SAME_COST * size and apart <= SAME_MOTION
+
+
+def multistart(
+    problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Solution], bool] | None = None
+) -> Multistart:
+    """Solve from all first guesses, as far as the time bound of the settings allows.
+
+    ``guess``: scaled blocks by name to begin with in place of parked carriers; ``stop``: as for ``solve``.
+    """
+    solver = problem.settings.solver
+    deadline = time.perf_counter() + solver.seconds
+    outcomes: list[Outcome] = []
+    for number in range(solver.starts):
+        left = deadline - time.perf_counter()
+        if outcomes and left <= 0.0:
+            break
+        first = guess if number == 0 and guess is not None else first_guess(problem, number)
+        outcomes.append(Outcome(problem, solve(problem, first, max(left, LEAST_SECONDS), stop)))
+    return Multistart(tuple(outcomes), solver.starts)
+
+
+def first_guess(problem: Problem, number: int = 0) -> dict[str, Array]:
+    """Return scaled s, ṡ, s̈: parked carriers, or random swings about the start."""
+    grid, u, settings = problem.grid, problem.scales, problem.settings
+    s = np.tile(settings.start / u.s, (len(grid.t), 1))
+    if number == 0:
+        return {"s": s}
+    rng = np.random.default_rng(number)
+    duration = float(grid.t[-1] - grid.t[0])
+    frequency = np.pi * np.arange(1, _SWINGS + 1) / duration
+    phase = frequency * (grid.t[:, None] - grid.t[0])
+    size = rng.uniform(-REACH, REACH, (_SWINGS, problem.model.k)) / _SWINGS
+    sd = (frequency * np.cos(phase)) @ size * u.s / u.sd
+    sdd = -(frequency**2 * np.sin(phase)) @ size * u.s / u.sdd
+    return {"s": s + np.sin(phase) @ size, "sd": np.clip(sd, -0.9, 0.9), "sdd": np.clip(sdd, -0.9, 0.9)}
