@@ -103,7 +103,7 @@ _FINE = np.cos(np.linspace(np.pi, 0.0, 65))
 
 
 @dataclass(frozen=True, eq=False)
-class EvaluatedSamples(Frozen):
+class EvaluatedSamples:
     """The dynamics at the samples of a planned motion.
 
     Attributes:
@@ -124,7 +124,7 @@ class EvaluatedSamples(Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class PlannedMotion(Frozen):
+class PlannedMotion:
     """What a planner planned, by which dynamics and within which limits. N samples, m main actuators, k carriers.
 
     Attributes:
