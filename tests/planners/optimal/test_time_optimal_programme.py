@@ -408,7 +408,7 @@ def test_a_solution_is_put_back_into_units(numbers):
         for name in (*units, "h"):
             np.testing.assert_allclose(back[name], v[name], rtol=1e-12)
         np.testing.assert_array_equal(back["place"], grid.t)
-        motion = planner.PlannedMotion.of(of.path, problem, solution)
+        motion = planner.TimedSolution.of(of.path, problem, solution)
         t = np.append(0.0, np.cumsum(v["h"]))
         np.testing.assert_allclose(motion.t, t, rtol=1e-12)
         np.testing.assert_allclose(motion.tau, v["tau"], rtol=1e-12)
