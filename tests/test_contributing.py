@@ -27,7 +27,7 @@ def test_the_walks_lead_through_functions_that_are_there() -> None:
 def test_every_room_of_the_table_is_there_and_every_room_is_in_it() -> None:
     rows = re.findall(r"^\| (`.*?) \|", PAGE.partition("| room |")[2].partition("Three walls")[0], re.MULTILINE)
     named = {name.rstrip("/") for row in rows for name in re.findall(r"`([a-z_/.]+)`", row)}
-    own = {"__init__.py", "_startup.py", "py.typed", "__pycache__", "models"}
+    own = {"__init__.py", "__main__.py", "_startup.py", "py.typed", "__pycache__", "models"}
     assert named == {path.name for path in PACKAGE.iterdir()} - own
 
 

@@ -143,8 +143,8 @@ def plan_time_optimal(
     if not (np.isfinite(resolved.effort).any() or np.isfinite(rates).any()):
         raise InputError(
             "Nothing limits the time.",
-            remedy="Limit the efforts, effort=, or the rates of the actuators, actuator_speed= (on the command line "
-            "--max-effort, --actuator-speed); limits that the robot's joints have bind no planner.",
+            remedy="Limit the efforts, as by effort=2.0, or the rates of the actuators, as by actuator_speed=1.0; "
+            "limits that the robot's joints have bind no planner.",
             name="effort",
         )
     park, count = resolved.on_track(datum, "datum"), whole(steps, "steps", 4, 100_000)
