@@ -416,7 +416,8 @@ class _Header:
         self._path, self.names = path, [name for name, _ in given]
         twice = sorted(name for name, count in Counter(self.names).items() if count > 1)
         if twice:
-            raise _bad(path, f" has the column {twice[0]!r} more than once.", column=twice[0])
+            cells_of = ", ".join(shown(cell) for cell, name in zip(cells, self.names, strict=True) if name == twice[0])
+            raise _bad(path, f" has the column {twice[0]!r} more than once: {cells_of}.", column=twice[0])
         own = [name for name in self.names if name not in _TIMES and not _RESULTS.fullmatch(name)]
         # by name what a column is of, and how often that is differentiated
         of = {name: _differentiated(name, units) for name in own}
