@@ -25,7 +25,7 @@ from redundancy_pin.planners.robot_record import RobotRecord
 NOTHING = 1e-5
 """A relaxation below this fraction of a limit is none: the objective and the reserve leave as much."""
 
-SPARED = 30_000
+SPARED = 20_000
 """Iterations, times nodes, for finding out whether one limit does by itself: a second of the processor."""
 
 TOUCHED = 1e-4
