@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -22,36 +21,25 @@ from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 PHASES = ("optimised",)
 
 
-class Planning(ABC):
-    """What the two planners do differently: ``task`` has the settings of both."""
+@dataclass(frozen=True, eq=False)
+class Planning:
+    """What the two planners do differently.
+
+    Attributes:
+        name: of the planner.
+        task: robot, motion and settings.
+        solve: returns solutions of a problem from a guess (scaled blocks by name; None for parked carriers), one of
+            them feasible, or raises an ``InfeasiblePlanError``; the last argument is the ``stop`` of ``solve.solve``.
+        platform: returns the motion of the platform of a solution.
+        finer: returns the problem on a finer mesh, of a solution, what is between its nodes, which (P,) pieces of that
+            the nodes do not show, and whether no mesh was finer before.
+    """
 
     name: str
     task: Task
-
-    @abstractmethod
-    def solve(
-        self, problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Solution], bool]
-    ) -> Multistart:
-        """Return solutions of a problem, of which one is feasible.
-
-        ``guess``: scaled blocks by name, in place of parked carriers; ``stop``: as for ``solve.solve``.
-
-        Raises:
-            InfeasiblePlanError: there is none.
-        """
-
-    @abstractmethod
-    def platform(self, problem: Problem, solution: Solution) -> ContinuousMotion:
-        """Return the motion of the platform."""
-
-    @abstractmethod
-    def finer(
-        self, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
-    ) -> Problem:
-        """Return the problem on a finer mesh.
-
-        ``marked`` (P,) which pieces of the check the nodes do not show; ``first``: no mesh was finer before.
-        """
+    solve: Callable[[Problem, Mapping[str, Array] | None, Callable[[Solution], bool]], Multistart]
+    platform: Callable[[Problem, Solution], ContinuousMotion]
+    finer: Callable[[Problem, Solution, IntersampleCheck, BoolArray, bool], Problem]
 
     def planned(self, problem: Problem, solution: Solution) -> PlannedMotion:
         """Return what a solution plans.

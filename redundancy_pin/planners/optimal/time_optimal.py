@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -152,7 +153,8 @@ def plan_time_optimal(
     )
     task = Task(dynamics, unit, settings)
     problem = read_path_problem(task, first_mesh(dynamics, unit, path.length / count, ends=not lap), begin, lap)
-    planned = plan_and_refine(TimeOptimal(task, path, begin, lap), problem)
+    planning = Planning("time_optimal", task, partial(_solve, task), partial(platform_of, path), partial(_finer, task))
+    planned = plan_and_refine(planning, problem)
     parameters = {
         "begin": begin,
         "end": end,
@@ -173,49 +175,39 @@ def plan_time_optimal(
     return finish_plan(replace(planned.motion, parameters=parameters, diagnostics=found), planned.check)
 
 
-@dataclass(frozen=True, eq=False)
-class TimeOptimal(Planning):
-    """Carriers and timing planned along a path; ``begin`` and ``lap``: as ``plan_time_optimal``."""
+def _solve(
+    task: Task, problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Solution], bool]
+) -> Multistart:
+    solutions = multistart(problem, guess, stop)
+    solution, seconds = solutions.best.solution, task.settings.solver.seconds
+    if solution.feasible:
+        return solutions
+    late = solution.message == OUT_OF_TIME
+    raise InfeasiblePlanError(
+        f"No timing was found{f' within {seconds:g} s' if late else ' that keeps the limits'} "
+        f"(the solver says {solution.message}; unbalanced by {solution.violation:.2g}).",
+        remedy="Allow more seconds." if late else "Raise the limits of efforts or carriers, or leave the end free.",
+        constraint="seconds" if late else "effort",
+        time=0.0,
+        amount=solution.violation,
+    )
 
-    task: Task
-    path: Path
-    begin: str
-    lap: bool
-    name = "time_optimal"
 
-    def solve(
-        self, problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Solution], bool]
-    ) -> Multistart:
-        """Solve from a harmonic motion with parked carriers, or from a guess."""
-        solutions = multistart(problem, guess, stop)
-        solution, seconds = solutions.best.solution, self.task.settings.solver.seconds
-        if solution.feasible:
-            return solutions
-        late = solution.message == OUT_OF_TIME
-        raise InfeasiblePlanError(
-            f"No timing was found{f' within {seconds:g} s' if late else ' that keeps the limits'} "
-            f"(the solver says {solution.message}; unbalanced by {solution.violation:.2g}).",
-            remedy="Allow more seconds." if late else "Raise the limits of efforts or carriers, or leave the end free.",
-            constraint="seconds" if late else "effort",
-            time=0.0,
-            amount=solution.violation,
-        )
+def platform_of(path: Path, problem: Problem, solution: Solution) -> ContinuousMotion:
+    """Return the motion of the platform along the path by the law of a solution."""
+    law, t = law_of(problem, solution), problem.times(solution.values)
+    breaks = t[:-1][problem.grid.h == 0.0]
+    knots = frozen(np.setdiff1d(law.edges[1:-1], breaks))
+    timed = Trajectory(path, TimingLaw.of(law, path.length))
+    return ContinuousMotion(timed, law.start, law.end, law.end, frozen(breaks), knots, True)
 
-    def platform(self, problem: Problem, solution: Solution) -> ContinuousMotion:
-        """Return the motion along the path by the law of a solution."""
-        law, t = law_of(problem, solution), problem.times(solution.values)
-        breaks = t[:-1][problem.grid.h == 0.0]
-        knots = frozen(np.setdiff1d(law.edges[1:-1], breaks))
-        timed = Trajectory(self.path, TimingLaw.of(law, self.path.length))
-        return ContinuousMotion(timed, law.start, law.end, law.end, frozen(breaks), knots, True)
 
-    def finer(
-        self, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
-    ) -> Problem:
-        """Return the problem with nodes halfway in time in the steps that the nodes do not show."""
-        t, law = problem.times(solution.values), law_of(problem, solution)
-        nodes = finer_nodes(problem.grid, t, law, found.middle[marked])
-        return read_path_problem(self.task, nodes, self.begin, self.lap, problem)
+def _finer(
+    task: Task, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
+) -> Problem:
+    t, timing = problem.times(solution.values), required(problem.timing)
+    nodes = finer_nodes(problem.grid, t, law_of(problem, solution), found.middle[marked])
+    return read_path_problem(task, nodes, timing.begin, timing.lap, problem)
 
 
 def law_of(problem: Problem, solution: Solution) -> PiecewisePolynomial:

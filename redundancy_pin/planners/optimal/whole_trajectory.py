@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,13 +21,13 @@ from redundancy_pin.planners.optimal.infeasible import relax, require_bounds
 from redundancy_pin.planners.optimal.mesh import first_mesh, steps_around, with_middles
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
 from redundancy_pin.planners.optimal.objectives import End, Mesh, Objective, Solver, checked_settings
-from redundancy_pin.planners.optimal.problem import Problem, Reader, Task, read_problem
+from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
 from redundancy_pin.planners.optimal.refine import Planned, Planning, plan_and_refine
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, solve
 from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 BESIDE = 4
@@ -176,38 +177,18 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     nodes = first_mesh(task.dynamics, task.source, task.settings.mesh.dt)
     problem, readers = read_problem(task, nodes)
     guess = None if position is None else problem.scaled(carriers_at(position, nodes.t))
-    planned = plan_and_refine(WholeTrajectory(task, readers), problem, guess)
-    plan = _plan(task, planned)
-    return replace(plan, diagnostics={**plan.diagnostics, "seconds": time.perf_counter() - began}), planned.best
 
-
-@dataclass(frozen=True, eq=False)
-class WholeTrajectory(Planning):
-    """The carriers planned along a motion of the platform; ``readers``: of coefficients, see ``read_problem``."""
-
-    task: Task
-    readers: Sequence[Reader]
-    name = "whole_trajectory"
-
-    def solve(
-        self, problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Solution], bool]
-    ) -> Multistart:
-        """Solve from all first guesses, and find out what is in the way where no plan exists."""
-        return _solve(self.task, problem, guess, stop)
-
-    def platform(self, problem: Problem, solution: Solution) -> ContinuousMotion:
-        """Return the motion that was given."""
-        return self.task.source
-
-    def finer(
-        self, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
-    ) -> Problem:
-        """Return the problem with middles in the steps that the nodes do not show."""
+    def finer(problem: Problem, _: Solution, found: IntersampleCheck, marked: BoolArray, first: bool) -> Problem:
         # on the first mesh the carriers still use what they find between the nodes, and most of it goes by itself
         nodes = problem.grid
         for least in (0.0,) if first else (0.0, TWICE):
             nodes = with_middles(nodes, steps_around(nodes, found.middle[marked & (found.worst > least)], BESIDE))
-        return read_problem(self.task, nodes, self.readers, problem.scales)[0]
+        return read_problem(task, nodes, readers, problem.scales)[0]
+
+    planning = Planning("whole_trajectory", task, partial(_solve, task), lambda *_: task.source, finer)
+    planned = plan_and_refine(planning, problem, guess)
+    plan = _plan(task, planned)
+    return replace(plan, diagnostics={**plan.diagnostics, "seconds": time.perf_counter() - began}), planned.best
 
 
 def _solve(

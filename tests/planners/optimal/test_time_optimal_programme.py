@@ -49,7 +49,7 @@ def problem_of(dynamics, path, **settings):
     seen = []
     with pytest.MonkeyPatch.context() as patch:
 
-        def stop(problem, **rows):
+        def stop(problem, *rows, **others):
             seen.append(problem)
             raise _EnoughError
 
@@ -422,9 +422,7 @@ def test_a_solution_is_put_back_into_units(numbers):
         samples, law = problem.carriers(scaled), planner.law_of(problem, solution)
         for name in ("s", "sd", "sdd"):
             np.testing.assert_allclose(getattr(samples, name), v[name], rtol=1e-12)
-        task = Task(rp.VirtualWork(of.other.robot), unit_speed(of.path), problem.settings)
-        planning = planner.TimeOptimal(task, of.path, problem.timing.begin, problem.timing.lap)
-        platform = planning.platform(problem, solution)
+        platform = planner.platform_of(of.path, problem, solution)
         first = np.append(numbers.moving, False)  # of nodes at one time the second one is where a piece begins
         for order, expected in enumerate((grid.t, v["pd"][:, 0], v["pdd"][:, 0])):
             own = law.derivative(order) if order else law
