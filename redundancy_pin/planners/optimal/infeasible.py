@@ -25,8 +25,11 @@ from redundancy_pin.planners.robot_record import RobotRecord
 NOTHING = 1e-5
 """A relaxation below this fraction of a limit is none: the objective and the reserve leave as much."""
 
-SPARED = 20_000
+SPARED = 15_000
 """Iterations, times nodes, for finding out whether one limit does by itself: a second of the processor."""
+
+AGAIN = 2
+"""The same in iterations of the first programme: rows between the nodes, which that has not, take a second solution."""
 
 TOUCHED = 1e-4
 """Fraction of its range within which a limit counts as reached."""
@@ -36,7 +39,7 @@ def relax(problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], mess
     """Find the smallest relaxation of the limits that admits a plan, and return it where it is none.
 
     First all limits may give way at once, then each of those that did, or that are touched, by itself, as far as
-    ``SPARED`` goes: a limit that does by itself is found in as many iterations as the first took, one that does not in
+    ``SPARED`` and ``AGAIN`` go: a limit that does by itself is found in as many iterations as the first took, one that does not in
     ten times as many. Efforts come first: where carriers can move at all, they do.
 
     ``problem``: the numbers; ``robot``: names of carriers and actuators, and which of them rotate; ``guess``: first
@@ -65,7 +68,7 @@ def relax(problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], mess
     candidates = sorted([*exceeded, *touched], key=lambda kind: (exceeded != [kind], kind != "effort"))
     alone: dict[str, Solution] = {}
     untried: list[str] = []
-    left = max(elastic.iterations, SPARED // len(problem.grid.t))
+    left = max(AGAIN * elastic.iterations, SPARED // len(problem.grid.t))
     for kind in candidates if len(candidates) > 1 else ():
         seconds = deadline - time.perf_counter()
         if left <= 0 or seconds <= 0.0:
