@@ -38,9 +38,10 @@ TOUCHED = 1e-4
 def relax(problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], message: str) -> Solution:
     """Find the smallest relaxation of the limits that admits a plan, and return it where it is none.
 
-    First all limits may give way at once, then each of those that did, or that are touched, by itself, as far as
-    ``SPARED`` and ``AGAIN`` go: a limit that does by itself is found in as many iterations as the first took, one that does not in
-    ten times as many. Efforts come first: where carriers can move at all, they do.
+    First all limits may give way at once, at the nodes alone. Then each of those that did, or that are touched, may by
+    itself, as far as ``SPARED`` and ``AGAIN`` go: a limit that does by itself is found in one or two times the
+    iterations of the first, one that does not in ten times as many. Efforts come first: where carriers can move at all,
+    they do.
 
     ``problem``: the numbers; ``robot``: names of carriers and actuators, and which of them rotate; ``guess``: first
     guess; ``message``: how the solver ended on the ordinary problem.

@@ -20,7 +20,7 @@ from redundancy_pin.planners.optimal.nlp import LEAST_SECONDS
 from redundancy_pin.planners.optimal.objectives import Limits, Mesh, Objective, checked_settings
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
 from redundancy_pin.planners.optimal.solve import REACH, Multistart, Outcome, first_guess
-from redundancy_pin.planners.optimal.transcription import KINDS, slack_name
+from redundancy_pin.planners.optimal.transcription import KINDS, relaxed_bounds, slack_name
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
@@ -152,6 +152,17 @@ def test_guesses_after_the_first_swing_about_the_start() -> None:
     second = -(frequency**2 * np.sin(frequency * (t[:, None] - t[0]))) @ size
     np.testing.assert_allclose(sd, np.clip(rate, -0.9 * u.sd, 0.9 * u.sd), atol=1e-9)
     np.testing.assert_allclose(sdd, np.clip(second, -0.9 * u.sdd, 0.9 * u.sdd), atol=1e-8)
+
+
+def test_steps_leave_an_elastic_limit_only_beyond_what_it_gave_way_by() -> None:
+    """Tracks are 0.25 m long, speeds 2 and 1.5 m/s: by a fifth of half of that, and of the speeds themselves."""
+    of = problem()
+    bounds = relaxed_bounds(of, solution(of, 0.2).values)
+    s, sd = (np.array(bounds[name]) * getattr(of.scales, name) for name in ("s", "sd"))
+    np.testing.assert_allclose(s, [[-0.125, -0.225], [0.175, 0.075]], rtol=1e-6)
+    np.testing.assert_allclose(sd, [[-2.4, -1.8], [2.4, 1.8]], rtol=1e-6)
+    kept = relaxed_bounds(of, {"s": solution(of).values["s"]})
+    np.testing.assert_allclose(np.array(kept["s"]) * of.scales.s, np.array(LIMITS["track"]).T, rtol=1e-6)
 
 
 BLAMED = [
