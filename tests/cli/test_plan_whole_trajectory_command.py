@@ -248,13 +248,16 @@ def test_wrong_limits_are_said_as_they_were_typed(given: str, said: str) -> None
     )
 
 
-@pytest.mark.long_for("objective1-False")
-@pytest.mark.parametrize(("objective", "advised"), [(("effort",), True), (("effort", "effort_rate=0.01"), False)])
+@pytest.mark.long_for("objective1-0-False")
+@pytest.mark.parametrize(
+    ("objective", "calm", "advised"),
+    [(("effort",), "0", True), (("effort", "effort_rate=0.01"), "0", False), (("effort",), "0.01", False)],
+)
 def test_efforts_that_swing_beside_singularities_are_calmed_by_what_the_plan_proposes(
-    objective: tuple[str, ...], advised: bool
+    objective: tuple[str, ...], calm: str, advised: bool
 ) -> None:
     flags = [part for entry in objective for part in ("--objective", entry)]
-    told = json.loads(call(*CIRCLE, "--dt", "0.01", *flags, "--json").stdout)
+    told = json.loads(call(*CIRCLE, "--dt", "0.01", *flags, "--calm", calm, "--json").stdout)
     assert told["backend"] == "virtual-work"  # as --backend writes it, not by its class
     if advised:
         assert "--objective effort --objective effort_rate=0.01" in told["advice"]

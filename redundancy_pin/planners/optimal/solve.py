@@ -16,7 +16,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.planners.optimal.mesh import widened
-from redundancy_pin.planners.optimal.nlp import FALLBACK, FIRST, LEAST_SECONDS, WARM, Solution, solve_nlp
+from redundancy_pin.planners.optimal.nlp import FALLBACK, FIRST, LEAST_SECONDS, WARM, Options, Solution, solve_nlp
 from redundancy_pin.planners.optimal.problem import Problem
 from redundancy_pin.planners.optimal.transcription import RESERVE, scaled_bounds, transcribe
 
@@ -31,12 +31,17 @@ AROUND = 2
 
 
 def solve(
-    problem: Problem, guess: Mapping[str, Array], seconds: float, stop: Callable[[Solution], bool] | None = None
+    problem: Problem,
+    guess: Mapping[str, Array],
+    seconds: float,
+    stop: Callable[[Solution], bool] | None = None,
+    warm: Options = WARM,
 ) -> Solution:
     """Solve a problem with every limit held at the nodes and between them.
 
     ``guess``: first guess, scaled blocks by name; with efforts, an optimum of the same task; ``seconds``: time bound,
-    s; ``stop``: says of an optimum with limits at the nodes that it will do, as where it asks for other nodes anyway.
+    s; ``stop``: says of an optimum with limits at the nodes that it will do, as where it asks for other nodes anyway;
+    ``warm``: options from an optimum.
 
     Returns:
         An optimum that keeps every limit; or where that is not reached, the outcome with ``feasible`` as found.
@@ -49,7 +54,7 @@ def solve(
     iterations, spent = 0, 0.0
     for added in range(ROUNDS + 2):
         nlp = transcribe(problem, between=between, limit_force=limit_force)
-        first = WARM if "tau" in guess else FIRST
+        first = warm if "tau" in guess else FIRST
         # a bound below the least there is takes long to refute here, and one solution elsewhere (``require_bounds``)
         for options in (first,) if problem.settings.at_most else (first, FALLBACK):
             left = max(deadline - time.perf_counter(), LEAST_SECONDS)

@@ -18,10 +18,11 @@ from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import LOWERED, IntersampleCheck, PlannedMotion, intersample_check
 from redundancy_pin.planners.limits import Limits, grouped
+from redundancy_pin.planners.optimal.calm import calmed
 from redundancy_pin.planners.optimal.infeasible import relax, require_bounds
 from redundancy_pin.planners.optimal.mesh import first_mesh, resample, steps_around, with_middles
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
-from redundancy_pin.planners.optimal.objectives import End, Mesh, Objective, Solver, checked_settings
+from redundancy_pin.planners.optimal.objectives import CALM, End, Mesh, Objective, Solver, checked_settings
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, solve
 from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
@@ -50,6 +51,7 @@ def plan_whole_trajectory(
     lam: float = 0.0,
     baseline: DynamicsLike | None = None,
     base_point: ArrayLike | None = None,
+    calm: float = CALM,
     start: ArrayLike | None = None,
     start_speed: ArrayLike = 0.0,
     end: End = "datum",
@@ -99,10 +101,14 @@ def plan_whole_trajectory(
             "effort_rate" ∫ Σ τ̇² dt (0.01 of it beside "effort" calms the efforts next to singularities), "energy"
             ∫ Σ |τ q̇| + Σ |F ṡ| dt; "base_force" ∫ |F_b|² dt, "base_moment" ∫ |M_b|² dt and "base_wrench"
             ∫ |F_b|² + |M_b|²/ℓ² dt, ℓ the characteristic length: what the base feels beyond the load at rest where the
-            motion begins (``planners.base_wrench``).
+            motion begins (``planners.base_wrench``); "ripple" ∫ Σ ((τ − τ̄)/τ₀)² + 0.1 Σ ((s̈ − s̄)/s₀)² dt / T, with bars
+            for the line through the neighbouring nodes and τ₀, s₀ the sizes of τ and s̈: what ``calm`` minimises.
         lam: λ of "tracking", 0 to 1.
         baseline: the robot whose efforts are τ̂, or its name or path; or a backend of it.
         base_point: (3,) about which the moment on the base is taken, m; the world origin when left out.
+        calm: where an effort of the least-cost plan reverses more than 10 times (``Plan.reversals``), the plan with the
+            least ripple that costs at most 1 + ``calm`` times as much; 0 for the least-cost plan.
+            ``plan.least_cost`` is the least cost, ``diagnostics["calm"]`` says whether a calmer plan was kept.
         start: scalar or (k,) positions at the start, m; the datum when left out.
         start_speed: scalar or (k,) speeds there, m/s.
         end: "free", "rest", "datum" (at rest there), or "periodic" (s, ṡ, s̈ as at the start).
@@ -142,9 +148,9 @@ def plan_whole_trajectory(
     """
     dynamics = as_dynamics(dynamics)
     if isinstance(objective, Objective):
-        goal = grouped("objective", objective, Objective, lam=lam, baseline=baseline, base_point=base_point)
+        goal = grouped("objective", objective, Objective, lam=lam, baseline=baseline, base_point=base_point, calm=calm)
     else:
-        goal = Objective(objective, lam, baseline, base_point)
+        goal = Objective(objective, lam, baseline, base_point, calm)
     settings = checked_settings(
         dynamics.robot,
         goal,
@@ -171,7 +177,7 @@ def plan_whole_trajectory(
 
 
 def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[Plan, Outcome]:
-    """Return the plan of a task, and the programme and solution it is made of; as ``plan_whole_trajectory``.
+    """Return the plan of a task, and the programme and solution of least cost; as ``plan_whole_trajectory``.
 
     ``position``: of the carriers, to begin with in place of parked ones.
     """
@@ -185,11 +191,11 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     refined = lowered = 0
 
     @cache
-    def check(solution: Solution) -> IntersampleCheck:
+    def check(problem: Problem, solution: Solution) -> IntersampleCheck:
         return intersample_check(_planned(task, problem, solution))
 
     def is_coarse(solution: Solution) -> bool:
-        found = check(solution)
+        found = check(problem, solution)
         return refined < settings.mesh.refinements and not found.passed and bool(found.too_coarse([]).any())
 
     while True:
@@ -201,7 +207,7 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
                 raise
             break  # nothing keeps the lower limits at the nodes: the last plan stands, and says what it exceeds
         solution = result.best.solution
-        found = check(solution)
+        found = check(problem, solution)
         at_nodes = np.abs(problem.tau(solution.values)).max()
         report(f"peak effort {at_nodes:.4g} at the nodes, {found.peaks.peak.max():.4g} between them")
         ratios.append(float(found.worst.max(initial=1.0)))
@@ -219,8 +225,9 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
             refined += 1
         else:
             problem, lowered = replace(problem, shares=found.shares(nodes.t, problem.shares)), lowered + 1
-    plan = _plan(task, result, found)
-    timing = {"dense_ratios": ratios, "seconds": time.perf_counter() - began}
+    outcome, calming = calmed(task, result.best, readers, check)
+    plan = _plan(task, result, outcome, check(outcome.problem, outcome.solution))
+    timing = {"dense_ratios": ratios, "calm": calming, "seconds": time.perf_counter() - began}
     return replace(plan, diagnostics={**plan.diagnostics, **timing}), result.best
 
 
@@ -278,18 +285,21 @@ def _solve(
     return replace(result, outcomes=(*result.outcomes, Outcome(problem, last)))
 
 
-def _plan(task: Task, result: Multistart, found: IntersampleCheck) -> Plan:
-    """Return the plan of the best solution, with what the search found."""
-    problem, solution = result.best.problem, result.best.solution
+def _plan(task: Task, result: Multistart, outcome: Outcome, found: IntersampleCheck) -> Plan:
+    """Return the plan of a solution, the best one or a calmer one, with what the search found."""
+    problem, solution = outcome.problem, outcome.solution
+    best, weights = result.best, task.settings.objective
+    least = objective_values(best.problem, best.solution.values)
     nodes, starts = problem.grid, result.summary
     planned = replace(
         _planned(task, problem, solution),
         diagnostics={
-            "optimal": solution.optimal,
-            "solver": solution.message,
-            "iterations": solution.iterations,
+            "optimal": best.solution.optimal,
+            "solver": best.solution.message,
+            "iterations": best.solution.iterations,
             "violation": solution.violation,
-            "cost": solution.cost,
+            "cost": best.solution.cost,
+            "least_cost": sum(weight * least[name] for name, weight in weights.items()),
             "starts": starts,
             "costs": starts["costs"],
             "solver_messages": starts["messages"],
@@ -299,7 +309,7 @@ def _plan(task: Task, result: Multistart, found: IntersampleCheck) -> Plan:
             "singular_instants": np.unique(nodes.t[nodes.singular]).tolist(),
             "singular_nodes": nodes.singular.tolist(),
             "smooth_nodes": np.flatnonzero(nodes.smooth).tolist(),
-            "solver_seconds": solution.seconds,
+            "solver_seconds": best.solution.seconds,
         },
     )
     return finish_plan(planned, found)
