@@ -100,7 +100,8 @@ def load_robot(
             of other folders: for files whose author you trust.
         untrusted: let third-party compilers (xacro, MuJoCo's) read a stranger's file in a child process, which has
             limits of time and memory.
-        **arguments: xacro arguments of the robot's URDF (``carrier_mass=2.0``).
+        **arguments: xacro arguments of the robot's URDF (``carrier_mass=2.0``). Model files without a declaration take
+            ``base`` ("fixed" or "free") and ``actuated``, the motors ("a,b" or a list of names).
 
     Raises:
         ModelFileError: missing or broken files, expressions that are more than calculation, numbers that Pinocchio

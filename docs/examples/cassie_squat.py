@@ -45,7 +45,7 @@ def legs(names: tuple[str, ...]) -> tuple[str, ...]:
 def load() -> Robot:
     """Return Cassie on its two feet, whose edges stay where they are at the start."""
     with tempfile.TemporaryDirectory() as folder:
-        loaded = rp.load_robot(cassie_sdf(Path(folder)), base="free")
+        loaded = rp.load_robot(cassie_sdf(Path(folder)), base="free", actuated=legs(MOTORS))
     model, q = loaded.model.copy(), np.array(loaded.q_reference)
     for side in SIDES:
         for joint, angle in BENT.items():

@@ -97,6 +97,17 @@ class ResolvedLimits(Frozen):
     effort: Array
     actuator_speed: Array
 
+    def __eq__(self, other: object) -> bool:
+        """Return whether names and numbers are the same."""
+        if not isinstance(other, ResolvedLimits):
+            return NotImplemented
+        numbers = (field.name for field in fields(self)[1:])
+        return self.names == other.names and all(
+            np.array_equal(getattr(self, name), getattr(other, name)) for name in numbers
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
     @property
     def of_carriers(self) -> tuple[CarrierLimits, ...]:
         """(k,) those of each carrier, as a robot declares them."""

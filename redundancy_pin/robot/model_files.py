@@ -85,7 +85,7 @@ def open_model(
         if name not in defaults:
             remedy = f"{did_you_mean(name, defaults)}Its arguments: {', '.join(defaults)}."
             raise InputError(f"{path.name} has no argument {name!r}.", remedy=remedy, argument=name)
-    given = {name: str(arguments.get(name, default)) for name, default in defaults.items()}
+    given = {name: _text(arguments.get(name, default)) for name, default in defaults.items()}
     _require_base(given["base"])
 
     def read(kinds: Mapping[str, str] | None) -> Mechanism:
@@ -103,6 +103,11 @@ def open_model(
     return dict(given), read
 
 
+def _text(value: object) -> str:
+    """Return an argument as text: of several names a list with commas between."""
+    return ",".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
 def _names(text: str) -> tuple[str, ...]:
     """Return the names of a text with commas between."""
     return tuple(name.strip() for name in text.split(",") if name.strip())
@@ -118,7 +123,7 @@ def _open_urdf(
 ) -> tuple[dict[str, Argument], Reader]:
     """As ``open_model``; a URDF that is no xacro file has the arguments ``base`` and ``actuated``."""
     own: dict[str, Argument] = {
-        name: str(value) for name, value in arguments.items() if is_plain(path) and name in ("base", "actuated")
+        name: _text(value) for name, value in arguments.items() if is_plain(path) and name in ("base", "actuated")
     }
     _require_base(str(own.get("base", "fixed")))
     others = {name: value for name, value in arguments.items() if name not in own}

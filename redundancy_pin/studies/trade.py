@@ -46,8 +46,8 @@ _SPAN = 1e-3
 _ANY = 1e6
 """A bound that bounds nothing, over the value of the other end: it makes the plan report the quantity."""
 
-_NOTHING = 1e-12
-"""Of the size of an objective, below which it is zero and not rounding. Most are squares."""
+_NOTHING = 1e-11
+"""Of the size of an objective, below which it is zero: what the barrier of the optimiser leaves of squares is 2e-12."""
 
 _DOMINATED = 1e-6
 """Relative difference that counts as rounding."""

@@ -12,7 +12,6 @@ from command_line import call, refused
 import redundancy_pin
 from redundancy_pin import load_robot
 from redundancy_pin.io import limited
-from redundancy_pin.robot.formats import xacro_engine
 from redundancy_pin.robot.urdf import shipped_robots
 
 COMMANDS = ("reproduce", "inverse-dynamics", "singularities", "validate", "info")
@@ -145,7 +144,9 @@ def test_a_strangers_file_is_read_in_a_process_of_its_own(monkeypatch: pytest.Mo
     """``--untrusted`` ends a reader that takes too long, and no file is both."""
     shutil.copytree(Path(__file__).parents[2] / "models" / "five_bar", tmp_path / "five_bar")
     xacro, calls, run = tmp_path / "five_bar" / "robot.yaml", list[str](), limited.run_limited
-    monkeypatch.setattr(xacro_engine, "run_limited", lambda *given: calls.append(given[0]) or run(*given))
+    monkeypatch.setattr(
+        "redundancy_pin.robot.formats.xacro_engine.run_limited", lambda *given: calls.append(given[0]) or run(*given)
+    )
     assert call("info", "--robot", xacro, "--untrusted").stdout == call("info", "--robot", xacro).stdout
     assert len(calls) == 2  # the robot, and its defaults
     assert "trust and untrusted are both true" in refused("info", "--robot", xacro, "--untrusted", "--trust")

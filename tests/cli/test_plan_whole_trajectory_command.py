@@ -174,7 +174,7 @@ def test_an_impossible_task_names_the_limit_and_what_would_suffice(tmp_path: Pat
 
 
 def test_efforts_between_the_nodes_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("redundancy_pin.planners.functions.ALLOWED", 0.5)  # any plan exceeds it
+    monkeypatch.setattr("redundancy_pin.planners.intersample_check.ALLOWED", 0.5)  # any plan exceeds it
     result = call(*CIRCLE, "--refinements", "0")
     assert result.exit_code == 4
     assert "unresolved" in result.stdout

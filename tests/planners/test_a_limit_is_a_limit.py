@@ -214,7 +214,8 @@ def test_the_jerk_of_a_motion_planned_on_line_is_judged() -> None:
     named = {event.quantity for event in (*run.plan.limits.violated, *run.plan.limits.binding)}
     assert "jerk" in named
     assert (run.plan.status is ResultStatus.OK) == (jerk <= MORE * 50.0)
-    tight = replace(run.plan, parameters={**run.plan.parameters, "jerk": [jerk / 1.002] * robot.k})
+    own = replace(run.plan.limits.judged_by, jerk=np.full(robot.k, jerk / 1.002))
+    tight = replace(run.plan, limits=replace(run.plan.limits, judged_by=own))
     (event,) = [one for one in rp.check_plan(tight, rp.VirtualWork(robot)).violated if one.quantity == "jerk"][:1]
     assert event.amount == pytest.approx(jerk * (1.0 - 1.0 / 1.002), rel=1e-3)
 

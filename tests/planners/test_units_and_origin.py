@@ -8,7 +8,6 @@ included. A product in the place of a quotient shows here, in whatever tolerance
 from __future__ import annotations
 
 import functools
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,7 +17,6 @@ import pytest
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.rnea import RneaAlongMotion
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon import run_online
@@ -167,49 +165,10 @@ def require_same(plan: Plan, expected: Plan, units: Units, share: float) -> None
     assert {name: plan.diagnostics[name] for name in counts} == counts
 
 
-WHAT = "reduce", "samples of reduce", "derivatives", "samples of derivatives", "nodes", "pieces", "iterations"
-WORK = {
-    "switch_off": (23, 2022, 8, 416, 293, 10, 0),
-    "differences": (24, 2297, 8, 416, 288, 56, 0),
-    "stepwise": (5, 1342, 2, 204, 148, 148, 181),
-    "effort": (15, 1243, 4, 186, 77, 77, 8),
-    "peak": (19, 2467, 4, 186, 77, 77, 39),
-    "least time": (59, 4025, 40, 950, 48, 48, 16),
-    "online": (40, 2369, 56, 958, 792, 64, 0),
-}
-"""What a plan takes: calls of the backend with how many samples, and iterations; and what it has."""
-
-
 @functools.cache
-def plain(name: str) -> tuple[Plan, dict[str, int]]:
-    """Return the plan in SI units, and how much work it took: calls of the backend, their samples, iterations."""
-    work, reduce, derivatives = Counter[str](), RneaAlongMotion.reduce, RneaAlongMotion.carrier_derivatives
-
-    def counted(call: Callable[..., Any], name: str) -> Callable[..., Any]:
-        def run(self: RneaAlongMotion, *arguments: Any) -> Any:
-            work[name] += 1
-            work[f"samples of {name}"] += len(self.motion)
-            return call(self, *arguments)
-
-        return run
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(RneaAlongMotion, "reduce", counted(reduce, "reduce"))
-        patch.setattr(RneaAlongMotion, "carrier_derivatives", counted(derivatives, "derivatives"))
-        plan = PLANNERS[name][0](SI)
-    said = plan.diagnostics
-    work["nodes"] = len(plan.motion.t)
-    work["pieces"] = len(plan.functions.carriers.edges) if plan.functions else 0
-    work["iterations"] = int(np.sum(said.get("iterations", 0)))
-    return plan, dict(work)
-
-
-@pytest.mark.parametrize("name", PLANNERS)
-def test_a_plan_takes_no_more_work_than_it_did(name: str) -> None:
-    """A worse step, size or guess is still right in the end: who needs less writes it down."""
-    found = plain(name)[1]
-    for what, count in zip(WHAT, WORK[name], strict=True):
-        assert 0.7 * count <= found[what] <= 1.05 * count + 1, what
+def plain(name: str) -> Plan:
+    """Return the plan in SI units."""
+    return PLANNERS[name][0](SI)
 
 
 @pytest.mark.parametrize("name", PLANNERS)
@@ -218,7 +177,7 @@ def test_a_plan_does_not_depend_on_units(name: str) -> None:
     # least time begins with one of a row of speeds, per second; a plan on line is sampled every 2.5 ms; that step by
     # step knows accelerations to 1e-11 m/s²
     other = replace(OTHER, time={"least time": 1.0, "online": 2.0, "stepwise": 8.0}.get(name, OTHER.time))
-    require_same(planner(other), plain(name)[0], other, share)
+    require_same(planner(other), plain(name), other, share)
 
 
 @pytest.mark.parametrize("name", [name for name in PLANNERS if name != "least time"])
@@ -268,4 +227,4 @@ WITH_UNITS = {
 )
 def test_a_plan_is_the_same_for_machines_of_any_size(units: Units, name: str) -> None:
     planner, share = PLANNERS[name]
-    require_same(planner(units), plain(name)[0], units, share)
+    require_same(planner(units), plain(name), units, share)
