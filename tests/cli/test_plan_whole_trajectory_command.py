@@ -49,7 +49,7 @@ def _same(ours: Plan, theirs: Plan) -> None:
 def test_every_flag_reaches_the_planner(tmp_path: Path) -> None:
     out, plot = tmp_path / "plan.npz", tmp_path / "plan.svg"
     result = call(
-        *CORNER, "--objective", "effort", "--objective", "peak=0.5", "--objective", "tracking=2", "--lam", "0.3",
+        *CORNER, "--objective", "effort", "--objective", "peak=0.5", "--objective", "tracking=2", "--lam", "0.3", "--calm", "0.02",
         "--baseline", "carriers=false", "--start", "0.01,0,-0.01", "--start-speed", "0.02", "--end", "rest",
         "--datum", "0.001", "--track", "-0.5,0.6", "--max-speed", "0.9,0.8,0.7", "--max-acceleration", "6",
         "--max-jerk", "3000", "--max-effort", "20,30,40", "--max-carrier-force", "60", "--starts", "2",
@@ -61,6 +61,7 @@ def test_every_flag_reaches_the_planner(tmp_path: Path) -> None:
         reference.corner(),
         objective={"effort": 1.0, "peak": 0.5, "tracking": 2.0},
         lam=0.3,
+        calm=0.02,
         baseline=_corner_robot(carriers=False),
         start=[0.01, 0.0, -0.01],
         start_speed=0.02,
@@ -84,6 +85,7 @@ def test_every_flag_reaches_the_planner(tmp_path: Path) -> None:
     assert plot.read_text(encoding="utf-8").startswith("<?xml")
     assert "effort, 0.5 peak, 2 tracking" in result.stdout
     assert "local optimum in" in result.stdout
+    assert f"{plan.least_cost:.6g}" in result.stdout
 
 
 def test_a_plan_through_a_singularity_is_saved_and_told(tmp_path: Path) -> None:
