@@ -49,11 +49,11 @@ def _same(ours: Plan, theirs: Plan) -> None:
 def test_every_flag_reaches_the_planner(tmp_path: Path) -> None:
     out, plot = tmp_path / "plan.npz", tmp_path / "plan.svg"
     result = call(
-        *CORNER, "--objective", "effort", "--objective", "peak=0.5", "--objective", "tracking=2", "--lam", "0.3", "--calm", "0.02",
-        "--baseline", "carriers=false", "--start", "0.01,0,-0.01", "--start-speed", "0.02", "--end", "rest",
-        "--datum", "0.001", "--track", "-0.5,0.6", "--max-speed", "0.9,0.8,0.7", "--max-acceleration", "6",
-        "--max-jerk", "3000", "--max-effort", "20,30,40", "--max-carrier-force", "60", "--starts", "2",
-        "--seconds", "30", "--refinements", "1", "--out", out, "--plot", plot,
+        *CORNER, "--objective", "effort", "--objective", "peak=0.5", "--objective", "tracking=2", "--lam", "0.3",
+        "--calm", "0.02", "--baseline", "carriers=false", "--start", "0.01,0,-0.01", "--start-speed", "0.02",
+        "--end", "rest", "--datum", "0.001", "--track", "-0.5,0.6", "--max-speed", "0.9,0.8,0.7",
+        "--max-acceleration", "6", "--max-jerk", "3000", "--max-effort", "20,30,40", "--max-carrier-force", "60",
+        "--starts", "2", "--seconds", "30", "--refinements", "1", "--out", out, "--plot", plot,
     )  # fmt: skip
     assert result.exit_code == 0, result.stderr
     expected = rp.plan_whole_trajectory(
