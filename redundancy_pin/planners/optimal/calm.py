@@ -8,16 +8,17 @@ ripple is the objective, and the objective of the task is bounded by (1 + calm) 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from redundancy_pin.arrays import Array, read_only
-from redundancy_pin.planners.intersample_check import IntersampleCheck
+from redundancy_pin.planners.intersample_check import IntersampleCheck, PlannedMotion, intersample_check
 from redundancy_pin.planners.optimal.mesh import NEAR, Grid, resample, singular_ratio, with_middles
 from redundancy_pin.planners.optimal.nlp import CALMING, Solution
 from redundancy_pin.planners.optimal.problem import Problem, Reader, Task, read_problem
+from redundancy_pin.planners.optimal.refine import Planned, Planning
 from redundancy_pin.planners.optimal.solve import Outcome, solve
 from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
 from redundancy_pin.planners.plan import effort_reversals
@@ -33,49 +34,57 @@ LEAST_COST = 1e-9
 """Least cost over the size of the objective below which a fraction of it is nothing to spend."""
 
 
-def calmed(
-    task: Task,
-    outcome: Outcome,
-    readers: Sequence[Reader],
-    check: Callable[[Problem, Solution], IntersampleCheck],
-) -> tuple[Outcome, dict[str, object]]:
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """The solution that becomes the plan.
+
+    ``problem``, ``solution``: programme and solution; ``motion``: what they plan; ``check``: what is between the nodes.
+    """
+
+    problem: Problem
+    solution: Solution
+    motion: PlannedMotion
+    check: IntersampleCheck
+
+
+def calmed(planning: Planning, planned: Planned, readers: Sequence[Reader]) -> tuple[Chosen, dict[str, object]]:
     """Return a calmer solution than an optimum, or the optimum itself; and what was found, as plain data.
 
     Args:
-        task: the task, with the fraction ``calm`` that may be spent.
-        outcome: its optimum.
+        planning: the planner, whose task has the fraction ``calm`` that may be spent.
+        planned: its least-cost plan.
         readers: of the coefficients, as ``read_problem`` takes them.
-        check: inter-sample check of a solution.
 
     Returns:
         The solution, the optimum unless one with fewer reversals passes the check; and ``tried``, ``kept``, and where
         it was tried ``reversals`` before and after, and ``solver``, ``iterations`` and ``seconds`` of the solution.
     """
-    before = _most_reversals(outcome)
-    costs = objective_values(outcome.problem, outcome.solution.values)
-    sizes = objective_sizes(outcome.problem)
+    task, best = planning.task, planned.best
+    least = Chosen(best.problem, best.solution, planned.motion, planned.check)
+    before = _most_reversals(best)
+    costs = objective_values(best.problem, best.solution.values)
+    sizes = objective_sizes(best.problem)
     spendable = all(costs[name] > LEAST_COST * sizes[name] for name in task.settings.objective)
-    if not (task.settings.calm and outcome.solution.optimal and spendable and before > MANY_REVERSALS):
-        return outcome, {"tried": False, "kept": False}
+    if not (task.settings.calm and best.solution.optimal and spendable and before > MANY_REVERSALS):
+        return least, {"tried": False, "kept": False}
     bounds = {name: (1.0 + task.settings.calm) * costs[name] for name in task.settings.objective}
     for name, bound in task.settings.at_most.items():
         bounds[name] = min(bound, bounds.get(name, np.inf))
     calmer = replace(task, settings=replace(task.settings, objective={"ripple": 1.0}, at_most=bounds))
-    found = _solve(calmer, outcome, readers)
+    found = _solve(calmer, best, readers)
     after = _most_reversals(found)
-    kept = (
-        found.solution.feasible
-        and found.solution.optimal
-        and after < before
-        and check(found.problem, found.solution).passed
-    )
-    return found if kept else outcome, {
+    chosen, solution = least, found.solution
+    if solution.feasible and solution.optimal and after < before:
+        motion = planning.planned(found.problem, solution)
+        check = intersample_check(motion)
+        chosen = Chosen(found.problem, solution, motion, check) if check.passed else least
+    return chosen, {
         "tried": True,
-        "kept": kept,
+        "kept": chosen is not least,
         "reversals": [before, after],
-        "solver": found.solution.message,
-        "iterations": found.solution.iterations,
-        "seconds": found.solution.seconds,
+        "solver": solution.message,
+        "iterations": solution.iterations,
+        "seconds": solution.seconds,
     }
 
 
@@ -91,7 +100,7 @@ def _solve(task: Task, outcome: Outcome, readers: Sequence[Reader]) -> Outcome:
     problem, _ = read_problem(task, nodes, readers, old.scales)
     if old.shares is not None:
         problem = replace(problem, shares=resample({"shares": old.shares}, old.grid.t, nodes.t)["shares"])
-    guess = resample(outcome.solution.values, old.grid.t, nodes.t)
+    guess = old.resampled(outcome.solution.values, problem)
     solution = solve(problem, guess, task.settings.solver.seconds, warm=CALMING)
     return Outcome(replace(problem, settings=old.settings), solution)
 
