@@ -131,8 +131,9 @@ def plan_stepwise(
     Raises:
         InputError: a setting out of its domain, or a baseline that does not fit.
         UnsupportedRobotError: no carriers, curved tracks, or too few main actuators.
-        InfeasiblePlanError: the box of a step is empty; a carrier cannot stop; no return keeps the limits; the motion
-            comes too close to a type II singularity. Carries constraint, carrier, time and amount.
+        InfeasiblePlanError: the box of a step is empty; a carrier has no time to stop before the motion ends; no return
+            keeps the limits; the motion comes too close to a type II singularity. Carries constraint, carrier, time and
+            amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
     """
     dynamics = as_dynamics(dynamics)
@@ -228,7 +229,7 @@ def _diagnostics(missing: EffortModel, course: Course, limits: ResolvedLimits) -
     """Return what the planner found, as plain data.
 
     - ``solver``, ``optimal``: whether every step meets the conditions of a minimum.
-    - ``largest_gradient``: the largest deviation from them, N or N·m (see ``optimality``).
+    - ``largest_gradient``: the largest deviation from them, N or N·m: the gradient of ½ ‖r‖² over the largest slope.
     - ``bounds``: mappings with carrier, bound (``speed``, ``acceleration``, ``track``, or ``stop``: the carrier is kept
       able to stop), side, start and end, s.
     - ``returns``: start and end of each, s; ``braking``: start and end, NaN where nothing moved.

@@ -126,6 +126,18 @@ def test_each_step_is_the_true_minimum(lam, radius):
     require_true_minimum(plan, dynamics_of(), motion, limits, lam * baseline, steps_of(plan)[::10])
 
 
+def test_steps_of_fast_carriers_far_out_are_true_minima():
+    """Where the terms with s² and s ṡ matter, and a carrier at its speed limit leaves efforts to be traded."""
+    dynamics, speed, a = dynamics_of(), (0.3, 2.0, 2.0), 20.0
+    motion = corner(0.02, radius=0.06, speed=0.5, ramp_time=0.2)
+    settings = {"track": (-1.5, 1.5), "speed": speed, "acceleration": a, "start": (0.3, -0.3, 0.3)}
+    plan = plan_stepwise(dynamics, motion, anticipate=False, **settings)
+    own = zip(dynamics.robot.carrier_limits, speed, strict=True)
+    limits = [replace(limit, lower=-1.5, upper=1.5, speed=most, acceleration=a) for limit, most in own]
+    assert "speed" in {event["bound"] for event in plan.diagnostics["bounds"]}
+    require_true_minimum(plan, dynamics, motion, limits, np.zeros_like(plan.tau), steps_of(plan)[::4])
+
+
 @examples(3)
 @given(
     lam=st.floats(0.0, 1.0),
