@@ -119,7 +119,10 @@ def shortest_return(
         if use(high) <= ALLOWED:
             shortest = low
             if use(low) > ALLOWED:
-                shortest = float(brentq(lambda T: use(float(T)) - ALLOWED, low, high, rtol=_TIME_TOLERANCE))
+                exact = {"xtol": _TIME_TOLERANCE * low, "rtol": _TIME_TOLERANCE}
+                shortest = float(brentq(lambda T: use(float(T)) - ALLOWED, low, high, **exact))
+                if use(shortest) > ALLOWED:  # the root is known from one side only
+                    shortest = min(shortest * (1.0 + 2.0 * _TIME_TOLERANCE), high)
             return return_polynomial(state, shortest, datum)
     raise _no_return(limit_use(float(durations[uses.argmin()]))[1], state.t, available, remedy)
 

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 PLAN_FORMAT = "redundancy_pin plan"
 """What a saved plan calls itself."""
 
-PLAN_VERSION = 2
-"""Version of the file format: counts up whenever an older reader would misread a newer file. 2: functions of time."""
+PLAN_VERSION = 3
+"""Version of the file format: counts up whenever an older reader would misread a newer file, or the other way round."""
 
 SAME_TIME = 1e-9
 """How far, relative to the duration, plan and trajectory may differ in their times."""

@@ -10,7 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.carrier_return import CarrierState, no_force, return_polynomial, shortest_return
+from redundancy_pin.planners.carrier_return import (
+    ALLOWED,
+    CarrierState,
+    limit_uses,
+    no_force,
+    return_polynomial,
+    shortest_return,
+)
 from redundancy_pin.planners.limits import Limits, motion_events
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.trajectory.functions_of_time import carriers_at
@@ -123,7 +130,7 @@ def test_shortest_against_brute_force(s, sd, sdd, datum):
         assert uses.min() > 1.0 - 1e-3  # 201 samples miss an extreme by less than this
         assert use <= uses.min() * (1.0 + 2e-2)  # and the best duration was looked for between 160 candidates
         return
-    use = largest_use(state, duration, place)[0]
+    use = largest_use(state, duration, place, 20_001)[0]
     assert use <= 1.0 + 1e-6
     shorter = durations < duration * (1.0 - 1e-6)
     assert (uses[shorter] > 1.0 - 1e-3).all()
@@ -151,6 +158,38 @@ def test_narrow_interval_of_durations_is_found():
     state = state_of([0.05, 0.0], [SPEEDS[last + 1], 0.0], [0.0, 0.0])
     fine = np.linspace(0.55, 0.7, 1500)
     assert largest_use(state, fine, np.zeros(2), 401).min() > 1.0 - 1e-4
+
+
+@pytest.mark.parametrize(("order", "quantity"), [(0, "track"), (1, "speed"), (2, "acceleration")])
+def test_a_limit_that_a_return_exceeds_only_at_its_extreme_is_found(order, quantity):
+    state = state_of([-0.1, 0.05], [-0.4, 0.3], [-1.0, 2.0])
+    path = return_polynomial(state, 0.3, np.zeros(2))
+    peak = float(np.abs(path.derivative(order)(np.linspace(path.start, path.end, 200_001))).max())
+    most = peak * (1.0 - 1e-6)
+    wide = {"track": (-9.0, 9.0), "speed": 1e3, "acceleration": 1e6}
+    limits = Limits(**{**wide, quantity: (-most, most) if order == 0 else most}).resolved(ROBOT)
+    (event,) = motion_events(limits, path)
+    assert event.quantity == quantity
+    assert event.amount == pytest.approx(peak - most, rel=1e-2)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3, 1e-6])
+def test_the_shortest_return_keeps_its_limits_whatever_the_unit_of_time(scale):
+    """Not above them by a rounding either: what a plan within its limits claims."""
+    own = {"speed": SPEED / scale, "acceleration": ACCELERATION / scale**2}
+    limits = Limits(**own).resolved(ROBOT)
+    state = CarrierState(0.0, np.array([0.15, -0.1]), np.array([0.3, 0.2]) / scale, np.zeros(2))
+    back = shortest_return(limits, no_force, state, np.zeros(2), AVAILABLE * scale, "Slow down.")
+    s, sd, sdd = (np.asarray(getattr(carriers_at(back, back_times(back)), part)) for part in ("s", "sd", "sdd"))
+    used = limit_uses(limits, s, sd, sdd, np.zeros_like(s)).max()
+    assert 1.0 - 1e-9 < used <= ALLOWED
+    same = shortest(CarrierState(0.0, state.s, state.sd * scale, state.sdd))
+    assert back.end / scale == pytest.approx(same, rel=1e-9)
+
+
+def back_times(path):
+    """Ends and extremes of a path and of its rates, s."""
+    return np.unique(np.concatenate([path.edges, *(path.derivative(order).extremes() for order in range(3))]))
 
 
 def test_forces_count():

@@ -51,8 +51,7 @@ class StepwiseSettings:
     def parameters(self) -> dict[str, object]:
         """The settings as plain data, for the plan."""
         own = {each.name: getattr(self, each.name) for each in fields(self)[1:]}
-        own |= {name: tuple(own[name].tolist()) for name in ("start", "datum")}
-        return {**own, **self.limits.parameters()}
+        return own | {name: tuple(own[name].tolist()) for name in ("start", "datum")}
 
 
 def checked_settings(robot: Robot, limits: Limits, **options: Any) -> StepwiseSettings:

@@ -81,8 +81,8 @@ def plan_stepwise(
 
     At each sample s minimises Σ (τ_i − λ τ̂_i)², τ = W⁻¹ f(s, ṡ, s̈), with ṡ and s̈ the backward differences of s and ṡ
     over the steps of ``motion`` (eq. 4.1). Track, speed and acceleration limits are one box a step (eqs. 4.2 to 4.4),
-    and each minimum is taken over the box. Where a step does not meet the conditions of a minimum, the status is
-    ``not_converged``; the diagnostics state the largest deviation from them.
+    and each minimum is taken over the box. Where a step does not meet the first-order conditions of a minimum, the
+    status is ``not_converged``; the diagnostics state the largest deviation from them.
 
     The steps may differ in length. A sample on a jump of the reference acceleration is optimised for the acceleration
     it states; on a grid of single samples that is the one after the jump. The carriers then accelerate up to one step
@@ -228,7 +228,7 @@ def _prolonged(motion: PlatformMotion, added: Array) -> PlatformMotion:
 def _diagnostics(missing: EffortModel, course: Course, limits: ResolvedLimits) -> dict[str, object]:
     """Return what the planner found, as plain data.
 
-    - ``solver``, ``optimal``: whether every step meets the conditions of a minimum.
+    - ``solver``, ``optimal``: whether every step meets the first-order conditions of a minimum.
     - ``largest_gradient``: the largest deviation from them, N or N·m: the gradient of ½ ‖r‖² over the largest slope.
     - ``bounds``: mappings with carrier, bound (``speed``, ``acceleration``, ``track``, or ``stop``: the carrier is kept
       able to stop), side, start and end, s.

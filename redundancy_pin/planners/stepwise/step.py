@@ -122,6 +122,10 @@ _MOST_ITERATIONS = 50
 _DAMPING = 1e-13
 """Relative to the largest JᵀJ, to which it is added: a direction without effect on r keeps its acceleration."""
 
+_NO_EFFECT = 1e-12
+"""Entries of a step's Jacobian, relative to the largest along the motion with the carriers at rest, that are rounding:
+at rest a carrier that slides along a link has no effect on its motor."""
+
 _SOLVER = {"primal_tol": 1e-11, "dual_tol": 1e-13, "zero_tol": 1e-16, "sing_tol": 1e-18}
 """Of DAQP: bounds, m/s²; gradient relative to the largest JᵀJ; pivots. With its own pivots it calls one of ten boxes
 infeasible where JᵀJ has a condition number of 1e12; with these none of 4,000."""
@@ -157,12 +161,17 @@ def optimise(missing: EffortModel, first: int, last: int, start: CarrierState, b
     """
     s, sd, sdd, tolerance = start.s, start.sd, start.sdd, gradient_tolerance(missing)
     terms = np.ascontiguousarray(np.moveaxis(missing.tau_terms, -1, 1))
+    steps, own = np.diff(missing.t)[first:last, None, None], terms[first + 1 : last + 1]
+    at_rest = (steps**2 * own[:, 0], steps * own[:, 2], own[:, 4])
+    no_effect = _NO_EFFECT * max(float(np.abs(part).max(initial=0.0)) for part in at_rest)
     results, gradients = [], []
     for i in range(first + 1, last + 1):
         h = float(missing.t[i] - missing.t[i - 1])
         lower, upper = box.box(float(missing.t[i]), h, s, sd)
         guess = np.clip(sdd, lower, upper)
-        s, sd, sdd, gradient = _solve_step(missing.tau0[i], terms[i], h, s, sd, guess, lower, upper, tolerance)
+        s, sd, sdd, gradient = _solve_step(
+            missing.tau0[i], terms[i], h, s, sd, guess, lower, upper, tolerance, no_effect
+        )
         results.append((s, sd, sdd, lower, upper))
         gradients.append(gradient)
     path, speed, acceleration, low, high = np.moveaxis(np.array(results), 1, 0).copy()
@@ -185,12 +194,13 @@ def _solve_step(
     lower: Array,
     upper: Array,
     tolerance: float,
+    no_effect: float,
 ) -> tuple[Array, Array, Array, float]:
     """Return s, ṡ and s̈ (k,) at the end of a step of length h, and the largest gradient left, N or N·m.
 
     ``tau0`` (m,), ``terms`` (5, m, k) of the efforts there less their target; see ``EffortModel``. The gradient is the
     largest component of that of ½ ‖r‖² that a move inside the box could follow downhill, divided by the largest entry
-    of the Jacobian, so in the unit of r; 0 at a minimum.
+    of the Jacobian, so in the unit of r; 0 at a minimum, and where that entry is at most ``no_effect``.
     """
     by_s, by_s2, by_sd, by_ssd, by_sdd = terms
     u, damping, no_rows = guess, _DAMPING * np.eye(len(guess)), np.empty((0, len(guess)))
@@ -200,16 +210,19 @@ def _solve_step(
         r = tau0 + by_s @ place + by_s2 @ place**2 + by_sd @ speed + by_ssd @ (place * speed) + by_sdd @ u
         jacobian = h * h * (by_s + 2.0 * by_s2 * place + by_ssd * speed) + h * (by_sd + by_ssd * place) + by_sdd
         largest = np.abs(jacobian).max()
+        if largest <= no_effect:  # nor has any other acceleration: the guess is as good
+            gradient = 0.0
+            break
         scaled = jacobian / largest
         slope = scaled.T @ r
         blocked = ((u <= lower) & (slope > 0.0)) | ((u >= upper) & (slope < 0.0))
         gradient = float(np.abs(slope[~blocked]).max(initial=0.0))
-        if gradient <= tolerance or iteration == _MOST_ITERATIONS:
+        if not gradient > tolerance or iteration == _MOST_ITERATIONS:
             break
         d, _, flag, info = daqp.solve(
             scaled.T @ scaled + damping, slope / largest, no_rows, upper - u, lower - u, **_SOLVER
         )
-        if flag < 1:
+        if flag < 1 or not np.isfinite(d).all():
             break
         # an active bound is met bit by bit, not up to the rounding of a difference
         free = np.minimum(np.maximum(u + d, lower), upper)
