@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 PLAN_FORMAT = "redundancy_pin plan"
 """What a saved plan calls itself."""
 
-PLAN_VERSION = 2
-"""Version of the file format: counts up whenever an older reader would misread a newer file. 2: functions of time."""
+PLAN_VERSION = 3
+"""Version of the file format: counts up whenever an older reader would misread a newer file, or the other way round."""
 
 REVERSAL = 0.05
 """Change after a turning point, as a fraction of the peak effort, from which the turning point is a reversal."""

@@ -120,7 +120,7 @@ def test_a_problem_file_gives_the_plan_of_the_flags(tmp_path: Path) -> None:
     first, second = rp.load_plan(one), rp.load_plan(other)
     assert first.parameters["objective"] == {"effort": 1.0, "peak": 0.2}
     assert second.parameters["objective"] == {"peak": 1.0}
-    assert first.parameters["track"] == [(-0.1, 0.1), (-0.15, 0.15)]
+    assert first.limits.judged_by.track.tolist() == [[-0.1, 0.1], [-0.15, 0.15]]
     assert np.abs(first.carriers.s).max(axis=0)[0] <= 0.1
 
 

@@ -257,8 +257,10 @@ def test_another_format_and_newer_ones(saved: Path) -> None:
     _rewrite(saved, lambda content: content.update(format="someone's plan"))
     _refused(saved, "someone's plan")
     saved.write_bytes(original)
-    _rewrite(saved, lambda content: content.update(format_version=PLAN_VERSION + 1, package_version="7.0"))
-    _refused(saved, rf"version {PLAN_VERSION + 1}, written by redundancy_pin 7\.0; .* up to version {PLAN_VERSION}")
+    for version in (PLAN_VERSION + 1, PLAN_VERSION - 1):
+        change = {"format_version": version, "package_version": "7.0"}
+        _rewrite(saved, lambda content, change=change: content.update(change))
+        _refused(saved, rf"version {version}, written by redundancy_pin 7\.0; .* reads version {PLAN_VERSION}")
     for version in (0, "1", None, True):
         saved.write_bytes(original)
         _rewrite(saved, lambda content, version=version: content.update(format_version=version))

@@ -256,8 +256,6 @@ class Settings:
             **({"at_most": dict(self.at_most)} if self.at_most else {}),
             "lam": self.lam,
             "calm": self.calm,
-            "track": [tuple(ends) for ends in self.limits.track.tolist()],
-            **{name: getattr(self.limits, name).tolist() for name in LIMITS},
             **{name: getattr(self, name).tolist() for name in ("start", "start_speed", "datum", "base_point")},
             **{name: getattr(self.solver, name) for name in ("starts", "seconds")},
             "end": self.end,
