@@ -103,6 +103,18 @@ def test_a_sample_off_the_branch_has_a_status_and_does_not_move_it(backend: type
     np.testing.assert_allclose(dynamics.torque([1.1], [1.0], [2.0]).tau, want.tau, rtol=ROUNDING)
 
 
+def test_a_refusal_holds_for_the_branch_that_it_was_met_on(tmp_path: Path) -> None:
+    """The crank's last angle is singular from its own side, and on no way from the angles near a turn."""
+    robot = folding_four_bar(tmp_path, STOPPED, STOPPED_GUESS)
+    dynamics = rp.CompiledDynamics(robot)
+    low, high = (rp.assembly_modes(robot, [crank]).q[0] for crank in (1.0, 2.0 * np.pi - 1.0))
+    limit = np.arccos((0.4**2 + 0.3**2 - 0.45**2) / (2 * 0.4 * 0.3))
+    for start, own, other in ((low, limit, 2.0 * np.pi - limit), (high, 2.0 * np.pi - limit, limit)):
+        assert dynamics.joint_state([own], [1.0], start=start).status is SampleStatus.TYPE_II
+        assert dynamics.joint_state([other], [1.0], start=start).status is SampleStatus.BRANCH_LOST
+        assert dynamics.joint_state([other], [1.0], start=start).status is SampleStatus.BRANCH_LOST  # held
+
+
 @BOTH
 def test_a_start_decides_the_branch_in_any_working_mode(backend: type[Dynamics]) -> None:
     robot, flipped = zoo.robot_of("five_bar"), zoo.robot_of("five_bar", working_mode=(-1, 1))

@@ -14,9 +14,7 @@ from written import J, urdf_of, write_robot
 from redundancy_pin import load_robot
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.assembly import (
-    assemble,
-)
+from redundancy_pin.kinematics.assembly import assemble, project
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.closing import close, closed_near
 from redundancy_pin.kinematics.closure import ConstraintSystem
@@ -24,7 +22,7 @@ from redundancy_pin.kinematics.coordinates import coordinates, difference, worki
 from redundancy_pin.kinematics.multistart import multistart, wrapped
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.changes import with_limits
-from redundancy_pin.robot.scales import position_unit, row_scale
+from redundancy_pin.robot.scales import position_unit, row_scale, velocity_scale
 
 TURN = 2.0 * np.pi
 AXES = np.eye(3)
@@ -148,8 +146,8 @@ def test_every_mode_of_six_legs_is_found_for_other_lengths(mode: tuple[int, ...]
 
 # --- closing at a pose, Γ and its margin
 
-
-# K of these machines has condition numbers below 1e3: the residual of its inverse stays below 1e3 roundings.
+INVERSION = 1e-12
+"""K of these machines has condition numbers below 1e3: the residual of its inverse stays below 1e3 roundings."""
 
 
 @pytest.mark.parametrize("name", zoo.SHIPPED)
@@ -240,6 +238,41 @@ def test_carriers_keep_their_positions() -> None:
     guess[0, robot.carrier_position] = [0.3, -0.2, 0.1]
     assembled = assemble(zoo.system_of(robot), guess, zoo.home_of(robot)[None])
     np.testing.assert_array_equal(assembled.q[0, robot.carrier_position], [0.3, -0.2, 0.1])
+
+
+@pytest.mark.parametrize("name", zoo.SHIPPED)
+def test_the_margin_bounds_the_smallest_singular_value_from_below(name: str) -> None:
+    """Of K with velocities in m/s on both sides, within the root of its size."""
+    robot = zoo.robot_of(name)
+    system = zoo.system_of(robot)
+    assert not any(row.rotation for row in system.rows)  # closure rows are in m/s already
+    state = system.evaluate(zoo.random_closed(robot, 11, 8))
+    margin = project(system, state).margin
+    k = np.concatenate([state.Jc, state.Jx * row_scale(robot)[:, None]], axis=1) / velocity_scale(robot)
+    smallest = np.linalg.svd(k[:, :, system.pose_columns], compute_uv=False).min(axis=1)
+    assert np.all(margin <= smallest * (1.0 + INVERSION))
+    assert np.all(margin >= smallest / np.sqrt(len(system.pose_columns)) * (1.0 - INVERSION))
+
+
+@pytest.mark.parametrize("name", ["five_bar", "2rpr"])
+def test_at_a_type_i_singularity_the_margin_is_zero_and_gamma_is_nan(name: str) -> None:
+    """The regular configuration in the same stack keeps its own margin and Γ."""
+    robot = zoo.robot_of(name)
+    system = zoo.system_of(robot)
+    singular = robot.q_reference[None].copy()
+    if name == "five_bar":  # both legs stretched on the axis of symmetry: links of 0.5 m, hinges 0.5 m apart
+        top = np.array([[0.25, np.sqrt(1.0 - 0.25**2)]])
+        singular = assemble(system, singular, top, max_iterations=200).q
+    else:  # the end-effector on the first base hinge: that leg has no direction
+        slides = [zoo.index(robot, f"slide_{leg}") for leg in (1, 2)]
+        singular[0, slides], singular[0, zoo.index(robot, "swivel_2")] = (0.0, 0.5), np.pi
+    assert np.abs(system.evaluate(singular).phi).max() < CLOSURE_TOLERANCE
+    both = project(system, system.evaluate(np.concatenate([singular, robot.q_reference[None]])))
+    assert both.margin[0] == 0.0
+    assert np.isnan(both.gamma[0, system.pose_columns]).all()
+    alone = project(system, system.evaluate(robot.q_reference[None]))
+    np.testing.assert_allclose(both.gamma[1], alone.gamma[0], rtol=INVERSION)
+    assert both.margin[1] == pytest.approx(alone.margin[0])
 
 
 def test_the_search_finds_its_mode_from_any_guess() -> None:

@@ -16,6 +16,7 @@ from written import urdf_of, write_robot
 import redundancy_pin as rp
 from redundancy_pin import PlatformMotion, RneaDynamics, distribute, forward_kinematics, load_robot
 from redundancy_pin.errors import DeclarationError
+from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import AXES, Robot
 
@@ -52,6 +53,21 @@ def test_lifted_motion_closes_the_joint_as_pinocchio_sees_it(name: str) -> None:
             assert turn[1, 0] == pytest.approx(0.0, abs=CLOSED)
         if name in ("hinge", "cylindrical"):  # axes the same way
             np.testing.assert_allclose(turn[:, 2], [0.0, 0.0, 1.0], atol=CLOSED)
+
+
+def test_a_hinge_turned_over_is_not_closed() -> None:
+    """Opposite hinge axes make all five rows vanish: the misalignment alone tells them from closed ones."""
+    robot = chain_of("hinge")
+    rng = np.random.default_rng(2)
+    q = robot.q_reference + rng.uniform(-np.pi, np.pi, (200, robot.model.nq))
+    assembled = assemble(zoo.system_of(robot), q, np.full((200, 1), 0.6))
+    upright = np.array([placement.rotation[2, 2] for placement in relative_placements(robot, assembled.q)])
+    rows_vanish = np.abs(assembled.state.phi).max(axis=1) < CLOSED
+    over = rows_vanish & (upright < 0.0)
+    assert over.any()
+    assert not assembled.closed[over].any()
+    np.testing.assert_allclose(assembled.residual[over], np.pi * robot.characteristic_length, atol=1e-6)
+    assert assembled.closed[rows_vanish & (upright > 0.0)].all()
 
 
 @pytest.mark.parametrize("axis", AXES)
