@@ -144,9 +144,6 @@ _LONGEST_DIRECTORY = 1 << 21
 _DIGEST = "digest"
 """Key of the metadata under which the digest of everything else stands."""
 
-_WITHOUT_DIGEST = 1
-"""Newest version of a format, of plans and of simulations, that may be without: what version 0.1.0 wrote."""
-
 
 def _digest(content: Mapping[str, Any], arrays: Arrays) -> str:
     """Return the SHA-256 of metadata and arrays: not a signature, but no edit by accident or convenience fits it."""
@@ -251,9 +248,7 @@ def read_archive(path: str | Path, kind: str, version: int, word: str, make: Cal
         reason = shortened(" ".join(str(error).split()))
         raise _damaged(place, word, f"it does not hold a {word}'s fields ({reason})") from error
     # last: what does not fit together at all is named by what it is
-    if (_DIGEST in content or content["format_version"] > _WITHOUT_DIGEST) and content.get(_DIGEST) != _digest(
-        content, arrays
-    ):
+    if content.get(_DIGEST) != _digest(content, arrays):
         raise _damaged(place, word, f"it was changed after the {word} was saved, for its digest is another one")
     return made
 

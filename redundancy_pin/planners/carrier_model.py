@@ -210,10 +210,10 @@ class CarrierModel:
 def terms(s: Any, sd: Any, sdd: Any, count: int, library: Any) -> list[Any]:
     """Return the first terms of a carrier motion, arrays of numpy or expressions of another ``library``.
 
-    Five on straight tracks, seven of a fit to second order, and those of carriers that turn: cos s − 1, sin s,
-    cos 2s − 1 and sin 2s, the same with ṡ, with ṡ² and with s̈.
+    Five on straight tracks. Carriers that turn have ṡ² too, and cos s − 1, sin s, cos 2s − 1 and sin 2s, the same with
+    ṡ, with ṡ² and with s̈.
     """
-    first = [s, s * s, sd, s * sd, sdd, sd * sd, s * sdd]
+    first = [s, s * s, sd, s * sd, sdd, sd * sd]
     if count <= len(first):
         return first[:count]
     waves = [wave for i in (1.0, 2.0) for wave in (library.cos(i * s) - 1.0, library.sin(i * s))]
@@ -264,7 +264,7 @@ def carrier_model(along: DynamicsAlongMotion, *, check: bool = True) -> CarrierM
     return model
 
 
-SLIDING_TERMS, TURNING_TERMS = [0, 1, 2, 3, 4], [0, 2, 4, 5, *range(7, 23)]
+SLIDING_TERMS, TURNING_TERMS = [0, 1, 2, 3, 4], [0, 2, 4, 5, *range(6, 22)]
 """The terms (``terms``) of a carrier, by how it moves."""
 
 

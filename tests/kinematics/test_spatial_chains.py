@@ -55,21 +55,6 @@ def test_lifted_motion_closes_the_joint_as_pinocchio_sees_it(name: str) -> None:
             np.testing.assert_allclose(turn[:, 2], [0.0, 0.0, 1.0], atol=CLOSED)
 
 
-def test_a_hinge_turned_over_is_not_closed() -> None:
-    """Opposite hinge axes make all five rows vanish: the misalignment alone tells them from closed ones."""
-    robot = chain_of("hinge")
-    rng = np.random.default_rng(2)
-    q = robot.q_reference + rng.uniform(-np.pi, np.pi, (200, robot.model.nq))
-    assembled = assemble(zoo.system_of(robot), q, np.full((200, 1), 0.6))
-    upright = np.array([placement.rotation[2, 2] for placement in relative_placements(robot, assembled.q)])
-    rows_vanish = np.abs(assembled.state.phi).max(axis=1) < CLOSED
-    over = rows_vanish & (upright < 0.0)
-    assert over.any()
-    assert not assembled.closed[over].any()
-    np.testing.assert_allclose(assembled.residual[over], np.pi * robot.characteristic_length, atol=1e-6)
-    assert assembled.closed[rows_vanish & (upright > 0.0)].all()
-
-
 @pytest.mark.parametrize("axis", AXES)
 def test_any_coordinate_of_the_rocker_has_the_efforts_of_the_crank(axis: str, tmp_path: Path) -> None:
     """One motion by the crank, and by a place or an angle of the rocker. Its z axis is the one about which it turns:
@@ -194,3 +179,19 @@ def test_rccc_axes_obey_the_spherical_four_bar() -> None:
     z = np.sin(alpha) * inner[1] + np.cos(alpha) * inner[2]
     axis_3 = np.array([about_z[0, 0] * inner[0] + about_z[0, 1] * y, about_z[1, 0] * inner[0] + about_z[1, 1] * y, z])
     np.testing.assert_allclose(axis_4 @ axis_3, np.cos(gamma), atol=CLOSED)
+
+
+def test_a_hinge_turned_over_is_not_closed() -> None:
+    """Opposite hinge axes make all five rows vanish; only the misalignment tells."""
+    robot = chain_of("hinge")
+    system = zoo.system_of(robot)
+    rng = np.random.default_rng(2)
+    q = robot.q_reference + rng.uniform(-np.pi, np.pi, (200, robot.model.nq))
+    assembled = assemble(system, q, np.full((200, 1), 0.6))
+    upright = np.array([placement.rotation[2, 2] for placement in relative_placements(robot, assembled.q)])
+    rows_vanish = np.abs(assembled.state.phi).max(axis=1) < CLOSED
+    over = rows_vanish & (upright < 0.0)
+    assert over.any()
+    assert not assembled.closed[over].any()
+    np.testing.assert_allclose(assembled.residual[over], np.pi * robot.characteristic_length, atol=1e-6)
+    assert assembled.closed[rows_vanish & (upright > 0.0)].all()

@@ -10,7 +10,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.optimal.nlp import FIRST, OUT_OF_TIME, Solution, solve_nlp
+from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
 from redundancy_pin.planners.optimal.problem import Problem
 from redundancy_pin.planners.optimal.solve import solve
 from redundancy_pin.planners.optimal.transcription import (
@@ -19,7 +19,6 @@ from redundancy_pin.planners.optimal.transcription import (
     objective_values,
     scaled_bounds,
     slack_name,
-    transcribe,
 )
 from redundancy_pin.planners.robot_record import RobotRecord
 
@@ -29,6 +28,9 @@ NOTHING = 1e-5
 SPARED = 15_000
 """Iterations, times nodes, for finding out whether one limit does by itself: a second of the processor."""
 
+AGAIN = 2
+"""The same in iterations of the first programme: rows between the nodes, which that has not, take a second solution."""
+
 TOUCHED = 1e-4
 """Fraction of its range within which a limit counts as reached."""
 
@@ -36,9 +38,10 @@ TOUCHED = 1e-4
 def relax(problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], message: str) -> Solution:
     """Find the smallest relaxation of the limits that admits a plan, and return it where it is none.
 
-    First all limits may give way at once, then each of those that did, or that are touched, by itself, as far as
-    ``SPARED`` goes: a limit that does by itself is found in as many iterations as the first took, one that does not in
-    ten times as many. Efforts come first: where carriers can move at all, they do.
+    First all limits may give way at once, at the nodes alone. Then each of those that did, or that are touched, may by
+    itself, as far as ``SPARED`` and ``AGAIN`` go: a limit that does by itself is found in one or two times the
+    iterations of the first, one that does not in ten times as many. Efforts come first: where carriers can move at all,
+    they do.
 
     ``problem``: the numbers; ``robot``: names of carriers and actuators, and which of them rotate; ``guess``: first
     guess; ``message``: how the solver ended on the ordinary problem.
@@ -52,10 +55,13 @@ def relax(problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], mess
     """
     problem, settings = replace(problem, shares=None), problem.settings.solver  # what is said is said of whole limits
     deadline = time.perf_counter() + settings.seconds
-    elastic = solve_nlp(transcribe(problem, KINDS), guess, settings.seconds, FIRST, settings.progress)
+    # with limits at the nodes alone: most often one limit does by itself, and is held between the nodes then
+    elastic = solve(problem, guess, settings.seconds, lambda _: True, elastic=KINDS)
+    if elastic.feasible and not _exceeded(elastic):
+        elastic = solve(problem, elastic.values, settings.seconds, elastic=KINDS)
     if not elastic.feasible:
         raise nothing_helps(problem, elastic, message)
-    exceeded = [kind for kind in KINDS if _slack(elastic, kind) > NOTHING]
+    exceeded = _exceeded(elastic)
     if not exceeded:
         return elastic
     # one that is only touched may do as well by itself: with a price on all, others gave way in its place
@@ -63,19 +69,23 @@ def relax(problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], mess
     candidates = sorted([*exceeded, *touched], key=lambda kind: (exceeded != [kind], kind != "effort"))
     alone: dict[str, Solution] = {}
     untried: list[str] = []
-    left = max(elastic.iterations, SPARED // len(problem.grid.t))
+    left = max(AGAIN * elastic.iterations, SPARED // len(problem.grid.t))
     for kind in candidates if len(candidates) > 1 else ():
         seconds = deadline - time.perf_counter()
         if left <= 0 or seconds <= 0.0:
             untried.append(kind)
             continue
-        options = {**FIRST, "ipopt.max_iter": left}
-        solution = solve_nlp(transcribe(problem, (kind,)), elastic.values, seconds, options, settings.progress)
+        solution = solve(problem, elastic.values, seconds, elastic=(kind,), most=left)
         left -= solution.iterations
         if solution.optimal:
             alone[kind] = solution
         elif not solution.infeasible:
             untried.append(kind)
+    seconds = deadline - time.perf_counter()
+    if not alone and seconds > 0.0:
+        between = solve(problem, elastic.values, seconds, elastic=KINDS)
+        elastic = between if between.feasible and _exceeded(between) else elastic
+        exceeded = _exceeded(elastic)
     relaxed = alone or dict.fromkeys(exceeded, elastic)
     order = sorted(relaxed, key=lambda kind: _slack(relaxed[kind], kind))
     events = [elastic_event(problem, robot, relaxed[kind], kind) for kind in order]
@@ -132,6 +142,11 @@ def _bound_event(problem: Problem, name: str, fraction: float) -> dict[str, obje
 
 def _slack(solution: Solution, kind: str) -> float:
     return float(solution.values[slack_name(kind)][0, 0])
+
+
+def _exceeded(elastic: Solution) -> list[str]:
+    """Return the kinds of limits that gave way."""
+    return [kind for kind in KINDS if _slack(elastic, kind) > NOTHING]
 
 
 def is_touched(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> bool:

@@ -94,11 +94,18 @@ def with_middles(grid: Grid, steps: BoolArray) -> Grid:
     ``steps`` (M − 1,) which steps; those of length zero are left alone.
     """
     marked = np.flatnonzero(np.asarray(steps) & (np.diff(grid.t) > 0.0))
-    middle = 0.5 * (grid.t[marked] + grid.t[marked + 1])
+    return with_nodes(grid, marked, 0.5 * (grid.t[marked] + grid.t[marked + 1]), True)
+
+
+def with_nodes(grid: Grid, marked: IntArray, t: Array, smooth: BoolArray | bool) -> Grid:
+    """Return a grid with one node more in each of the marked steps, (r,) indices, at (r,) ``t``.
+
+    ``smooth`` (r,) whether the jerk of the carriers is continuous there.
+    """
     singular = np.zeros(len(grid.t), dtype=bool)
     singular[grid.singular] = True
-    t = np.insert(grid.t, marked + 1, middle)
-    return _grid(t, np.insert(singular, marked + 1, False), np.insert(grid.smooth, marked + 1, True))
+    singular, both = np.insert(singular, marked + 1, False), np.insert(grid.smooth, marked + 1, smooth)
+    return _grid(np.insert(grid.t, marked + 1, t), singular, both)
 
 
 def _grid(t: Array, singular: BoolArray, smooth: BoolArray) -> Grid:

@@ -106,7 +106,14 @@ class NLP:
         return self.blocks[name]
 
     def within(self, expression: Any, lower: Any = 0.0, upper: Any = 0.0) -> None:
-        """Add lower ≤ expression ≤ upper where a bound is finite; bounds broadcast to the matrix."""
+        """Add lower ≤ expression ≤ upper where a bound is finite; bounds broadcast to the matrix.
+
+        Bounds that are expressions themselves have a row each.
+        """
+        if isinstance(lower, casadi().MX):
+            self.within(expression - lower, 0.0, np.inf)
+            self.within(expression - upper, -np.inf, 0.0)
+            return
         low, high = (np.broadcast_to(bound, expression.shape).ravel(order="F") for bound in (lower, upper))
         bounded = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
         if len(bounded):

@@ -8,78 +8,33 @@ and accelerations tell them apart.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import TERMS, CarrierModel, carrier_model, turning_model
-from redundancy_pin.planners.limits import ResolvedLimits
-from redundancy_pin.planners.optimal.mesh import Grid
-from redundancy_pin.planners.optimal.problem import SingularNode
-
-POWERS = 4
-"""1, ṗ, ṗ² and p̈: the last axis of every coefficient."""
+from redundancy_pin.planners.optimal.mesh import Grid, near_singular
+from redundancy_pin.planners.optimal.objectives import Scales, Settings
+from redundancy_pin.planners.optimal.problem import (
+    PathTiming,
+    Problem,
+    Task,
+    at_pace,
+    powers_of,
+    scales_of,
+    singular_nodes,
+)
 
 _ROUNDING = 1e-11
 """Coefficients below this fraction of the largest are none: they would be entries of the Jacobian."""
 
 _TOLERANCE = 1e-8
 """Deviation of the combination from the backend at another speed and acceleration that counts as rounding."""
-
-
-@dataclass(frozen=True, eq=False)
-class PathScales:
-    """What variables are divided by.
-
-    ``speed``, ``acceleration``: along the path, m/s and m/s²; ``s``, ``sd``, ``sdd`` (k,) of the carriers, m, m/s,
-    m/s²; ``tau``: of the efforts, N or N·m; ``row`` (n,) of the rows of W τ = f; ``h``
-    (M − 1,) of the steps, s; ``duration``: their sum.
-    """
-
-    speed: float
-    acceleration: float
-    s: Array
-    sd: Array
-    sdd: Array
-    tau: float
-    row: Array
-    h: Array
-    duration: float
-
-
-@dataclass(frozen=True, eq=False)
-class TimeOptimalProblem:
-    """The numbers of the programme; M nodes, n coordinates, m main actuators, k carriers.
-
-    ``grid``: the nodes, at places on the path, m, in place of times; ``model``: coefficients there, with an axis for
-    ``POWERS`` in the end; ``singular``: nodes on type II singularities; ``fastest`` (M,) largest speed along the path,
-    m/s; ``limits``: those of efforts and carriers; ``begin``, ``end``: how the carriers begin and end; ``datum`` (k,)
-    where they park, m; ``lap``: the platform moves on at the end as it began; ``sizes``: scales; ``shares`` (M, c):
-    fractions of the limits of efforts, forces and limited rates that the nodes may use; all of them when left out.
-    """
-
-    grid: Grid
-    model: CarrierModel
-    singular: tuple[SingularNode, ...]
-    fastest: Array
-    limits: ResolvedLimits
-    begin: str
-    end: str
-    datum: Array
-    lap: bool
-    sizes: PathScales
-    shares: Array | None = None
-
-    @property
-    def parts(self) -> tuple[Array, Array, Array]:
-        """Fractions of the limits of efforts (M, m), forces (M, k) and of the speed (M, 1) that the nodes may use."""
-        nodes, m, k = len(self.grid.t), self.model.W.shape[2], self.model.k
-        shares = np.ones((nodes, m + k)) if self.shares is None else self.shares
-        return shares[:, :m], shares[:, m : m + k], shares[:, m + k :].min(axis=1, initial=1.0)[:, None]
 
 
 def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
@@ -123,3 +78,78 @@ def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
             )
         parts[name] = split
     return replace(rest, **parts)
+
+
+SPEEDS = np.geomspace(1e-3, 1e3, 121)
+"""Mean speeds of a first guess that are tried, lengths of the path per second."""
+
+USED = 0.9
+"""Largest share of the limits of efforts and rates that the first guess may take."""
+
+
+def read_path_problem(task: Task, nodes: Grid, begin: str, lap: bool, before: Problem | None = None) -> Problem:
+    """Read the coefficients at nodes on a path, and choose sizes by the speed that the parked robot may take.
+
+    ``task``: its source is the path at unit speed; ``begin``, ``lap``: as ``PathTiming``; ``before``: the same problem
+    on other nodes, whose sizes are kept.
+    """
+    dynamics, unit, settings = task.dynamics, task.source, task.settings
+    motion = unit.sample_at(nodes.t)
+    along = dynamics.along(motion)
+    model, parked = read_model(along, dynamics), along.reduce()
+    rate: Array = np.einsum("nim,ni->nm", model.W, motion.xd)
+    fastest = (settings.limits.actuator_speed / np.maximum(np.abs(rate), 1e-300)).min(axis=1, initial=1e300)
+    place = nodes.t / nodes.t[-1]
+    if before is None or before.timing is None:
+        speed = _first_speed(model, parked, settings, place * unit.end, fastest)
+        acceleration = 2.0 * speed**2 / unit.end
+        scales = _scales(model, settings, parked, unit.end, speed, acceleration)
+    else:
+        speed, acceleration, scales = before.timing.speed, before.timing.acceleration, before.scales
+    steps = np.where(nodes.h > 0.0, scales.duration * np.diff(np.arccos(1.0 - 2.0 * place)) / np.pi, scales.duration)
+    return Problem(
+        grid=nodes,
+        model=model,
+        singular=singular_nodes(task, nodes, lambda there: read_model(there, dynamics)),
+        actuated_rate=rate,
+        target=np.zeros_like(rate),
+        settings=settings,
+        scales=scales,
+        timing=PathTiming(begin, lap, speed, acceleration, steps, fastest),
+    )
+
+
+def _first_speed(
+    model: CarrierModel, parked: ReducedDynamics, settings: Settings, places: Array, fastest: Array
+) -> float:
+    """Return the largest mean speed of a harmonic motion along the path that the parked robot can follow, m/s."""
+    length, regular = places[-1], ~near_singular(parked)
+    inverse, place = np.linalg.pinv(model.W[regular]), places / places[-1]
+    limit = np.where(np.isfinite(settings.limits.effort), settings.limits.effort, np.inf)
+
+    def use(speed: float) -> float:
+        """Return the largest share of the limits that harmonic motion of a mean speed has of them."""
+        pd, pdd = speed * np.sqrt(4.0 * place * (1.0 - place)), 2.0 * speed**2 / length * (1.0 - 2.0 * place)
+        tau = np.einsum("nmi,ni->nm", inverse, at_pace(model, _powers(pd, pdd)).f0[regular])
+        return max(float(np.abs(tau / limit).max(initial=0.0)), float((pd / fastest).max()))
+
+    speeds = length * SPEEDS
+    uses = np.array([use(speed) for speed in speeds])
+    below = np.flatnonzero(uses <= USED)
+    return float(speeds[below[-1] if len(below) else int(uses.argmin())])
+
+
+def _scales(
+    model: CarrierModel, settings: Settings, parked: ReducedDynamics, length: float, speed: float, acceleration: float
+) -> Scales:
+    """Return sizes from the limits, and from the parked robot at a speed and acceleration along the path."""
+    at_speed = at_pace(model, _powers(np.full(len(model.t), speed), acceleration))
+    duration = 0.5 * np.pi * length / speed
+    scales = scales_of(at_speed, settings, parked.row_scale, duration, np.ones((1, 1)))
+    finite = settings.limits.effort[np.isfinite(settings.limits.effort)]
+    tau = float(finite.min()) if len(finite) else scales.tau
+    return replace(scales, tau=tau, row=scales.row * max(1.0, tau / scales.tau))
+
+
+def _powers(pd: Array, pdd: ArrayLike) -> Array:
+    return np.stack(np.broadcast_arrays(*powers_of(pd, pdd)), axis=-1)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,7 @@ from redundancy_pin.planners.carrier_model import (
     target_effort,
     turning_model,
 )
-from redundancy_pin.planners.optimal.mesh import Grid
+from redundancy_pin.planners.optimal.mesh import Grid, resample
 from redundancy_pin.planners.optimal.objectives import Scales, Settings
 from redundancy_pin.spectrum import scaled
 from redundancy_pin.trajectory import Side
@@ -87,6 +88,43 @@ class SingularNode:
 
 
 @dataclass(frozen=True, eq=False)
+class PathTiming:
+    """What a problem of least time has beside: its nodes are places on a path, m, and their times are unknown.
+
+    ``begin``: how the carriers begin: "datum", "rest" or "free"; ``lap``: the platform goes on at the end as it began;
+    ``speed``, ``acceleration``: sizes of ṗ and p̈, m/s and m/s²; ``h`` (M − 1,) of the durations of the steps, s;
+    ``fastest`` (M,) largest ṗ that limits of the actuators' rates allow, m/s.
+    """
+
+    begin: str
+    lap: bool
+    speed: float
+    acceleration: float
+    h: Array
+    fastest: Array
+
+    def powers(self, values: Mapping[str, Array]) -> Array:
+        """Return (M, 4) 1, ṗ, ṗ² and p̈ of scaled variables."""
+        pd, pdd = values["pd"][:, 0] * self.speed, values["pdd"][:, 0] * self.acceleration
+        return np.stack(np.broadcast_arrays(*powers_of(pd, pdd)), axis=-1)
+
+
+def required(timing: PathTiming | None) -> PathTiming:
+    """Return the timing of a problem that has one."""
+    if timing is None:
+        raise ValueError("The problem has its times given.")
+    return timing
+
+
+def powers_of(*pace: Any) -> tuple[Any, ...]:
+    """Return what coefficients are multiplied by: 1, and ṗ, ṗ² and p̈ where ṗ and p̈ are unknown."""
+    if not pace:
+        return (1.0,)
+    pd, pdd = pace
+    return (1.0, pd, pd**2, pdd)
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
     """The numbers of the programme; M nodes, n coordinates, m main actuators, k carriers.
 
@@ -94,8 +132,10 @@ class Problem:
     type II singularities; ``actuated_rate`` (M, m) rates of the main actuators; ``target`` (M, m) efforts that the
     objective "tracking" aims at; ``settings``: limits, ends and objective; ``scales``: sizes; ``exact``: where f has
     other terms, dynamics whose expressions for f and the carrier forces stand in place of the terms of ``model``;
-    ``base``: the wrench on the base, where an objective is about it; ``shares`` (M, m + k): fractions of the limits of
-    efforts and forces that the nodes may use; all of them when left out.
+    ``base``: the wrench on the base, where an objective is about it; ``shares`` (M, c): fractions of the limits of
+    efforts, forces and limited rates that the nodes may use; all of them when left out; ``timing``: where the time is
+    minimised. Then ``grid`` has places on the path in place of times, and the coefficients of f and of the forces have
+    a last axis for 1, ṗ, ṗ² and p̈.
     """
 
     grid: Grid
@@ -108,22 +148,33 @@ class Problem:
     exact: ExactAlongMotion | None = None
     base: BaseWrench | None = None
     shares: Array | None = None
+    timing: PathTiming | None = None
 
-    def carrier_force(self, carriers: CarrierMotion) -> Array:
-        """Return the carrier forces (M, k) for a motion at the nodes, N."""
+    def times(self, values: Mapping[str, Array]) -> Array:
+        """Return (M,) times of the nodes, s, of scaled variables."""
+        if self.timing is None:
+            return self.grid.t
+        return np.append(0.0, np.cumsum(values["h"][:, 0] * self.timing.h))
+
+    def carrier_force(self, values: Mapping[str, Array]) -> Array:
+        """Return the carrier forces (M, k) at the nodes, N, of scaled variables."""
+        carriers, model = self.carriers(values), self.model
         if self.exact is not None:
             return np.asarray(self.exact.reduce(carriers).carrier_force)
-        return self.model.carrier_force(carriers.s, carriers.sd, carriers.sdd)
+        if self.timing is not None:
+            model = at_pace(model, self.timing.powers(values))
+        return model.carrier_force(carriers.s, carriers.sd, carriers.sdd)
 
     def carriers(self, values: Mapping[str, Array]) -> CarrierMotion:
         """Return the motion at the nodes, in units, of scaled s, ṡ and s̈; what is left out is zero."""
         u, zero = self.scales, np.zeros((len(self.grid.t), self.model.k))
-        return CarrierMotion(*(values.get(name, zero) * getattr(u, name) for name in ("s", "sd", "sdd")))
+        motion = (values.get(name, zero) * getattr(u, name) for name in ("s", "sd", "sdd"))
+        return CarrierMotion(*motion, check_rates=self.timing is None)
 
     def position(self, values: Mapping[str, Array]) -> PiecewisePolynomial:
         """Return the positions, m, as a function of time, of scaled s, ṡ and s̈: s̈ is linear in a step."""
         carriers = self.carriers(values)
-        return PiecewisePolynomial.linear(self.grid.t, carriers.s, carriers.sd, carriers.sdd)
+        return PiecewisePolynomial.linear(self.times(values), carriers.s, carriers.sd, carriers.sdd)
 
     def tau(self, values: Mapping[str, Array]) -> Array:
         """Return (M, m) the main efforts, N or N·m, of scaled ones."""
@@ -132,6 +183,19 @@ class Problem:
     def scaled(self, carriers: CarrierMotion) -> dict[str, Array]:
         """Return scaled s, ṡ and s̈ of a motion at the nodes."""
         return {name: getattr(carriers, name) / getattr(self.scales, name) for name in ("s", "sd", "sdd")}
+
+    def resampled(self, values: Mapping[str, Array], finer: Problem) -> dict[str, Array]:
+        """Return scaled variables on the nodes of a refined problem, linear between the nodes of this one."""
+        moved = resample({**values, "t": self.times(values)[:, None]}, self.grid.t, finer.grid.t)
+        t = moved.pop("t")
+        return moved if finer.timing is None else {**moved, "h": np.diff(t, axis=0) / finer.timing.h[:, None]}
+
+
+def at_pace(model: CarrierModel, powers: Array) -> CarrierModel:
+    """Return the coefficients at (M, 4) 1, ṗ, ṗ² and p̈ of a model along a path."""
+    names = ("f0", "f_terms", "force0", "force_terms")
+    parts = {name: np.einsum("n...q,nq->n...", getattr(model, name), powers) for name in names}
+    return replace(model, **parts)
 
 
 def linear_model(along: DynamicsAlongMotion) -> CarrierModel:
@@ -185,17 +249,12 @@ def _read(task: Task, grid: Grid, read: Reader, scales: Scales | None) -> Proble
     along = task.dynamics.along(motion)
     model = read(along)
 
-    def node(i: int) -> SingularNode:
-        # of a jump, which has two nodes, the first one has its derivatives from the left
-        side: Side = "left" if i < len(grid.h) and grid.h[i] == 0.0 else "right"
-        return singular_node(task.dynamics, task.source, i, float(grid.t[i]), read, side, dt=settings.mesh.dt)
-
-    singular = tuple(node(i) for i in grid.singular.tolist())
+    singular = singular_nodes(task, grid, read)
     used = {*settings.objective, *settings.at_most}
     lam = settings.lam if "tracking" in used else 0.0
     target, _ = target_effort(task.dynamics.robot, motion, lam, settings.baseline if lam else None)
     rate: Array = np.einsum("nim,ni->nm", model.W, motion.xd)
-    sizes = scales or _scales(model, settings, along.reduce().row_scale, task.source.end - task.source.start, rate)
+    sizes = scales or scales_of(model, settings, along.reduce().row_scale, task.source.end - task.source.start, rate)
     base = None
     if set(BASE) & used:
         if read is linear_model:
@@ -211,7 +270,7 @@ def _read(task: Task, grid: Grid, read: Reader, scales: Scales | None) -> Proble
     return Problem(grid, model, singular, read_only(rate), read_only(target), settings, sizes, exact, base)
 
 
-def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration: float, rate: Array) -> Scales:
+def scales_of(model: CarrierModel, settings: Settings, row_scale: Array, duration: float, rate: Array) -> Scales:
     """Return sizes from the limits, and from the parked robot where there are none."""
     (lower, upper), speed, acceleration = settings.limits.track.T, settings.limits.speed, settings.limits.acceleration
     s = np.where(np.isfinite(upper - lower), 0.5 * (upper - lower), 1.0)
@@ -227,6 +286,17 @@ def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration:
     return Scales(
         s, sd, sdd, tau, size * row_scale, np.where(force > 0.0, force, 1.0), power, duration, np.ones(6), 1.0
     )
+
+
+def singular_nodes(task: Task, grid: Grid, read: Reader) -> tuple[SingularNode, ...]:
+    """Read the derivatives of the model at all singular nodes off the backend."""
+
+    def node(i: int) -> SingularNode:
+        # of a jump, which has two nodes, the first one has its derivatives from the left
+        side: Side = "left" if i < len(grid.h) and grid.h[i] == 0.0 else "right"
+        return singular_node(task.dynamics, task.source, i, float(grid.t[i]), read, side, dt=task.settings.mesh.dt)
+
+    return tuple(node(i) for i in grid.singular.tolist())
 
 
 def singular_node(

@@ -9,16 +9,16 @@ it is solved again from where it was. The carriers' forces become variables only
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.planners.optimal.mesh import widened
+from redundancy_pin.planners.optimal.mesh import Grid, widened
 from redundancy_pin.planners.optimal.nlp import FALLBACK, FIRST, LEAST_SECONDS, WARM, Solution, solve_nlp
-from redundancy_pin.planners.optimal.problem import Problem
-from redundancy_pin.planners.optimal.transcription import RESERVE, scaled_bounds, transcribe
+from redundancy_pin.planners.optimal.problem import PathTiming, Problem
+from redundancy_pin.planners.optimal.transcription import RESERVE, relaxed_bounds, transcribe
 
 ROUNDS = 4
 """Rounds of adding rows, after which all steps have them."""
@@ -31,12 +31,19 @@ AROUND = 2
 
 
 def solve(
-    problem: Problem, guess: Mapping[str, Array], seconds: float, stop: Callable[[Solution], bool] | None = None
+    problem: Problem,
+    guess: Mapping[str, Array],
+    seconds: float,
+    stop: Callable[[Solution], bool] | None = None,
+    *,
+    elastic: Sequence[str] = (),
+    most: int | None = None,
 ) -> Solution:
     """Solve a problem with every limit held at the nodes and between them.
 
     ``guess``: first guess, scaled blocks by name; with efforts, an optimum of the same task; ``seconds``: time bound,
-    s; ``stop``: says of an optimum with limits at the nodes that it will do, as where it asks for other nodes anyway.
+    s; ``stop``: says of an optimum with limits at the nodes that it will do, as where it asks for other nodes anyway;
+    ``elastic``: kinds of limits that give way (``transcribe``); ``most``: bound of the iterations.
 
     Returns:
         An optimum that keeps every limit; or where that is not reached, the outcome with ``feasible`` as found.
@@ -45,13 +52,16 @@ def solve(
     between: BoolArray = np.zeros(len(problem.grid.h), dtype=bool)
     if "tau" in guess:
         between = widened(leaves_limits(problem, guess, CLOSE), AROUND)
-    limit_force = False
+    limit_force = bool(elastic) or "force" in guess
     iterations, spent = 0, 0.0
     for added in range(ROUNDS + 2):
-        nlp = transcribe(problem, between=between, limit_force=limit_force)
-        first = WARM if "tau" in guess else FIRST
+        nlp = transcribe(problem, elastic, between=between, limit_force=limit_force)
+        # where limits give way at a price that was another, the last solution is no optimum to begin with
+        first = WARM if added or ("tau" in guess and not elastic) else FIRST
+        if most is not None:
+            first = {**first, "ipopt.max_iter": most - iterations}
         # a bound below the least there is takes long to refute here, and one solution elsewhere (``require_bounds``)
-        for options in (first,) if problem.settings.at_most else (first, FALLBACK):
+        for options in (first,) if problem.settings.at_most or elastic else (first, FALLBACK):
             left = max(deadline - time.perf_counter(), LEAST_SECONDS)
             solution = solve_nlp(nlp, guess, left, options, problem.settings.solver.progress)
             iterations, spent = iterations + solution.iterations, spent + solution.seconds
@@ -61,11 +71,14 @@ def solve(
         beyond = not limit_force and exceeds_force(problem, solution)
         if not solution.feasible or not (leaves.any() or beyond):
             break
-        if solution.optimal and stop is not None and stop(solution):
+        # forces beyond their limits at the nodes are no matter of the mesh
+        if solution.optimal and not beyond and stop is not None and stop(solution):
             return replace(solution, iterations=iterations, seconds=spent)
         limit_force = limit_force or beyond
         between = between | widened(leaves, AROUND) if added < ROUNDS else np.ones_like(between)
         guess = solution.values
+        if most is not None and iterations >= most:
+            break
     kept = solution.feasible and not leaves.any() and not beyond
     return replace(solution, optimal=solution.optimal and kept, feasible=kept, iterations=iterations, seconds=spent)
 
@@ -75,8 +88,10 @@ def leaves_limits(problem: Problem, values: Mapping[str, Array], by: float = 0.0
 
     ``values``: scaled blocks by name; ``by``: by how much more, as a fraction of the sizes of s and ṡ.
     """
-    bounds, position = scaled_bounds(problem), problem.position(values)
     exceeded = np.zeros(len(problem.grid.h), dtype=bool)
+    if not problem.model.k:
+        return exceeded
+    bounds, position = relaxed_bounds(problem, values), problem.position(values)
     for name, function in (("s", position), ("sd", position.derivative())):
         (lower, upper), size = bounds[name], getattr(problem.scales, name)
         width = upper - lower
@@ -88,8 +103,8 @@ def leaves_limits(problem: Problem, values: Mapping[str, Array], by: float = 0.0
 
 def exceeds_force(problem: Problem, solution: Solution) -> bool:
     """Return whether a carrier needs more force at a node than its limit."""
-    carriers, (low, high) = problem.carriers(solution.values), scaled_bounds(problem)["force"]
-    force = problem.carrier_force(carriers) / problem.scales.force
+    low, high = relaxed_bounds(problem, solution.values)["force"]
+    force = problem.carrier_force(solution.values) / problem.scales.force
     return bool(((force > high) | (force < low)).any())
 
 
@@ -190,7 +205,7 @@ def first_guess(problem: Problem, number: int = 0) -> dict[str, Array]:
     grid, u, settings = problem.grid, problem.scales, problem.settings
     s = np.tile(settings.start / u.s, (len(grid.t), 1))
     if number == 0:
-        return {"s": s}
+        return {"s": s} if problem.timing is None else {"s": s, **_harmonic(problem.timing, grid)}
     rng = np.random.default_rng(number)
     duration = float(grid.t[-1] - grid.t[0])
     frequency = np.pi * np.arange(1, _SWINGS + 1) / duration
@@ -199,3 +214,13 @@ def first_guess(problem: Problem, number: int = 0) -> dict[str, Array]:
     sd = (frequency * np.cos(phase)) @ size * u.s / u.sd
     sdd = -(frequency**2 * np.sin(phase)) @ size * u.s / u.sdd
     return {"s": s + np.sin(phase) @ size, "sd": np.clip(sd, -0.9, 0.9), "sdd": np.clip(sdd, -0.9, 0.9)}
+
+
+def _harmonic(timing: PathTiming, grid: Grid) -> dict[str, Array]:
+    """Return scaled ṗ, p̈ and durations of a harmonic motion along the path, of half the size of ṗ in a lap."""
+    place = (grid.t / grid.t[-1])[:, None]
+    if timing.lap:
+        pd, pdd, h = np.full_like(place, 0.5), np.zeros_like(place), grid.h / (0.5 * timing.speed) / timing.h
+    else:
+        pd, pdd, h = np.sqrt(4.0 * place * (1.0 - place)), 1.0 - 2.0 * place, np.where(grid.h > 0.0, 1.0, 0.0)
+    return {"pd": pd, "pdd": pdd, "h": h[:, None]}

@@ -4,38 +4,28 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from dataclasses import replace
+from functools import partial
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, each, frozen, one_of, positive, read_only, whole
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
+from redundancy_pin.arrays import Array, BoolArray, each, frozen, one_of, positive, whole
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError
-from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.carrier_model import CarrierModel, require_carriers
+from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.intersample_check import LOWERED, PlannedMotion, intersample_check
+from redundancy_pin.planners.intersample_check import IntersampleCheck
 from redundancy_pin.planners.limits import Limits, grouped
-from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, near_singular, widened
-from redundancy_pin.planners.optimal.nlp import (
-    FALLBACK,
-    FIRST,
-    LEAST_SECONDS,
-    OUT_OF_TIME,
-    WARM,
-    Solution,
-    solve_nlp,
-)
-from redundancy_pin.planners.optimal.objectives import LIMITS, MOST_REFINEMENTS, End
-from redundancy_pin.planners.optimal.path_problem import PathScales, TimeOptimalProblem, read_model
-from redundancy_pin.planners.optimal.path_transcription import transcribe
-from redundancy_pin.planners.optimal.problem import SingularNode, singular_node
+from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, widened, with_nodes
+from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
+from redundancy_pin.planners.optimal.objectives import LIMITS, MOST_REFINEMENTS, End, Mesh, Settings, Solver
+from redundancy_pin.planners.optimal.path_problem import read_path_problem
+from redundancy_pin.planners.optimal.problem import Problem, Task, required
+from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
+from redundancy_pin.planners.optimal.solve import Multistart, multistart
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Path
@@ -45,8 +35,6 @@ from redundancy_pin.trajectory.trajectory import Trajectory
 Begin = Literal["datum", "rest", "free"]
 """How the carriers begin: at rest where they park; at rest anywhere; or anyhow."""
 
-PHASES = ("optimised",)
-
 BESIDE = 2
 """Steps on both sides of one whose efforts exceed their limits inside it that get a middle node as well."""
 
@@ -55,9 +43,6 @@ LONG = 0.05
 
 APART = 0.02
 """Of a step, from a node to a new one inside at least."""
-
-ROUNDS = 4
-"""Of rows between the nodes, where a carrier leaves its track or its speed limit there."""
 
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
@@ -126,7 +111,6 @@ def plan_time_optimal(
     began = time.perf_counter()
     dynamics = as_dynamics(dynamics)
     robot = dynamics.robot
-    report = progress or (lambda line: None)
     path = path.path if isinstance(path, Trajectory) else path
     if not (hasattr(path, "evaluate") and hasattr(path, "length")):
         raise InputError(
@@ -143,8 +127,8 @@ def plan_time_optimal(
     if not (np.isfinite(resolved.effort).any() or np.isfinite(rates).any()):
         raise InputError(
             "Nothing limits the time.",
-            remedy="Limit the efforts, effort=, or the rates of the actuators, actuator_speed= (on the command line "
-            "--max-effort, --actuator-speed); limits that the robot's joints have bind no planner.",
+            remedy="Limit the efforts, as by effort=2.0, or the rates of the actuators, as by actuator_speed=1.0; "
+            "limits that the robot's joints have bind no planner.",
             name="effort",
         )
     park, count = resolved.on_track(datum, "datum"), whole(steps, "steps", 4, 100_000)
@@ -154,134 +138,102 @@ def plan_time_optimal(
     unit = continuous_motion(Trajectory(path, uniform_law(path.length, path.length)))
     if lap:
         _require_closed(unit)
-    nodes = first_mesh(dynamics, unit, path.length / count, ends=not lap)
-    within = replace(resolved, actuator_speed=rates)
-    given = {"begin": begin, "end": end, "datum": park, "lap": lap, "limits": resolved}
-    problem, guess = path_problem(dynamics, unit, nodes, rates, given), None
-    ratios: list[float] = []
-    refined = lowered = 0
-    while True:
-        report(f"{len(nodes.t)} nodes, {len(nodes.singular)} of them singular: solving")
-        try:
-            solution = solved_programme(
-                problem, first_guess(problem) if guess is None else moved_guess(guess, problem), bound
-            )
-        except InfeasiblePlanError:
-            if not (ratios and lowered):
-                raise
-            break  # no timing keeps the lower limits at the nodes: the last one stands, and says what it exceeds
-        motion = TimedSolution.of(path, problem, solution)
-        report(f"{motion.t[-1]:.6g} s")
-        prescribed = motion.tau.copy()
-        if robot.m <= robot.n:
-            prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan
-        planned = PlannedMotion(
-            dynamics,
-            PlanFunctions(motion.platform, motion.carriers, preferred=PiecewisePolynomial.linear(motion.t, motion.tau)),
-            dynamics.along(motion.platform.sample_at(motion.t)),
-            motion.samples,
-            within,
-            "time_optimal",
-            prescribed=prescribed,
-            singular=nodes.singular,
-            phases=PHASES,
-        )
-        solved_at, between = nodes, intersample_check(planned)
-        ratios.append(float(between.worst.max(initial=1.0)))
-        marked = between.too_coarse(ratios if lowered else [])
-        finer = bool(marked.any()) and refined < often
-        lower = not between.within_limits and lowered < LOWERED
-        if between.passed or not solution.optimal or not (finer or lower):
-            break
-        guess = in_units(problem, solution)
-        if finer:
-            refined += 1
-            nodes = finer_nodes(nodes, motion, between.middle[marked])
-            problem = path_problem(dynamics, unit, nodes, rates, given)
-        else:
-            lowered += 1
-            problem = replace(problem, shares=between.shares(motion.t, problem.shares))
-    nodes = solved_at
-    planned = replace(
-        planned,
-        parameters={
-            "begin": begin,
-            "end": end,
-            "lap": lap,
-            "datum": park.tolist(),
-            "track": [tuple(ends) for ends in resolved.track.tolist()],
-            **{name: getattr(resolved, name).tolist() for name in LIMITS},
-            "actuator_speed": rates.tolist(),
-            "steps": count,
-            "seconds": bound,
-            "refinements": often,
-        },
-        diagnostics={
-            "optimal": solution.optimal,
-            "solver": solution.message,
-            "iterations": solution.iterations,
-            "violation": solution.violation,
-            "duration": float(motion.t[-1]),
-            "nodes": len(nodes.t),
-            "singular_instants": np.unique(motion.t[nodes.singular]).tolist(),
-            "singular_nodes": nodes.singular.tolist(),
-            "smooth_nodes": np.flatnonzero(nodes.smooth).tolist(),
-            "solver_seconds": solution.seconds,
-            "dense_ratios": ratios,
-            "seconds": time.perf_counter() - began,
-        },
+    settings = Settings(
+        objective={},
+        lam=0.0,
+        baseline=None,
+        base_point=np.zeros(3),
+        limits=replace(resolved, actuator_speed=rates),
+        start=park,
+        start_speed=np.zeros(robot.k),
+        end=end,
+        datum=park,
+        mesh=Mesh(path.length / count, often),
+        solver=Solver(1, bound, progress),
     )
-    return finish_plan(planned, between)
+    task = Task(dynamics, unit, settings)
+    problem = read_path_problem(task, first_mesh(dynamics, unit, path.length / count, ends=not lap), begin, lap)
+    planning = Planning("time_optimal", task, partial(_solve, task), partial(platform_of, path), partial(_finer, task))
+    planned = plan_and_refine(planning, problem)
+    parameters = {
+        "begin": begin,
+        "end": end,
+        "lap": lap,
+        "datum": park.tolist(),
+        "track": [tuple(ends) for ends in resolved.track.tolist()],
+        **{name: getattr(resolved, name).tolist() for name in LIMITS},
+        "actuator_speed": rates.tolist(),
+        "steps": count,
+        "seconds": bound,
+        "refinements": often,
+    }
+    found = {
+        **planned.diagnostics,
+        "duration": float(planned.motion.motion.t[-1]),
+        "seconds": time.perf_counter() - began,
+    }
+    return finish_plan(replace(planned.motion, parameters=parameters, diagnostics=found), planned.check)
 
 
-@dataclass(frozen=True, eq=False)
-class TimedSolution:
-    """A solution in units.
-
-    ``t`` (M,) times of the nodes, s; the ``law`` p(t) and the ``carriers``' positions, m; the ``platform``'s motion;
-    ``samples`` and ``tau`` (M, m) at the nodes.
-    """
-
-    t: Array
-    law: PiecewisePolynomial
-    carriers: PiecewisePolynomial
-    platform: ContinuousMotion
-    samples: CarrierMotion
-    tau: Array
-
-    @staticmethod
-    def of(path: Path, problem: TimeOptimalProblem, solution: Solution) -> TimedSolution:
-        """Return that of a solution."""
-        u, values, grid = problem.sizes, solution.values, problem.grid
-        t = np.concatenate([[0.0], np.cumsum(values["h"][:, 0] * u.h)])
-        samples = CarrierMotion(*(values[name] * getattr(u, name) for name in ("s", "sd", "sdd")), check_rates=False)
-        law = PiecewisePolynomial.linear(t, grid.t[:, None], values["pd"] * u.speed, values["pdd"] * u.acceleration)
-        carriers = PiecewisePolynomial.linear(t, samples.s, samples.sd, samples.sdd)
-        breaks = t[:-1][grid.h == 0.0]
-        knots = frozen(np.setdiff1d(law.edges[1:-1], breaks))
-        timed = Trajectory(path, TimingLaw.of(law, path.length))
-        platform = ContinuousMotion(timed, law.start, law.end, law.end, frozen(breaks), knots, True)
-        return TimedSolution(t, law, carriers.made_continuous(), platform, samples, values["tau"] * u.tau)
+def _solve(
+    task: Task, problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Solution], bool]
+) -> Multistart:
+    solutions = multistart(problem, guess, stop)
+    solution, seconds = solutions.best.solution, task.settings.solver.seconds
+    if solution.feasible:
+        return solutions
+    late = solution.message == OUT_OF_TIME
+    raise InfeasiblePlanError(
+        f"No timing was found{f' within {seconds:g} s' if late else ' that keeps the limits'} "
+        f"(the solver says {solution.message}; unbalanced by {solution.violation:.2g}).",
+        remedy="Allow more seconds." if late else "Raise the limits of efforts or carriers, or leave the end free.",
+        constraint="seconds" if late else "effort",
+        time=0.0,
+        amount=solution.violation,
+    )
 
 
-def finer_nodes(grid: Grid, motion: TimedSolution, exceeding: Array) -> Grid:
+def platform_of(path: Path, problem: Problem, solution: Solution) -> ContinuousMotion:
+    """Return the motion of the platform along the path by the law of a solution."""
+    law, t = law_of(problem, solution), problem.times(solution.values)
+    breaks = t[:-1][problem.grid.h == 0.0]
+    knots = frozen(np.setdiff1d(law.edges[1:-1], breaks))
+    timed = Trajectory(path, TimingLaw.of(law, path.length))
+    return ContinuousMotion(timed, law.start, law.end, law.end, frozen(breaks), knots, True)
+
+
+def _finer(
+    task: Task, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
+) -> Problem:
+    t, timing = problem.times(solution.values), required(problem.timing)
+    nodes = finer_nodes(problem.grid, t, law_of(problem, solution), found.middle[marked])
+    return read_path_problem(task, nodes, timing.begin, timing.lap, problem)
+
+
+def law_of(problem: Problem, solution: Solution) -> PiecewisePolynomial:
+    """Return the place on the path as a function of time, m."""
+    timing, values = required(problem.timing), solution.values
+    pd, pdd = values["pd"] * timing.speed, values["pdd"] * timing.acceleration
+    return PiecewisePolynomial.linear(problem.times(values), problem.grid.t[:, None], pd, pdd)
+
+
+def finer_nodes(grid: Grid, times: Array, law: Callable[[Array], Array], exceeding: Array) -> Grid:
     """Return a grid with a node halfway in time in each step around the times that exceed, s, and in long ones.
 
-    But in the long ones the jerk is continuous there: the efforts are seen, and no more is free.
+    Around those that exceed the jerk is continuous there: the efforts are seen, and no more is free.
+
+    ``grid``: places on the path; ``times`` (M,) at these, s; ``law``: places (N, 1) at times.
     """
-    h = np.diff(motion.t)
+    h = np.diff(times)
+    is_long = h > LONG * times[-1]
     steps = np.zeros(len(h), dtype=bool)
-    steps[np.clip(np.searchsorted(motion.t, exceeding, side="right") - 1, 0, len(h) - 1)] = True
-    marked = np.flatnonzero((widened(steps, BESIDE) | (h > LONG * motion.t[-1])) & (h > 0.0))
-    places = motion.law(0.5 * (motion.t[marked] + motion.t[marked + 1]))[:, 0]
+    steps[np.clip(np.searchsorted(times, exceeding, side="right") - 1, 0, len(h) - 1)] = True
+    marked = np.flatnonzero((widened(steps, BESIDE) | is_long) & (h > 0.0))
+    places = law(0.5 * (times[marked] + times[marked + 1]))[:, 0]
     left, right = grid.t[marked], grid.t[marked + 1]
     # a law that stands still in a step, or runs back, has no place of its own halfway
     places = np.clip(places, left + APART * (right - left), right - APART * (right - left))
-    on = np.zeros(len(grid.t), dtype=bool)
-    on[grid.singular] = True
-    smooth = np.insert(grid.smooth, marked + 1, h[marked] <= LONG * motion.t[-1])
-    t = np.insert(grid.t, marked + 1, places)
-    return Grid(read_only(t), read_only(np.flatnonzero(np.insert(on, marked + 1, False))), read_only(smooth))
+    return with_nodes(grid, marked, places, ~is_long[marked])
 
 
 def _require_closed(unit: ContinuousMotion) -> None:
@@ -293,151 +245,3 @@ def _require_closed(unit: ContinuousMotion) -> None:
             remedy="A lap needs a closed path, such as a circle or a square.",
             name="lap",
         )
-
-
-def path_problem(
-    dynamics: Dynamics, unit: ContinuousMotion, nodes: Grid, rates: Array, given: Mapping[str, Any]
-) -> TimeOptimalProblem:
-    """Read the coefficients, and choose sizes by the speed that the parked robot may take."""
-    motion = unit.sample_at(nodes.t)
-    along = dynamics.along(motion)
-    model = read_model(along, dynamics)
-    parked = along.reduce()
-
-    def read(there: DynamicsAlongMotion) -> CarrierModel:
-        return read_model(there, dynamics)
-
-    def node(i: int) -> SingularNode:
-        side: Side = "left" if i < len(nodes.h) and nodes.h[i] == 0.0 else "right"
-        return singular_node(dynamics, unit, i, float(nodes.t[i]), read, side)
-
-    singular = tuple(node(i) for i in nodes.singular.tolist())
-    limits = given["limits"]
-    turning = np.abs(np.einsum("nim,ni->nm", model.W, motion.xd))
-    fastest = (rates / np.maximum(turning, 1e-300)).min(axis=1, initial=1e300)
-    length = unit.end
-    place = nodes.t / nodes.t[-1]
-    regular = ~near_singular(parked)
-    inverse = np.linalg.pinv(model.W[regular])
-
-    def use(speed: float) -> float:
-        """Return the largest share of the limits that harmonic motion of a mean speed has of them."""
-        pd, pdd = speed * np.sqrt(4.0 * place * (1.0 - place)), 2.0 * speed**2 / length * (1.0 - 2.0 * place)
-        f = _at(model.f0, pd, pdd)[regular]
-        tau = np.einsum("nmi,ni->nm", inverse, f)
-        share = np.abs(tau / np.where(np.isfinite(limits.effort), limits.effort, np.inf)).max(initial=0.0)
-        return max(float(share), float((pd / fastest).max()))
-
-    speeds = length * np.geomspace(1e-3, 1e3, 121)
-    uses = np.array([use(speed) for speed in speeds])
-    below = np.flatnonzero(uses <= 0.9)
-    speed = float(speeds[below[-1] if len(below) else int(uses.argmin())])
-    duration = 0.5 * np.pi * length / speed
-    share = np.arccos(1.0 - 2.0 * place) / np.pi
-    h = duration * np.diff(share)
-    acceleration = 2.0 * speed**2 / length
-    (lower, upper), k = limits.track.T, model.k
-    s = np.where(np.isfinite(upper - lower), 0.5 * (upper - lower), 1.0) if k else np.zeros(0)
-    sd = np.where(np.isfinite(limits.speed), limits.speed, 10.0 * s / duration)
-    sdd = np.where(np.isfinite(limits.acceleration), limits.acceleration, 10.0 * sd / duration)
-    size = float(np.abs(_at(model.f0, speed, acceleration) / parked.row_scale).max()) or 1.0
-    largest = np.linalg.svd(model.W / parked.row_scale[:, None], compute_uv=False)[:, 0]
-    finite = limits.effort[np.isfinite(limits.effort)]
-    tau = float(finite.min()) if len(finite) else size / float(np.median(largest))
-    row = max(size, tau * float(np.median(largest))) * parked.row_scale
-    sizes = PathScales(speed, acceleration, s, sd, sdd, tau, row, np.where(nodes.h > 0.0, h, duration), duration)
-    return TimeOptimalProblem(grid=nodes, model=model, singular=singular, fastest=fastest, sizes=sizes, **given)
-
-
-def _at(first: Array, pd: ArrayLike, pdd: ArrayLike) -> Array:
-    """Return coefficients (M, r, 4) at speeds and accelerations along the path, (M,) or one for all."""
-    powers = np.stack(np.broadcast_arrays(1.0, pd, np.square(pd), pdd), axis=-1)
-    return np.asarray(np.einsum("nrq,nq->nr", first, np.broadcast_to(powers, (len(first), 4))))
-
-
-def first_guess(problem: TimeOptimalProblem) -> dict[str, Array]:
-    """Return scaled variables of parked carriers and harmonic motion, of even speed in a lap."""
-    u, grid, k = problem.sizes, problem.grid, problem.model.k
-    place = grid.t / grid.t[-1]
-    parked = np.tile(problem.datum / u.s, (len(place), 1)) if k else np.zeros((len(place), 0))
-    if problem.lap:
-        pd, pdd, h = np.full(len(place), 0.5), np.zeros(len(place)), grid.h / (0.5 * u.speed) / u.h
-    else:
-        pd, pdd, h = np.sqrt(4.0 * place * (1.0 - place)), 1.0 - 2.0 * place, np.where(grid.h > 0.0, 1.0, 0.0)
-    return {"pd": pd[:, None], "pdd": pdd[:, None], "h": h[:, None], "s": parked}
-
-
-_MOVED = ("pd", "pdd", "s", "sd", "sdd", "tau")
-_SIZE = {"pd": "speed", "pdd": "acceleration"}
-
-
-def in_units(problem: TimeOptimalProblem, solution: Solution) -> dict[str, Array]:
-    """Return the variables in units, and under "place" and "h" the nodes and the durations of the steps."""
-    u = problem.sizes
-    values = {name: solution.values[name] * getattr(u, _SIZE.get(name, name)) for name in _MOVED}
-    return {**values, "place": problem.grid.t, "h": solution.values["h"] * u.h[:, None]}
-
-
-def moved_guess(values: dict[str, Array], problem: TimeOptimalProblem) -> dict[str, Array]:
-    """Return scaled variables on other nodes, from those in units on fewer."""
-    u, new, old = problem.sizes, problem.grid.t, values["place"]
-    at = np.searchsorted(old, new, side="left")
-    # of nodes that occur twice the second one is the second one there, too
-    second = np.append(False, np.diff(new) == 0.0)
-    at[second] += 1
-    same = old[at] == new
-    below = np.maximum(at - 1, 0)
-    part = np.divide(new - old[below], old[at] - old[below], out=np.ones_like(new), where=~same)[:, None]
-    moved = {name: (1.0 - part) * values[name][below] + part * values[name][at] for name in _MOVED}
-    scaled_ones = {name: value / getattr(u, _SIZE.get(name, name)) for name, value in moved.items()}
-    times = np.concatenate([[0.0], np.cumsum(values["h"])])
-    t = ((1.0 - part[:, 0]) * times[below] + part[:, 0] * times[at])[:, None]
-    return {**scaled_ones, "h": np.diff(t, axis=0) / u.h[:, None]}
-
-
-def solved_programme(problem: TimeOptimalProblem, guess: dict[str, Array], seconds: float) -> Solution:
-    """Solve with rows between the nodes where they are needed.
-
-    Raises:
-        InfeasiblePlanError: no timing was found.
-    """
-    deadline = time.perf_counter() + seconds
-    between: BoolArray = np.zeros(len(problem.grid.h), dtype=bool)
-    iterations, spent = 0, 0.0
-    for _ in range(ROUNDS + 1):
-        for options in (WARM if "tau" in guess else FIRST, FALLBACK):
-            left = max(deadline - time.perf_counter(), LEAST_SECONDS)
-            solution = solve_nlp(transcribe(problem, between), guess, left, options)
-            iterations, spent = iterations + solution.iterations, spent + solution.seconds
-            if solution.optimal or time.perf_counter() > deadline:
-                break
-        leaves = leaves_limits(problem, solution) & ~between
-        if not solution.feasible or not leaves.any():
-            break
-        between, guess = between | widened(leaves, BESIDE), solution.values
-    if not solution.feasible:
-        late = solution.message == OUT_OF_TIME
-        raise InfeasiblePlanError(
-            f"No timing was found{f' within {seconds:g} s' if late else ' that keeps the limits'} "
-            f"(the solver says {solution.message}; unbalanced by {solution.violation:.2g}).",
-            remedy="Allow more seconds." if late else "Raise the limits of efforts or carriers, or leave the end free.",
-            constraint="seconds" if late else "effort",
-            time=0.0,
-            amount=solution.violation,
-        )
-    return replace(solution, iterations=iterations, seconds=spent)
-
-
-def leaves_limits(problem: TimeOptimalProblem, solution: Solution) -> BoolArray:
-    """Return (M − 1,) the steps inside which a carrier leaves its track or exceeds its speed."""
-    u, values, limits = problem.sizes, solution.values, problem.limits
-    leaves: BoolArray = np.zeros(len(problem.grid.h), dtype=bool)
-    if not problem.model.k:
-        return leaves
-    t = np.concatenate([[0.0], np.cumsum(values["h"][:, 0] * u.h)])
-    position = PiecewisePolynomial.linear(t, *(values[name] * getattr(u, name) for name in ("s", "sd", "sdd")))
-    lower, upper = limits.track.T
-    for function, low, high in ((position, lower, upper), (position.derivative(), -limits.speed, limits.speed)):
-        least, most = function.ranges()
-        leaves[problem.grid.h > 0.0] |= ((most > high) | (least < low)).any(axis=1)
-    return leaves

@@ -3,11 +3,14 @@
 Unknowns at each node: s, ṡ, s̈ and τ over their sizes; further ones where an objective or a limit needs them. s̈ is
 linear between nodes, so that the carriers' motion is integrated exactly by linear equations; W τ = f is quadratic.
 Expressions are matrices with a row a node, so that the graph the library differentiates does not grow with the nodes.
+
+Where the time is minimised, the nodes are places p on the path. ṗ and p̈ there and the durations h of the steps are
+unknown too, p̈ is linear in a step, and all rows are the same with h an expression in place of a number.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -18,7 +21,7 @@ from redundancy_pin.dynamics.base import ExactAlongMotion
 from redundancy_pin.planners.carrier_model import terms
 from redundancy_pin.planners.optimal.nlp import NLP, casadi
 from redundancy_pin.planners.optimal.objectives import OBJECTIVES, Quantities
-from redundancy_pin.planners.optimal.problem import Problem, SingularNode
+from redundancy_pin.planners.optimal.problem import Problem, SingularNode, powers_of, required
 
 RESERVE = 1e-9
 """Fraction of the limits kept in reserve for the rounding of the solver."""
@@ -38,6 +41,12 @@ ELASTIC_OBJECTIVE = 1e-6
 REGULARISATION = 1e-5
 """Weight of the mean square of s̈ over its limit beside an objective of size one: where the objective leaves the
 carriers open they take the gentlest motion, and the plan is unique."""
+
+REGULARISATION_OF_TIME = 1e-3
+"""Weight of the mean square of s̈ over its size beside the duration over its own."""
+
+LEAST_STEP = 1e-3
+"""Fraction of its size that a step lasts at least."""
 
 PEAK = "largest"
 """With what the names of the copies of a largest value begin."""
@@ -73,6 +82,21 @@ def scaled_bounds(problem: Problem) -> dict[str, tuple[Array, Array]]:
     return {"s": ((lower + low_margin) / u.s, (upper - high_margin) / u.s), **symmetric}
 
 
+def relaxed_bounds(problem: Problem, values: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
+    """Return ``scaled_bounds``, let out by the fractions that an elastic programme ended with, if it was one."""
+    bounds = scaled_bounds(problem)
+    for name, kind in KIND_OF.items():
+        if slack_name(kind) in values:
+            (lower, upper), fraction = bounds[name], float(values[slack_name(kind)][0, 0])
+            bounds[name] = lower - fraction * _room(lower, upper), upper + fraction * _room(lower, upper)
+    return bounds
+
+
+def _room(lower: Array, upper: Array) -> Array:
+    """Return half the distance of two bounds, a fraction of which an elastic limit gives way by; 1 without a bound."""
+    return np.where(np.isfinite(upper - lower) & (upper > lower), 0.5 * (upper - lower), 1.0)
+
+
 class Transcription(Quantities):
     """The programme of a problem while it is put together, and its quantities as expressions.
 
@@ -87,6 +111,8 @@ class Transcription(Quantities):
         # Otherwise the barrier, which starts at one size, outweighs the objective of a long plan.
         self.nlp.size = float(len(problem.grid.t))
         self._problem, self._bounds = problem, scaled_bounds(problem)
+        self.h: Any = problem.grid.h[:, None]
+        self._pace: tuple[Any, ...] = ()
         self._slack: dict[str, Any] = {}
         for kind in elastic:
             self._slack[kind] = self._copies(slack_name(kind), len(problem.grid.t))
@@ -120,13 +146,32 @@ class Transcription(Quantities):
         if self._problem.exact is not None:
             self.equal(force - self._exact[1], np.zeros_like(model.force0), self.scales.force)
             return force
-        own = sum(
-            model.force_terms[..., j] * term
-            for j, term in enumerate(terms(self.s, self.sd, self.sdd, model.force_terms.shape[2], casadi()))
-            if model.force_terms[..., j].any()
-        )
-        self.equal(force - own, model.force0, self.scales.force)
+        # each carrier's force depends on its own motion
+        own, by_term = np.arange(model.k), np.zeros((len(model.t), model.k, *model.force_terms.shape[1:]))
+        by_term[:, own, own] = model.force_terms
+        by_carriers, alone = self._sum(model.force0, by_term)
+        self.equal(force - by_carriers, alone, self.scales.force)
         return force
+
+    def _sum(self, first: Array, by_term: Array, *motion: Any) -> tuple[Any, Array]:
+        """Return (M, r) what of a sum depends on unknowns, and what does not.
+
+        ``first`` (M, r) and ``by_term`` (M, r, k, terms) coefficients, with an axis for 1, ṗ, ṗ² and p̈ in the end
+        where the time is unknown; ``motion``: s, ṡ, s̈ and, where unknown, ṗ and p̈; those at the nodes when left out.
+        """
+        s, sd, sdd, *pace = motion or (self.s, self.sd, self.sdd, *self._pace)
+        if self._problem.timing is None:
+            first, by_term = first[..., None], by_term[..., None]
+        ca, powers = casadi(), powers_of(*pace)
+        used = [(first[..., q, None], power) for q, power in enumerate(powers) if q and first[..., q].any()]
+        for j, term in enumerate(terms(s, sd, sdd, by_term.shape[3], ca) if s.shape[1] else ()):
+            for q, power in enumerate(powers):
+                if by_term[..., j, q].any():
+                    used.append((by_term[..., j, q], term * power if q else term))
+        if not used:
+            return ca.DM.zeros(*first.shape[:2]), first[..., 0]
+        coefficients, values = zip(*used, strict=True)
+        return product(np.concatenate(coefficients, axis=2), ca.horzcat(*values)), first[..., 0]
 
     @cached_property
     def base_force(self) -> Any:
@@ -152,7 +197,7 @@ class Transcription(Quantities):
         size = self.scales.base[at]
         wrench = self.nlp.variable("base", (len(base.w0), len(at))) * _rows(size, (len(base.w0), len(at)))
         by_term = np.where(base.changed[at, None, None], base.by_term[:, at], 0.0)
-        self.equal(wrench - _polynomial(by_term, self.s, self.sd, self.sdd), base.w0[:, at], size)
+        self.equal(wrench - self._sum(base.w0[:, at], by_term)[0], base.w0[:, at], size)
         return wrench
 
     def equal(self, expression: Any, value: Any, size: Any) -> None:
@@ -165,7 +210,7 @@ class Transcription(Quantities):
             self.nlp.within(expression, lower, upper)
             return
         lower, upper = (np.broadcast_to(bound, expression.shape) for bound in (lower, upper))
-        half = np.where(np.isfinite(upper - lower) & (upper > lower), 0.5 * (upper - lower), 1.0)
+        half = _room(lower, upper)
         slack = casadi().repmat(self._slack[kind][: expression.shape[0]], 1, expression.shape[1])
         self.nlp.within(expression + half * slack, lower, np.inf)
         self.nlp.within(expression - half * slack, -np.inf, upper)
@@ -174,7 +219,7 @@ class Transcription(Quantities):
         """Require W τ = f at every node, whatever the rank of W, and its rate at the singular ones."""
         model = self._problem.model
         if self._problem.exact is None:
-            f, f0 = _polynomial(model.f_terms, self.s, self.sd, self.sdd), model.f0
+            f, f0 = self._sum(model.f0, model.f_terms)
         else:
             f, f0 = self._exact[0], np.zeros_like(model.f0)
         self.equal(product(model.W, self.tau) - f, f0, self.scales.row)
@@ -187,15 +232,18 @@ class Transcription(Quantities):
         return loads_of(self._problem.exact, self.s, self.sd, self.sdd)
 
     def _singular_instants(self) -> None:
-        """Require uᵀ Ẇ τ = uᵀ ḟ, see ``coefficients``; uᵀ f = 0 follows from W τ = f at the node."""
-        ca, h, k = casadi(), self._h, self._problem.model.k
+        """Require uᵀ Ẇ τ = uᵀ ḟ, see ``problem``; uᵀ f = 0 follows from W τ = f at the node.
+
+        Along a path the rates of the coefficients are those by p, and ṗ times these are those by time.
+        """
+        ca, problem = casadi(), self._problem
         # one row for each lost direction u
-        nodes = [node for node in self._problem.singular for _ in node.lost]
-        u = np.concatenate([node.lost for node in self._problem.singular])
+        nodes = [node for node in problem.singular for _ in node.lost]
+        u = np.concatenate([node.lost for node in problem.singular])
         at = np.array([node.index for node in nodes])
         # both steps beside a node have one jerk, but where the reference jumps: there each node has a step of its own
+        h = problem.grid.h
         step = np.array([i if i < len(h) and h[i] > 0.0 else i - 1 for i in at])
-        jerk = (self.sdd[step + 1, :] - self.sdd[step, :]) / h[step, None]
 
         def along_u(values: Array) -> Array:
             projected: Array = np.einsum("ri,ri...->r...", u, values)[:, None]
@@ -204,17 +252,26 @@ class Transcription(Quantities):
         W, f0, f_terms = (
             along_u(np.concatenate([getattr(node.rate, name) for node in nodes])) for name in ("W", "f0", "f_terms")
         )
-        s, sd, sdd, sddd = (ca.MX.sym(name, len(at), k) for name in ("s", "sd", "sdd", "sddd"))
-        if self._problem.exact is None:
-            f = _polynomial(along_u(self._problem.model.f_terms[at]), s, sd, sdd)
-            by_time = _polynomial(f_terms, s, sd, sdd)
+        motion = [x[at, :] for x in (self.s, self.sd, self.sdd, *self._pace)]
+        # the rates of all of these
+        jerks = [(x[step + 1, :] - x[step, :]) / self.h[step, :] for x in (self.sdd, *self._pace[1:])]
+        rates = [motion[1], motion[2], jerks[0], *motion[4:], *jerks[1:]]
+        symbols, rate_symbols = ([ca.MX.sym("x", *x.shape) for x in motion] for _ in range(2))
+        if problem.exact is None:
+            f, _ = self._sum(along_u(problem.model.f0[at]), along_u(problem.model.f_terms[at]), *symbols)
+            by_place, alone = self._sum(f0, f_terms, *symbols)
+            by_place += alone
         else:
-            f0 = np.zeros_like(f0)
-            f, by_time = (ca.vertcat(*rows) for rows in zip(*self._exact_at(nodes, u, s, sd, sdd), strict=True))
-        carried = ca.jtimes(f, ca.horzcat(s, sd, sdd), ca.horzcat(sd, sdd, sddd))
-        f_dot = ca.Function("f_dot", [s, sd, sdd, sddd], [by_time + carried])
+            f, by_place = (ca.vertcat(*rows) for rows in zip(*self._exact_at(nodes, u, *symbols), strict=True))
+        speed = symbols[3] if self._pace else 1.0
+        f_dot = ca.Function(
+            "f_dot",
+            [*symbols, *rate_symbols],
+            [by_place * speed + ca.jtimes(f, ca.horzcat(*symbols), ca.horzcat(*rate_symbols))],
+        )
+        left = product(W, self.tau[at, :]) * (motion[3] if self._pace else 1.0)
         size = self.scales.tau * np.maximum(np.abs(W).max(axis=2), np.finfo(float).tiny)
-        self.equal(product(W, self.tau[at, :]) - f_dot(self.s[at, :], self.sd[at, :], self.sdd[at, :], jerk), f0, size)
+        self.equal(left - f_dot(*motion, *rates), 0.0, size * (problem.timing.speed if problem.timing else 1.0))
 
     @staticmethod
     def _exact_at(nodes: Sequence[SingularNode], u: Array, *motion: Any) -> list[tuple[Any, Any]]:
@@ -231,21 +288,14 @@ class Transcription(Quantities):
 
     def motion(self) -> None:
         """Integrate s̈, which is linear in a step, so that ṡ is quadratic and s cubic; keep jerks, start and end."""
-        grid, settings, u = self._problem.grid, self._problem.settings, self.scales
-        s, sd, sdd, h = self.s, self.sd, self.sdd, grid.h[:, None]
-        # the nodes at both ends of each step
-        s0, s1, sd0, sd1, sdd0, sdd1 = (part for x in (s, sd, sdd) for part in (x[:-1, :], x[1:, :]))
-        self.equal(s0 + h * sd0 + h**2 / 6.0 * (2.0 * sdd0 + sdd1) - s1, 0.0, u.s)
-        self.equal(sd0 + h / 2.0 * (sdd0 + sdd1) - sd1, 0.0, u.sd)
-        if np.isfinite(settings.limits.jerk).any():
-            most = h * settings.limits.jerk / u.sdd
-            self.limit("jerk", (sdd1 - sdd0) / _rows(u.sdd, sdd0.shape), -most, most)
-        # the jerk is the same on both sides of smooth nodes
-        at = np.flatnonzero(grid.smooth)
-        share = h[at - 1] / (h[at - 1] + h[at])
-        self.equal((1.0 - share) * sdd[at - 1, :] + share * sdd[at + 1, :] - sdd[at, :], 0.0, u.sdd)
-        self.equal(s[0, :], settings.start[None], u.s)
-        self.equal(sd[0, :], settings.start_speed[None], u.sd)
+        settings, u = self._problem.settings, self.scales
+        self._integrate(self.s, self.sd, self.sdd, (u.s, u.sd, u.sdd))
+        limited = np.flatnonzero(np.isfinite(settings.limits.jerk))
+        if len(limited):
+            change = self.nlp.blocks["sdd"][1:, limited.tolist()] - self.nlp.blocks["sdd"][:-1, limited.tolist()]
+            most = self.h * np.broadcast_to((settings.limits.jerk / u.sdd)[limited], change.shape)
+            self.limit("jerk", change, -most, most)
+        self._start()
         first, last = ({name: self.nlp.blocks[name][i, :] for name in ("s", "sd", "sdd")} for i in (0, -1))
         if settings.end in ("rest", "datum"):
             self.limit("end", last["sd"], 0.0, 0.0)
@@ -255,14 +305,37 @@ class Transcription(Quantities):
             for name in first:
                 self.limit("end", last[name] - first[name], 0.0, 0.0)
 
+    def _integrate(self, y: Any, yd: Any, ydd: Any, sizes: tuple[Any, Any, Any]) -> None:
+        """Integrate ÿ, which is linear in a step, exactly; the jerk is the same on both sides of smooth nodes."""
+        if not y.shape[1]:
+            return
+        grid, h = self._problem.grid, self.h
+        # the nodes at both ends of each step
+        y0, y1, yd0, yd1, ydd0, ydd1 = (part for x in (y, yd, ydd) for part in (x[:-1, :], x[1:, :]))
+        self.equal(y0 + h * yd0 + h**2 / 6.0 * (2.0 * ydd0 + ydd1) - y1, 0.0, sizes[0])
+        self.equal(yd0 + h / 2.0 * (ydd0 + ydd1) - yd1, 0.0, sizes[1])
+        at = np.flatnonzero(grid.smooth)
+        # over the size of both steps, so that the row has that of ÿ
+        usual = (grid.h if self._problem.timing is None else self._problem.timing.h)[:, None]
+        before, after = (h[i, :] / (usual[at - 1] + usual[at]) for i in (at - 1, at))
+        self.equal(after * ydd[at - 1, :] + before * ydd[at + 1, :] - (before + after) * ydd[at, :], 0.0, sizes[2])
+
+    def _start(self) -> None:
+        """Require position and speed of the carriers at the start."""
+        settings, u = self._problem.settings, self.scales
+        self.equal(self.s[0, :], settings.start[None], u.s)
+        self.equal(self.sd[0, :], settings.start_speed[None], u.sd)
+
     def limits_between_nodes(self, steps: BoolArray) -> None:
         """Keep track and speed limits inside some of the steps, (M − 1,).
 
         ṡ is quadratic and s cubic in a step: each lies in the hull of its Bézier points, of which the inner ones are
         added here.
         """
-        at = np.flatnonzero(steps & (self._h > 0.0))
-        h = self._h[at, None]
+        at = np.flatnonzero(steps & (self._problem.grid.h > 0.0))
+        h = self.h[at, :]
+        if not self.s.shape[1]:
+            return
         for name, inner in (
             ("sd", self.sd[at, :] + h / 2.0 * self.sdd[at, :]),
             ("s", self.s[at, :] + h / 3.0 * self.sd[at, :]),
@@ -299,6 +372,50 @@ class Transcription(Quantities):
             self.nlp.within(sign * values / size - top, -np.inf, 0.0)
         # the mean, so that all copies have a slope: the solver scales the whole objective by the largest one
         return size * casadi().sum1(copies) / copies.shape[0]
+
+
+class PathTranscription(Transcription):
+    """The programme of least time along a path: the carriers' rows as they are, with the steps' durations unknown."""
+
+    def __init__(self, problem: Problem, elastic: Sequence[str]) -> None:
+        super().__init__(problem, elastic)
+        timing, nodes = required(problem.timing), len(problem.grid.t)
+        fastest = timing.fastest / timing.speed * (1.0 - RESERVE)
+        if problem.shares is not None:  # the last columns are those of the actuators' rates
+            m, k = problem.model.W.shape[2], problem.model.k
+            fastest = fastest * problem.shares[:, m + k :].min(axis=1, initial=1.0)
+        if not timing.lap:
+            fastest[[0, -1]] = 0.0
+        self._pace = (
+            self.nlp.variable("pd", (nodes, 1), 0.0, fastest[:, None]) * timing.speed,
+            self.nlp.variable("pdd", (nodes, 1)) * timing.acceleration,
+        )
+        moving = (problem.grid.h > 0.0)[:, None]
+        bounds = np.where(moving, LEAST_STEP, 0.0), np.where(moving, np.inf, 0.0)
+        self.h = self.nlp.variable("h", (nodes - 1, 1), *bounds) * timing.h[:, None]
+
+    def motion(self) -> None:
+        """Integrate p̈ and s̈; a lap ends as it began, and the platform never runs back."""
+        grid, timing, (pd, pdd) = self._problem.grid, required(self._problem.timing), self._pace
+        distance = np.where(grid.h > 0.0, grid.h, 1.0)[:, None]
+        self._integrate(casadi().DM(grid.t), pd, pdd, (distance, timing.speed, timing.acceleration))
+        if timing.lap:
+            for block in (self.nlp.blocks["pd"], self.nlp.blocks["pdd"]):
+                self.nlp.within(block[-1, :] - block[0, :])
+        self.nlp.within((pd[:-1, :] + self.h / 2.0 * pdd[:-1, :]) / timing.speed, 0.0, np.inf)
+        super().motion()
+
+    def _start(self) -> None:
+        begin = required(self._problem.timing).begin
+        if begin == "datum":
+            super()._start()
+        elif begin == "rest":
+            self.equal(self.sd[0, :], 0.0, self.scales.sd)
+
+    def objective(self) -> None:
+        """Add the duration over its size, and the regularisation."""
+        gentle = casadi().sumsqr(self.nlp.blocks["sdd"]) / (max(self._problem.model.k, 1) * self.nlp.size)
+        self.nlp.cost += casadi().sum1(self.h) / self.scales.duration + REGULARISATION_OF_TIME * gentle
 
 
 class Evaluation(Quantities):
@@ -344,7 +461,7 @@ def transcribe(
     ``between`` (M − 1,): steps in which track and speed limits hold between the nodes as well; all when left out;
     ``limit_force``: whether the limits of the carriers' forces are held.
     """
-    programme = Transcription(problem, elastic)
+    programme = (Transcription if problem.timing is None else PathTranscription)(problem, elastic)
     programme.nlp.rows = {"elastic": tuple(elastic), "between": between, "limit_force": limit_force}
     programme.motion()
     programme.dynamics()
@@ -368,14 +485,6 @@ def loads_of(along: ExactAlongMotion | None, s: Any, sd: Any, sdd: Any) -> tuple
     return f.T, force.T
 
 
-def _polynomial(coefficients: Array, s: Any, sd: Any, sdd: Any) -> Any:
-    """Return (M, n) sums over carriers and terms, from (M, n, k, terms) coefficients."""
-    used = np.flatnonzero(coefficients.any(axis=(0, 1, 2)))
-    every = terms(s, sd, sdd, coefficients.shape[3], casadi())
-    by_column = coefficients[..., used].swapaxes(2, 3).reshape(*coefficients.shape[:2], -1)
-    return product(by_column, casadi().horzcat(*(every[j] for j in used)))
-
-
 def product(coefficients: Array, values: Any) -> Any:
     """Return (M, r) the products of (M, r, c) matrices and the (M, c) rows of an expression."""
     ca = casadi()
@@ -386,5 +495,7 @@ def product(coefficients: Array, values: Any) -> Any:
 def _rows(size: Any, shape: tuple[int, int]) -> Any:
     """Return a size for each column as a matrix with equal rows (columns the library broadcasts by itself)."""
     size = np.asarray(size)
+    if not size.size:
+        return 1.0
     # one number, as where all carriers have one limit, is handed over twenty times faster
     return float(size.flat[0]) if np.all(size == size.flat[0]) else np.broadcast_to(size, shape)

@@ -5,24 +5,24 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.intersample_check import LOWERED, IntersampleCheck, PlannedMotion, intersample_check
+from redundancy_pin.planners.intersample_check import IntersampleCheck
 from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.optimal.infeasible import relax, require_bounds
-from redundancy_pin.planners.optimal.mesh import first_mesh, resample, steps_around, with_middles
+from redundancy_pin.planners.optimal.mesh import first_mesh, steps_around, with_middles
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
 from redundancy_pin.planners.optimal.objectives import End, Mesh, Objective, Solver, checked_settings
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
+from redundancy_pin.planners.optimal.refine import Planned, Planning, plan_and_refine
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, solve
 from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
 from redundancy_pin.planners.plan import Plan
@@ -37,8 +37,6 @@ refined steps, and the grid would follow it one step at a time."""
 
 TWICE = 1.08
 """Ratio of efforts between the nodes to those at them from which steps are halved twice."""
-
-PHASES = ("optimised",)
 
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
@@ -176,78 +174,21 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     ``position``: of the carriers, to begin with in place of parked ones.
     """
     began = time.perf_counter()
-    settings = task.settings
-    report = settings.solver.progress or (lambda line: None)
-    nodes = first_mesh(task.dynamics, task.source, settings.mesh.dt)
+    nodes = first_mesh(task.dynamics, task.source, task.settings.mesh.dt)
     problem, readers = read_problem(task, nodes)
     guess = None if position is None else problem.scaled(carriers_at(position, nodes.t))
-    ratios: list[float] = []
-    refined = lowered = 0
 
-    @cache
-    def check(solution: Solution) -> IntersampleCheck:
-        return intersample_check(_planned(task, problem, solution))
+    def finer(problem: Problem, _: Solution, found: IntersampleCheck, marked: BoolArray, first: bool) -> Problem:
+        # on the first mesh the carriers still use what they find between the nodes, and most of it goes by itself
+        nodes = problem.grid
+        for least in (0.0,) if first else (0.0, TWICE):
+            nodes = with_middles(nodes, steps_around(nodes, found.middle[marked & (found.worst > least)], BESIDE))
+        return read_problem(task, nodes, readers, problem.scales)[0]
 
-    def is_coarse(solution: Solution) -> bool:
-        found = check(solution)
-        return refined < settings.mesh.refinements and not found.passed and bool(found.too_coarse([]).any())
-
-    while True:
-        report(f"{len(nodes.t)} nodes, {len(nodes.singular)} of them singular: solving")
-        try:
-            result = _solve(task, problem, guess, is_coarse)
-        except InfeasiblePlanError:
-            if not lowered:
-                raise
-            break  # nothing keeps the lower limits at the nodes: the last plan stands, and says what it exceeds
-        solution = result.best.solution
-        found = check(solution)
-        at_nodes = np.abs(problem.tau(solution.values)).max()
-        report(f"peak effort {at_nodes:.4g} at the nodes, {found.peaks.peak.max():.4g} between them")
-        ratios.append(float(found.worst.max(initial=1.0)))
-        marked = found.too_coarse(ratios if lowered else [])
-        finer = bool(marked.any()) and refined < settings.mesh.refinements
-        if found.passed or not solution.optimal or not (finer or (not found.within_limits and lowered < LOWERED)):
-            break
-        guess = solution.values
-        if finer:
-            # on the first mesh the carriers still use what they find between the nodes, and most of it goes by itself
-            for least in (0.0, TWICE) if refined else (0.0,):
-                nodes = with_middles(nodes, steps_around(nodes, found.middle[marked & (found.worst > least)], BESIDE))
-            guess = resample(solution.values, problem.grid.t, nodes.t)
-            problem, readers = read_problem(task, nodes, readers, problem.scales)
-            refined += 1
-        else:
-            problem, lowered = replace(problem, shares=found.shares(nodes.t, problem.shares)), lowered + 1
-    plan = _plan(task, result, found)
-    timing = {"dense_ratios": ratios, "seconds": time.perf_counter() - began}
-    return replace(plan, diagnostics={**plan.diagnostics, **timing}), result.best
-
-
-def _planned(task: Task, problem: Problem, solution: Solution) -> PlannedMotion:
-    """Return what a solution plans.
-
-    At singular nodes the efforts are those of the solution, which W⁻¹ f tends to; elsewhere, and with as many main
-    actuators as coordinates, W τ = f leaves no choice. With more actuators the efforts are the nearest to the planned
-    ones, which are linear in a step.
-    """
-    robot, nodes, tau = task.dynamics.robot, problem.grid, problem.tau(solution.values)
-    prescribed = tau.copy()
-    if robot.m <= robot.n:
-        prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan
-    preferred = PiecewisePolynomial.linear(nodes.t, tau)
-    return PlannedMotion(
-        task.dynamics,
-        PlanFunctions(task.source, problem.position(solution.values).made_continuous(), preferred=preferred),
-        task.dynamics.along(task.source.sample_at(nodes.t)),
-        problem.carriers(solution.values),
-        task.settings.limits,
-        "whole_trajectory",
-        prescribed=prescribed,
-        singular=nodes.singular,
-        phases=PHASES,
-        parameters=task.settings.parameters,
-    )
+    planning = Planning("whole_trajectory", task, partial(_solve, task), lambda *_: task.source, finer)
+    planned = plan_and_refine(planning, problem, guess)
+    plan = _plan(task, planned)
+    return replace(plan, diagnostics={**plan.diagnostics, "seconds": time.perf_counter() - began}), planned.best
 
 
 def _solve(
@@ -278,28 +219,16 @@ def _solve(
     return replace(result, outcomes=(*result.outcomes, Outcome(problem, last)))
 
 
-def _plan(task: Task, result: Multistart, found: IntersampleCheck) -> Plan:
-    """Return the plan of the best solution, with what the search found."""
-    problem, solution = result.best.problem, result.best.solution
-    nodes, starts = problem.grid, result.summary
-    planned = replace(
-        _planned(task, problem, solution),
-        diagnostics={
-            "optimal": solution.optimal,
-            "solver": solution.message,
-            "iterations": solution.iterations,
-            "violation": solution.violation,
-            "cost": solution.cost,
-            "starts": starts,
-            "costs": starts["costs"],
-            "solver_messages": starts["messages"],
-            "objective": objective_values(problem, solution.values),
-            "objective_size": objective_sizes(problem),
-            "nodes": len(nodes.t),
-            "singular_instants": np.unique(nodes.t[nodes.singular]).tolist(),
-            "singular_nodes": nodes.singular.tolist(),
-            "smooth_nodes": np.flatnonzero(nodes.smooth).tolist(),
-            "solver_seconds": solution.seconds,
-        },
-    )
-    return finish_plan(planned, found)
+def _plan(task: Task, planned: Planned) -> Plan:
+    """Return the plan, with what the search found."""
+    problem, solution, starts = planned.best.problem, planned.best.solution, planned.solutions.summary
+    found = {
+        **planned.diagnostics,
+        "cost": solution.cost,
+        "starts": starts,
+        "costs": starts["costs"],
+        "solver_messages": starts["messages"],
+        "objective": objective_values(problem, solution.values),
+        "objective_size": objective_sizes(problem),
+    }
+    return finish_plan(replace(planned.motion, parameters=task.settings.parameters, diagnostics=found), planned.check)

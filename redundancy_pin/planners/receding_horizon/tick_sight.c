@@ -134,20 +134,20 @@ static void extended(const double *edge, const double *piece, long pieces, doubl
 
 /* The terms of a carrier's motion, as ``carrier_model.terms``, with first derivatives and the second ones ss, sv, sa, vv. */
 static void terms_of(double s, double v, double a, double *value, double (*first)[3], double (*second)[4]) {
-    const double own[7] = {s, s * s, v, s * v, a, v * v, s * a};
-    const double slope[7][3] = {{1, 0, 0}, {2 * s, 0, 0}, {0, 1, 0}, {v, s, 0}, {0, 0, 1}, {0, 2 * v, 0}, {a, 0, s}};
-    const double bend[7][4] = {{0}, {2, 0, 0, 0}, {0}, {0, 1, 0, 0}, {0}, {0, 0, 0, 2}, {0, 0, 1, 0}};
-    int count = TERMS < 7 ? TERMS : 7;
+    const double own[6] = {s, s * s, v, s * v, a, v * v};
+    const double slope[6][3] = {{1, 0, 0}, {2 * s, 0, 0}, {0, 1, 0}, {v, s, 0}, {0, 0, 1}, {0, 2 * v, 0}};
+    const double bend[6][4] = {{0}, {2, 0, 0, 0}, {0}, {0, 1, 0, 0}, {0}, {0, 0, 0, 2}};
+    int count = TERMS < 6 ? TERMS : 6;
     memcpy(value, own, count * sizeof *own);
     memcpy(first, slope, count * sizeof *slope);
     memcpy(second, bend, count * sizeof *bend);
-#if TERMS > 7
+#if TERMS > 6
     for (int i = 1; i < 3; i++) {
         double c = cos(i * s), b = sin(i * s);
         const double wave[2][3] = {{c - 1.0, -i * b, -i * i * c}, {b, i * c, -i * i * b}};
         for (int which = 0; which < 2; which++) {
             const double *w = wave[which];
-            int j = 7 + 2 * (i - 1) + which;
+            int j = 6 + 2 * (i - 1) + which;
             const double values[4] = {w[0], v * w[0], v * v * w[0], a * w[0]};
             const double slopes[4][3] = {
                 {w[1], 0, 0}, {v * w[1], w[0], 0}, {v * v * w[1], 2 * v * w[0], 0}, {a * w[1], 0, w[0]}};

@@ -98,9 +98,9 @@ def plan_switch_off(
     robot = dynamics.robot
     if robot.k < robot.n:
         raise UnsupportedRobotError(
-            f"{robot.name} has {robot.k} carrier(s) for {robot.n} coordinates: they cannot take over from the main "
-            "actuators.",
-            remedy=f"Switching off needs at least {robot.n} carriers.",
+            f"{robot.name} has k = {robot.k} carriers for n = {robot.n} coordinates: they cannot take over from the "
+            "main actuators.",
+            remedy="Switching off needs k ≥ n.",
             carriers=robot.k,
             coordinates=robot.n,
         )

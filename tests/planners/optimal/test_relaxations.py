@@ -20,7 +20,7 @@ from redundancy_pin.planners.optimal.nlp import LEAST_SECONDS
 from redundancy_pin.planners.optimal.objectives import Limits, Mesh, Objective, checked_settings
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
 from redundancy_pin.planners.optimal.solve import REACH, Multistart, Outcome, first_guess
-from redundancy_pin.planners.optimal.transcription import KINDS, slack_name
+from redundancy_pin.planners.optimal.transcription import KINDS, relaxed_bounds, slack_name
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
@@ -154,6 +154,17 @@ def test_guesses_after_the_first_swing_about_the_start() -> None:
     np.testing.assert_allclose(sdd, np.clip(second, -0.9 * u.sdd, 0.9 * u.sdd), atol=1e-8)
 
 
+def test_steps_leave_an_elastic_limit_only_beyond_what_it_gave_way_by() -> None:
+    """Tracks are 0.25 m long, speeds 2 and 1.5 m/s: by a fifth of half of that, and of the speeds themselves."""
+    of = problem()
+    bounds = relaxed_bounds(of, solution(of, 0.2).values)
+    s, sd = (np.array(bounds[name]) * getattr(of.scales, name) for name in ("s", "sd"))
+    np.testing.assert_allclose(s, [[-0.125, -0.225], [0.175, 0.075]], rtol=1e-6)
+    np.testing.assert_allclose(sd, [[-2.4, -1.8], [2.4, 1.8]], rtol=1e-6)
+    kept = relaxed_bounds(of, {"s": solution(of).values["s"]})
+    np.testing.assert_allclose(np.array(kept["s"]) * of.scales.s, np.array(LIMITS["track"]).T, rtol=1e-6)
+
+
 BLAMED = [
     ("Maximum_WallTime_Exceeded", "seconds", "time ran out"),
     ("Restoration_Failed", "balance", "by 0.25 of f"),
@@ -207,14 +218,15 @@ class Solved:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, answers: dict[tuple[str, ...], Any], spared: int) -> None:
         self.now, self.answers, self.tried = 100.0, answers, []
         monkeypatch.setattr(infeasible, "SPARED", spared * len(problem().grid.t))
-        monkeypatch.setattr(infeasible, "transcribe", lambda _, kinds: tuple(kinds))
-        monkeypatch.setattr(infeasible, "solve_nlp", self)
+        monkeypatch.setattr(infeasible, "solve", self)
         monkeypatch.setattr(infeasible, "time", SimpleNamespace(perf_counter=lambda: self.now))
 
-    def __call__(self, kinds: Any, guess: Any, seconds: float, most: Any = None, progress: Any = None) -> Any:
+    def __call__(
+        self, of: Problem, guess: Any, seconds: float, stop: Any = None, *, elastic: Any, most: int | None = None
+    ) -> Any:
         self.now += 1.0
-        self.tried.append((kinds[0] if len(kinds) == 1 else "all", seconds, (most or {}).get("ipopt.max_iter")))
-        return self.answers[kinds]
+        self.tried.append((elastic[0] if len(elastic) == 1 else "all", seconds, most))
+        return self.answers[elastic]
 
     def refused(self, seconds: float = 60.0) -> InfeasiblePlanError:
         of = problem()
@@ -232,6 +244,19 @@ def test_limits_that_hardly_give_way_are_none(monkeypatch: pytest.MonkeyPatch) -
     solved.answers |= {(kind,): elastic({}, optimal=False, infeasible=True) for kind in KINDS}
     error = solved.refused()
     assert (error.details["constraint"], error.details["together"], error.details["untried"]) == ("speed", False, ())
+
+
+def test_a_limit_exceeded_between_the_nodes_alone_is_in_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With limits at the nodes alone, where ``stop`` ends the search, none gives way."""
+
+    def solve(of: Problem, guess: Any, seconds: float, stop: Any = None, *, elastic: Any, most: Any = None) -> Any:
+        return solved(of, guess, seconds, elastic=elastic, most=most) if stop is None else kept
+
+    kept = elastic({})
+    solved = Solved(monkeypatch, {KINDS: elastic({"speed": 0.1})}, 100)
+    solved.answers |= {(kind,): elastic({}, optimal=False, infeasible=True) for kind in KINDS}
+    monkeypatch.setattr(infeasible, "solve", solve)
+    assert solved.refused().details["constraint"] == "speed"
 
 
 def test_each_limit_that_gave_way_is_tried_alone_and_the_least_relaxation_comes_first(
@@ -268,17 +293,17 @@ def test_where_iterations_or_time_run_out_the_rest_is_said_to_be_untried(
     answers = {(kind,): stuck for kind in KINDS} | {KINDS: elastic({"speed": 0.1, "effort": 0.2}, 7)}
     solved = Solved(monkeypatch, answers, spared)
     details = solved.refused(seconds).details
-    assert len(solved.tried) == 1 + tries
+    assert len([name for name, *_ in solved.tried if name != "all"]) == tries
     assert len(details["untried"]) == 3 - tries
     assert details["together"]
     assert [event["constraint"] for event in details["relaxations"]] == ["speed", "effort"]
 
 
-def test_the_first_programme_has_at_least_as_many_iterations_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_single_limits_have_at_least_twice_the_iterations_of_all_together(monkeypatch: pytest.MonkeyPatch) -> None:
     answers = {(kind,): elastic({}, 1000, optimal=False, infeasible=True) for kind in KINDS}
     solved = Solved(monkeypatch, answers | {KINDS: elastic({"speed": 0.1, "effort": 0.2}, 55)}, 9)
     solved.refused()
-    assert [most for _, _, most in solved.tried][1:] == [55]
+    assert [most for name, _, most in solved.tried if name != "all"] == [110]
 
 
 @pytest.mark.parametrize(

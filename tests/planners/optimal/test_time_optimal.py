@@ -68,7 +68,7 @@ def test_rates_are_looked_at_between_the_nodes(monkeypatch: pytest.MonkeyPatch) 
     """By differences of the inverse kinematics' angles: few nodes, between which rates exceed 0.35 rad/s by 6 %."""
     options = {"effort": EFFORT, "actuator_speed": 0.35, "steps": 10}
     fine, plan = (plan_time_optimal(bare(), CORNER, refinements=often, **options) for often in (3, 0))
-    monkeypatch.setattr("redundancy_pin.planners.optimal.time_optimal.LOWERED", 0)
+    monkeypatch.setattr("redundancy_pin.planners.optimal.refine.LOWERED", 0)
     coarse = plan_time_optimal(bare(), CORNER, refinements=0, **options)
     robot, worst = bare().robot, []
     for each in (coarse, plan, fine):

@@ -110,7 +110,7 @@ def test_an_actuator_with_a_low_limit_is_looked_at_between_the_nodes(monkeypatch
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr", **HEAVY)), reference.circle(0.5, 0.2, 0.05)
     settings = {"objective": "carrier_acceleration", "effort": [50.0, 1.9], "dt": 0.1}
     fine, lowered = (plan_whole_trajectory(dynamics, trajectory, refinements=often, **settings) for often in (3, 0))
-    monkeypatch.setattr("redundancy_pin.planners.optimal.whole_trajectory.LOWERED", 0)
+    monkeypatch.setattr("redundancy_pin.planners.optimal.refine.LOWERED", 0)
     rough = plan_whole_trajectory(dynamics, trajectory, refinements=0, **settings)
     assert rough.status is ResultStatus.LIMIT_VIOLATED
     (event,) = rough.limits.violated

@@ -195,14 +195,14 @@ def test_rows_are_the_equations_and_limits_of_a_plan(name):
         speeds.append((sd[:-1] + gained - sd[1:]) / u.sd)
     n.take(places, 0.0, 0.0)
     n.take(speeds, 0.0, 0.0)
-    most = h * limits["jerk"] / u.sdd
-    n.take([np.diff(v["sdd"], axis=0) for v in points], -most, most)
     smooth = np.flatnonzero(grid.smooth)
     assert len(smooth) > 3
     line = [[np.interp(grid.t[i], grid.t[[i - 1, i + 1]], column[[i - 1, i + 1]]) for column in v["sdd"].T]
             for v in points for i in smooth]  # fmt: skip
     shape = POINTS, len(smooth), -1
     n.take(np.reshape(line, shape) - [v["sdd"][smooth] for v in points], 0.0, 0.0)
+    most = h * limits["jerk"] / u.sdd
+    n.take([np.diff(v["sdd"], axis=0) for v in points], -most, most)
     n.take([v["s"][:1] for v in points], 0.05 / u.s, 0.05 / u.s)
     n.take([v["sd"][:1] for v in points], 0.4 / u.sd, 0.4 / u.sd)
     if settings.end in ("datum", "rest"):

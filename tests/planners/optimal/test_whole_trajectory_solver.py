@@ -144,6 +144,34 @@ def test_what_progress_raises_ends_the_planning(monkeypatch):
         plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(), dt=0.05, progress=interrupt)
 
 
+STRATEGIES = [solver.FIRST, solver.FALLBACK, solver.WARM]
+
+
+@pytest.mark.parametrize("options", STRATEGIES, ids=["first", "fallback", "warm"])
+def test_the_barrier_parameter_ends_at_a_known_value(options):
+    """Minimise wᵀ s with s ≥ 0: on the central path w s = μ exactly. What ends elsewhere has another flat optimum."""
+    weights = np.array([[1.0], [0.03], [20.0]])
+    nlp = solver.NLP()
+    s = nlp.variable("s", (3, 1), 0.0)
+    nlp.within(s, -np.inf, 10.0)
+    nlp.cost = solver.casadi().dot(solver.casadi().DM(weights), s)
+    found = solver.solve_nlp(nlp, {"s": np.ones((3, 1))}, 10.0, options)
+    assert found.optimal
+    np.testing.assert_allclose(found.values["s"] * weights, 1e-10, rtol=1e-2)
+
+
+@pytest.mark.parametrize("options", STRATEGIES, ids=["first", "fallback", "warm"])
+def test_the_last_steps_are_taken_where_newton_s_method_is_slow(options):
+    """Minimise s⁴/4: each step takes off a third of s, and 0.7 of the slope s³. Three steps with slopes below 1e-9."""
+    nlp = solver.NLP()
+    s = nlp.variable("s", (1, 1))
+    nlp.within(s, -10.0, 10.0)
+    nlp.cost = s**4 / 4.0
+    found = solver.solve_nlp(nlp, {"s": np.ones((1, 1))}, 10.0, options)
+    assert found.optimal
+    assert abs(float(found.values["s"][0, 0])) ** 3 < 1.2e-10
+
+
 SAME_COST = 1e-6
 """Relative difference of the objective of two solutions that are one optimum: the solver's tolerance leaves 1e-7."""
 

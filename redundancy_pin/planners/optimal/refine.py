@@ -1,0 +1,161 @@
+"""Solve, look between the nodes, refine or lower the limits, and solve again: for whole trajectories and least time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.intersample_check import LOWERED, IntersampleCheck, PlannedMotion, intersample_check
+from redundancy_pin.planners.optimal.nlp import Solution
+from redundancy_pin.planners.optimal.problem import Problem, Task
+from redundancy_pin.planners.optimal.solve import Multistart, Outcome
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+
+PHASES = ("optimised",)
+
+
+@dataclass(frozen=True, eq=False)
+class Planning:
+    """What the two planners do differently.
+
+    Attributes:
+        name: of the planner.
+        task: robot, motion and settings.
+        solve: returns solutions of a problem from a guess (scaled blocks by name; None for parked carriers), one of
+            them feasible, or raises an ``InfeasiblePlanError``; the last argument is the ``stop`` of ``solve.solve``.
+        platform: returns the motion of the platform of a solution.
+        finer: returns the problem on a finer mesh, of a solution, what is between its nodes, which (P,) pieces of that
+            the nodes do not show, and whether no mesh was finer before.
+    """
+
+    name: str
+    task: Task
+    solve: Callable[[Problem, Mapping[str, Array] | None, Callable[[Solution], bool]], Multistart]
+    platform: Callable[[Problem, Solution], ContinuousMotion]
+    finer: Callable[[Problem, Solution, IntersampleCheck, BoolArray, bool], Problem]
+
+    def planned(self, problem: Problem, solution: Solution) -> PlannedMotion:
+        """Return what a solution plans.
+
+        At singular nodes the efforts are those of the solution, which W⁻¹ f tends to; elsewhere, and with as many main
+        actuators as coordinates, W τ = f leaves no choice. With more actuators the efforts are the nearest to the
+        planned ones, which are linear in a step.
+        """
+        robot, nodes, tau = self.task.dynamics.robot, problem.grid, problem.tau(solution.values)
+        platform, t = self.platform(problem, solution), problem.times(solution.values)
+        prescribed = tau.copy()
+        if robot.m <= robot.n:
+            prescribed[np.setdiff1d(np.arange(len(t)), nodes.singular)] = np.nan
+        position = problem.position(solution.values).made_continuous()
+        return PlannedMotion(
+            self.task.dynamics,
+            PlanFunctions(platform, position, preferred=PiecewisePolynomial.linear(t, tau)),
+            self.task.dynamics.along(platform.sample_at(t)),
+            problem.carriers(solution.values),
+            self.task.settings.limits,
+            self.name,
+            prescribed=prescribed,
+            singular=nodes.singular,
+            phases=PHASES,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """The last plan of ``plan_and_refine``.
+
+    ``solutions``: of all first guesses; ``motion``: that of the best one; ``check``: what is between its nodes;
+    ``ratios``: largest efforts and forces between the nodes over those at the nodes or their limits, one a round.
+    """
+
+    solutions: Multistart
+    motion: PlannedMotion
+    check: IntersampleCheck
+    ratios: tuple[float, ...]
+
+    @property
+    def best(self) -> Outcome:
+        """The programme and solution that the plan is made of."""
+        return self.solutions.best
+
+    @property
+    def diagnostics(self) -> dict[str, object]:
+        """What both planners report."""
+        nodes, solution, t = self.best.problem.grid, self.best.solution, self.motion.motion.t
+        return {
+            "optimal": solution.optimal,
+            "solver": solution.message,
+            "iterations": solution.iterations,
+            "violation": solution.violation,
+            "nodes": len(t),
+            "singular_instants": np.unique(t[nodes.singular]).tolist(),
+            "singular_nodes": nodes.singular.tolist(),
+            "smooth_nodes": np.flatnonzero(nodes.smooth).tolist(),
+            "solver_seconds": solution.seconds,
+            "dense_ratios": list(self.ratios),
+        }
+
+
+def plan_and_refine(planning: Planning, problem: Problem, guess: Mapping[str, Array] | None = None) -> Planned:
+    """Return a plan whose nodes show its efforts, and that keeps every limit between them, as far as that is reached.
+
+    Where the nodes do not show the efforts between them the mesh is refined; where a limit is exceeded by less, the
+    limits at the nodes beside it are lowered.
+
+    Args:
+        planning: the planner.
+        problem: the numbers on the first mesh.
+        guess: scaled blocks by name to begin with in place of parked carriers.
+
+    Raises:
+        InfeasiblePlanError: as ``Planning.solve``.
+    """
+    settings = planning.task.settings
+    report = settings.solver.progress or (lambda line: None)
+    ratios: list[float] = []
+    last: Planned | None = None
+    refined = lowered = 0
+
+    @cache
+    def check(solution: Solution) -> tuple[PlannedMotion, IntersampleCheck]:
+        motion = planning.planned(problem, solution)
+        return motion, intersample_check(motion)
+
+    def is_coarse(solution: Solution) -> bool:
+        _, found = check(solution)
+        return refined < settings.mesh.refinements and not found.passed and bool(found.too_coarse([]).any())
+
+    while True:
+        report(f"{len(problem.grid.t)} nodes, {len(problem.grid.singular)} of them singular: solving")
+        try:
+            solutions = planning.solve(problem, guess, is_coarse)
+        except InfeasiblePlanError:
+            if last is None or not lowered:
+                raise
+            return last  # nothing keeps the lower limits at the nodes: the last plan says what it exceeds
+        solution = solutions.best.solution
+        motion, found = check(solution)
+        at_nodes = np.abs(problem.tau(solution.values)).max()
+        duration = motion.motion.t[-1] - motion.motion.t[0]
+        report(f"{duration:.6g} s, peak effort {at_nodes:.4g} at the nodes, {found.peaks.peak.max():.4g} between them")
+        ratios.append(float(found.worst.max(initial=1.0)))
+        last = Planned(solutions, motion, found, tuple(ratios))
+        marked = found.too_coarse(ratios if lowered else [])
+        finer = bool(marked.any()) and refined < settings.mesh.refinements
+        if found.passed or not solution.optimal or not (finer or (not found.within_limits and lowered < LOWERED)):
+            return last
+        if finer:
+            following = planning.finer(problem, solution, found, marked, refined == 0)
+            refined += 1
+            guess, problem = problem.resampled(solution.values, following), following
+        else:
+            lowered += 1
+            shares = found.shares(problem.times(solution.values), problem.shares)
+            guess, problem = solution.values, replace(problem, shares=shares)
