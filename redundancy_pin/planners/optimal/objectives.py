@@ -173,9 +173,6 @@ OBJECTIVES: dict[str, ObjectiveTerm] = {
 End = Literal["free", "rest", "datum", "periodic"]
 """How the carriers end: anyhow; at rest; at rest where they park; or as they began (s, ṡ and s̈)."""
 
-LIMITS = ("speed", "acceleration", "carrier_force", "jerk", "effort")
-"""Limits by one number a carrier or actuator, in the order in which plans have them."""
-
 CALM = 0.01
 """Fraction of the least cost that a plan may cost more to have fewer reversals, unless the user asks for another."""
 
