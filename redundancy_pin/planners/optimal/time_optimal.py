@@ -143,6 +143,7 @@ def plan_time_optimal(
         lam=0.0,
         baseline=None,
         base_point=np.zeros(3),
+        calm=0.0,
         limits=replace(resolved, actuator_speed=rates),
         start=park,
         start_speed=np.zeros(robot.k),
