@@ -123,6 +123,12 @@ def test_long_steps_are_no_turns_where_the_coordinate_goes_beyond_one_turn() -> 
             require_consistent(PlatformMotion(t[:, 0], step * t, 0.0 * t + rate, 0.0 * t))
 
 
+def test_a_motion_may_turn_back_between_two_of_few_samples() -> None:
+    """A triangular wave of slope 1 that turns at 1.5 s and 2.5 s, which none of the samples shows."""
+    t, x = np.array([0.0, 1.0, 3.0, 4.0]), np.array([[0.0], [1.0], [1.0], [2.0]])
+    require_consistent(PlatformMotion(t, x, np.ones((4, 1)), np.zeros((4, 1))))
+
+
 def test_few_angles_written_within_a_turn_pass() -> None:
     t = np.linspace(0.0, 1.0, 6)[:, None]
     angle = 3.0 + 2.0 * t

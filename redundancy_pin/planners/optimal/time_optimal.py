@@ -20,7 +20,7 @@ from redundancy_pin.planners.intersample_check import IntersampleCheck
 from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, widened, with_nodes
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
-from redundancy_pin.planners.optimal.objectives import LIMITS, MOST_REFINEMENTS, End, Mesh, Settings, Solver
+from redundancy_pin.planners.optimal.objectives import MOST_REFINEMENTS, End, Mesh, Settings, Solver
 from redundancy_pin.planners.optimal.path_problem import read_path_problem
 from redundancy_pin.planners.optimal.problem import Problem, Task, required
 from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
@@ -143,6 +143,7 @@ def plan_time_optimal(
         lam=0.0,
         baseline=None,
         base_point=np.zeros(3),
+        calm=0.0,
         limits=replace(resolved, actuator_speed=rates),
         start=park,
         start_speed=np.zeros(robot.k),
@@ -160,9 +161,6 @@ def plan_time_optimal(
         "end": end,
         "lap": lap,
         "datum": park.tolist(),
-        "track": [tuple(ends) for ends in resolved.track.tolist()],
-        **{name: getattr(resolved, name).tolist() for name in LIMITS},
-        "actuator_speed": rates.tolist(),
         "steps": count,
         "seconds": bound,
         "refinements": often,
