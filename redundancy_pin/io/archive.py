@@ -219,13 +219,14 @@ def read_archive(path: str | Path, kind: str, version: int, word: str, make: Cal
     Args:
         path: the file.
         kind: what it must call itself.
-        version: newest version of the format that the caller understands.
+        version: version of the format that the caller understands; files of no other are read.
         word: what it holds, for messages: "plan".
         make: from the record, dataclasses as mappings of their fields, to what is returned; raises ``InputError``, or
             what Python raises, where it does not fit.
 
     Raises:
-        PlanFileError: missing, unreadable, truncated or damaged, another kind of file, a newer format, or a record
+        PlanFileError: missing, unreadable, truncated or damaged, another kind of file, another version of the
+            format, or a record
             that ``make`` refuses; or a file that was changed since it was written.
     """
     if not isinstance(path, (str, Path)):
@@ -264,12 +265,12 @@ def _require_format(path: Path, content: Mapping[str, Any], kind: str, version: 
     written = content.get("format_version")
     if type(written) is not int or written < 1:
         raise _damaged(path, word, f"its format version is {shown(written)}")
-    if written > version:
+    if written != version:
         writer = shortened(str(content.get("package_version")))
         raise PlanFileError(
             f"{path} has format version {written}, written by redundancy_pin {writer}; this "
-            f"one, {_package_version()}, reads up to version {version}.",
-            remedy="Install a newer redundancy_pin.",
+            f"one, {_package_version()}, reads version {version}.",
+            remedy=f"Make the {word} again." if written < version else "Install a newer redundancy_pin.",
             path=str(path),
             found=written,
             readable=version,

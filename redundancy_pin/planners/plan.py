@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 PLAN_FORMAT = "redundancy_pin plan"
 """What a saved plan calls itself."""
 
-PLAN_VERSION = 2
-"""Version of the file format: counts up whenever an older reader would misread a newer file. 2: functions of time."""
+PLAN_VERSION = 3
+"""Version of the file format: counts up whenever the fields of the file change. 3: the limits it was judged by."""
 
 SAME_TIME = 1e-9
 """How far, relative to the duration, plan and trajectory may differ in their times."""
@@ -244,7 +244,7 @@ def load_plan(path: str | Path) -> Plan:
     """Read a plan that was saved with ``Plan.save``. Nothing in the file is executed.
 
     Raises:
-        PlanFileError: the file is missing, truncated, damaged, no plan, of a newer format, or its arrays do not fit
+        PlanFileError: the file is missing, truncated, damaged, no plan, of another version, or its arrays do not fit
             together.
     """
     return read_archive(path, PLAN_FORMAT, PLAN_VERSION, "plan", lambda record: _plan(record, path))
