@@ -77,18 +77,18 @@ def test_removable_singularity(start: float) -> None:
 
 
 def test_spare_carriers_share_by_least_norm_and_a_jump_of_the_load_is_one_of_the_acceleration() -> None:
-    """s̈₁ + 2 s̈₂ = load: of all solutions the one along (1, 2)."""
+    """s̈₁ + t s̈₂ = (1 + t²) g: of all solutions the one along (1, t) is g (1, t); g jumps."""
 
     def load(t: Array) -> Array:
-        return np.where(t < 0.37, 1.0, -2.0)
+        return np.where(t < 0.37, 1.0, -2.0) * (1.0 + t**2)
 
-    spare = equation(load, {SDD: one}, {SDD: lambda t: 2.0 * one(t)}, breaks=(0.37,))
+    spare = equation(load, {SDD: one}, {SDD: lambda t: t}, breaks=(0.37,))
     path = spare.solve(0.0, 1.0, np.zeros(2), np.zeros(2))
-    for side, value in (("left", 1.0), ("right", -2.0)):
+    for side, g in (("left", 1.0), ("right", -2.0)):
         sdd = carriers_at(path, np.array([0.37]), cast(Any, side)).sdd[0]
-        np.testing.assert_allclose(sdd, [0.2 * value, 0.4 * value], atol=1e-10)
+        np.testing.assert_allclose(sdd, [g, 0.37 * g], atol=1e-10)
     speed = carriers_at(path, np.array([1.0])).sd[0]
-    np.testing.assert_allclose(speed, np.array([0.2, 0.4]) * (0.37 - 2.0 * 0.63), atol=1e-11)
+    np.testing.assert_allclose(speed, [0.37 - 2.0 * 0.63, 0.5 * 0.37**2 - (1.0 - 0.37**2)], atol=1e-11)
 
 
 def test_an_unbounded_acceleration_is_given_up_beside_its_pole_in_any_unit_of_time() -> None:
