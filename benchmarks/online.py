@@ -50,8 +50,8 @@ CALM = 20.0
 which no machine follows."""
 
 
-OFF_LINE = {"end": "free", "start": 0.0, "dt": 0.02, "refinements": 1, "seconds": 20}
-"""From the start that it has on line, and free where that is free."""
+OFF_LINE = {"calm": 0.0, "end": "free", "start": 0.0, "dt": 0.02, "refinements": 1, "seconds": 20}
+"""From the start that it has on line, and free where that is free. On-line plans are compared with least costs."""
 
 THRESHOLDS = 4.0, 7.0, 10.0
 """Condition numbers from which the switch-off has its actuators off, those of the thesis; the least peak counts."""

@@ -102,7 +102,7 @@ def gradient():
     """Slopes of a least cost by three numbers of the machine, against plans made anew."""
     design = {"carrier_mass": (0.5, 2.0), "track_offset": (0.05, 0.15), "end_effector_mass": (0.1, 1.0)}
     circle = reference.circle(speed=0.5, ramp_time=0.2, ramp_length=0.05)
-    options = {"objective": "effort", "acceleration": 20.0, "dt": 0.02, "refinements": 0}
+    options = {"objective": "effort", "calm": 0.0, "acceleration": 20.0, "dt": 0.02, "refinements": 0}
     robot = rp.load_robot("2rpr", end_effector_mass=0.5)
 
     def value(**changed):

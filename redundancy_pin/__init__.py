@@ -12,8 +12,6 @@ import importlib
 import importlib.util
 from typing import TYPE_CHECKING, Any
 
-from redundancy_pin import _moved
-
 if TYPE_CHECKING:
     from redundancy_pin import simulation, trajectory
     from redundancy_pin.codegen import write_c
@@ -140,8 +138,6 @@ __all__ = [
     "write_mjcf",
 ]
 __version__ = "0.1.0"
-
-_moved.install()
 
 
 def __getattr__(name: str) -> Any:

@@ -204,7 +204,11 @@ _NOTHING = 1e-9
 """Rounding of a rate, relative to the largest rate of any coordinate."""
 
 _FEW_STEPS = 8
-"""Fewer steps are not compared. In so many a coordinate may change that is at rest at both of their ends."""
+"""Fewer steps must all contradict the rates. In so many a coordinate may change that is at rest at both ends."""
+
+_TOO_SLOW = 0.25
+"""Mean rate of the positions, relative to that of the rates, below which few steps contradict them: a factor of ten
+is found although the trapezoidal rule may be wrong by a factor of 2.5 in a coarse step."""
 
 _TURN = 2.0
 """Turn of a pose in a step, rad, from which rates are not compared: at half a turn its sense is not determined."""
@@ -227,8 +231,15 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
 
     From 9 samples and one period on this finds a wrong sign, milli and kilo, degrees for radians, a factor of 2 (10
     samples per shortest period; of ẍ against ẋ 15) or of 1.1 (20 samples; of ẍ against ẋ 40), and positions that move
-    while their rate is zero in more than eight steps. Not found: anything in fewer samples; smaller factors; a bias of
-    up to 3 %; errors below the noise; one wrong ẋ or ẍ among right ones.
+    while their rate is zero in more than eight steps.
+
+    Fewer samples are refused if the positions move less than a quarter of what ẋ says, or backwards, in every step in
+    which ẋ exceeds the sum above, where h |ẍ| counts in full in a single step, half in two, and a third in three. A
+    wrong sign and a factor of ten are found where steps are not coarse; rates that are too small, and ẍ, are not
+    compared.
+
+    Right motions pass from 2.2 samples in the shortest period on. Not found: smaller factors; a bias of up to 3 %;
+    errors below the noise; one wrong ẋ or ẍ among right ones.
 
     Raises:
         InputError: rates that are not those of the positions, with ``column``, ``sample``, ``time``, the mean rate
@@ -247,7 +258,8 @@ def _require_rates(name: str, t: Array, values: Array, rates: Array, seconds: Ar
     """Compare steps of values (N, n), or of poses, with their rates (N, n), whose own rates are (N, n) or None."""
     later = np.diff(t) > 0.0
     h, steps = np.diff(t)[later], _steps(values)[:, later]
-    if len(h) < _FEW_STEPS or not steps.size:
+    few = len(h) < _FEW_STEPS
+    if not steps.size or not len(h) or (few and seconds is None):
         return
     rows = np.ascontiguousarray(rates.T)  # reductions along long rows take a tenth of the time
     first, last = rows[:, :-1][:, later], rows[:, 1:][:, later]
@@ -255,16 +267,18 @@ def _require_rates(name: str, t: Array, values: Array, rates: Array, seconds: Ar
     apart = np.abs(found - given)
     if (apart <= RATE_TOLERANCE * top).all():  # as in most motions
         return
-    # an angle may be written within a turn
-    turned = (steps - 2.0 * np.pi * np.sign(steps)) / h
-    apart = np.where(np.abs(steps) > np.pi, np.minimum(apart, np.abs(turned - given)), apart)
+    if values.ndim == 2 and seconds is not None:  # an angle may be written within a turn
+        turned = found - 2.0 * np.pi * np.sign(steps) / h
+        nearer = (np.abs(steps) > np.pi) & (np.abs(turned - given) < apart)
+        found = np.where(nearer & (np.ptp(values, axis=0) <= 2.0 * np.pi)[:, None], turned, found)
+        apart = np.abs(found - given)
     change = np.abs(last - first)
     if seconds is None:
         jumps = np.pad(np.abs(np.diff(found)), ((0, 0), (1, 1)))
         allowed = RATE_TOLERANCE * top + change + np.maximum(jumps[:, 1:], jumps[:, :-1])
     else:
         second = np.maximum(np.abs(seconds[:-1]), np.abs(seconds[1:]))[later].T
-        allowed = RATE_TOLERANCE * top + 0.5 * change + 0.25 * h * second
+        allowed = RATE_TOLERANCE * top + 0.5 * change + max(0.25, 1.0 / len(h)) * h * second
     bends = np.diff(found - given, 4)
     if bends.shape[1] >= 4:
         allowed += _NOISE * np.sqrt((bends**2).mean(axis=1, keepdims=True) / 70.0)  # 70: of noise of size 1
@@ -283,6 +297,10 @@ def _require_rates(name: str, t: Array, values: Array, rates: Array, seconds: Ar
     wrong = apart > allowed
     rests = np.maximum(np.abs(first), np.abs(last)) <= nothing
     wrong &= ~(rests & ((wrong & rests).sum(axis=1, keepdims=True) <= _FEW_STEPS))
+    if few:  # a motion may hurry, or turn back once, between two of few samples
+        fast = np.abs(given) > allowed
+        wrong = fast & (found * np.sign(given) < _TOO_SLOW * np.abs(given))
+        wrong &= (wrong == fast).all()
     if not wrong.any():
         return
     step = int(wrong.any(axis=0).argmax())

@@ -8,7 +8,6 @@ import re
 from pathlib import Path
 
 import redundancy_pin
-from redundancy_pin._moved import MOVED
 
 PACKAGE = Path(redundancy_pin.__file__).parent
 PAGE = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -28,7 +27,7 @@ def test_the_walks_lead_through_functions_that_are_there() -> None:
 def test_every_room_of_the_table_is_there_and_every_room_is_in_it() -> None:
     rows = re.findall(r"^\| (`.*?) \|", PAGE.partition("| room |")[2].partition("Three walls")[0], re.MULTILINE)
     named = {name.rstrip("/") for row in rows for name in re.findall(r"`([a-z_/.]+)`", row)}
-    own = {"__init__.py", "_moved.py", "_startup.py", "py.typed", "__pycache__", "models"}
+    own = {"__init__.py", "__main__.py", "_startup.py", "py.typed", "__pycache__", "models"}
     assert named == {path.name for path in PACKAGE.iterdir()} - own
 
 
@@ -64,7 +63,6 @@ def test_tests_of_a_room_enter_the_others_by_modules_that_rooms_import_or_docume
     entered = set(re.findall(r"redundancy_pin(?:\.\w+)+", documents)) | {
         f"redundancy_pin.{path.replace('/', '.')}" for path in re.findall(r"`(\w+/[\w/]+)\.py`", PAGE)
     }
-    entered |= {f"redundancy_pin.{module}" for module in MOVED.values()}  # documented by version 0.1.0
     for path in PACKAGE.rglob("*.py"):
         own = path.relative_to(PACKAGE).parts[0]
         entered |= {module for module in _imported(path) if module.split(".")[1] != own}

@@ -17,7 +17,6 @@ BY_NAME = {"import_module", "__import__"}
 
 COMPUTED = {
     "redundancy_pin": "public names, from its table",
-    "redundancy_pin._moved": "modules under their old names",
     "redundancy_pin.cli": "commands, from its table",
     "redundancy_pin.errors": "optional libraries, or the remedy",
     "redundancy_pin.robot.formats.xacro_engine": "a private copy of the library xacro",

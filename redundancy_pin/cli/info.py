@@ -253,7 +253,7 @@ def _range(joint: dict[str, Any]) -> tuple[str, str]:
     if at is None:
         return "", ""
     lower, upper = joint["limits"] or (None, None)
-    shown = f"{round(at, 9):.4g}{' (outside)' if joint['outside'] else ''}"
+    shown = f"{round(at, 9) + 0.0:.4g}{' (outside)' if joint['outside'] else ''}"
     if lower is None and upper is None:
         return "", shown
     ends = " … ".join("none" if end is None else f"{end:g}" for end in (lower, upper))

@@ -15,11 +15,11 @@ from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.limits import LimitEvent
-from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.plan import REVERSAL, Plan
 from redundancy_pin.robot.joint_ranges import beyond_limits
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.case import COMPILED, RNEA, VIRTUAL_WORK
-from redundancy_pin.studies.measures import SWING, reversals, reversals_beside_singularities
+from redundancy_pin.studies.measures import reversals_beside_singularities
 from redundancy_pin.visualisation.figures.plots import plan as plot_plan
 from redundancy_pin.visualisation.figures.style import save
 
@@ -78,8 +78,8 @@ def warn(plan: Plan, *, ranges: bool = True) -> None:
         )
 
 
-_AS_IT_IS = ("peak_effort", "peak_effort_at_samples", "rms_effort", "main_energy", "carrier_energy", "parameters",
-             "diagnostics")  # fmt: skip
+_AS_IT_IS = ("peak_effort", "peak_effort_at_samples", "rms_effort", "main_energy", "carrier_energy", "reversals",
+             "least_cost", "parameters", "diagnostics")  # fmt: skip
 
 
 def summary(plan: Plan) -> dict[str, Any]:
@@ -93,7 +93,6 @@ def summary(plan: Plan) -> dict[str, Any]:
         "samples": len(plan.t),
         "start": float(plan.t[0]),
         "end": float(plan.t[-1]),
-        "reversals": reversals(plan),
         "advice": _advice(plan),
         "peak_carrier_force": np.abs(plan.carrier_force).max(axis=0, initial=0.0),
         "smallest_margin": _smallest_margin(plan),
@@ -112,6 +111,9 @@ def _of_the_optimum(plan: Plan) -> Iterator[tuple[str, str]]:
     facts: Any = plan.diagnostics
     reached = "local optimum" if facts["optimal"] else "NOT an optimum"
     yield "reached", f"{reached} in {facts['iterations']} iterations, {facts['seconds']:.3g} s"
+    if plan.least_cost is not None:
+        calmer = f"; this plan costs up to {plan.parameters['calm']:g} of it more, to be calm"
+        yield "least cost", f"{plan.least_cost:.6g}{calmer if facts['calm']['kept'] else ''}"
     yield "nodes", f"{facts['nodes']}, {len(facts['singular_nodes'])} of them singular"
     yield "efforts between the nodes", f"at most {plan.between.ratio:.6g} times those at the nodes"
 
@@ -159,7 +161,7 @@ def _table(plan: Plan, facts: Mapping[str, Any]) -> output.TextTable:
         ("phases [s]", _phases(facts["phases"])),
         (f"peak main effort [{main}]", output.row(facts["peak_effort"])),
         (f"rms main effort [{main}]", output.row(facts["rms_effort"])),
-        (f"reversals above {100.0 * SWING:g} % of the peak", output.row(facts["reversals"])),
+        (f"reversals above {100.0 * REVERSAL:g} % of the peak", output.row(facts["reversals"])),
         (f"peak carrier effort [{moved}]", output.row(facts["peak_carrier_force"])),
         ("peak force on the base [N]", output.number(facts["peak_base_force"])),
         (f"its moment about {output.row(facts['base_point'])} m [N·m]", output.number(facts["peak_base_moment"])),

@@ -170,6 +170,9 @@ WHOLE_TRAJECTORY: Mapping[str, Parameter] = {
     ),
     "lam": Parameter(number, "NUMBER", "Fraction of the baseline effort that tracking aims at, 0 to 1."),
     "base_point": _BASE_POINT,
+    "calm": Parameter(
+        number, "FRACTION", "What fewer reversals of the efforts may cost, of the least cost; 0: nothing."
+    ),
     "start": Parameter(numbers, "S[,S...]", "Where the carriers start, m; at the datum when left out."),
     "start_speed": Parameter(numbers, "V[,V...]", "Their speeds there, m/s."),
     "end": Parameter(word, "WORD", "How they end: free, rest, datum (at rest there), or periodic."),

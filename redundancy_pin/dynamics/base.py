@@ -574,7 +574,7 @@ def require_matching_carriers(robot: Robot, carriers: CarrierMotion | None, samp
     if carriers.s.shape != (samples, robot.k):
         raise InputError(
             f"The carrier motion has shape {carriers.s.shape}, expected {(samples, robot.k)}.",
-            remedy=f"{robot.name} has {robot.k} carrier(s); give one row for each sample of the platform motion.",
+            remedy=f"{robot.name} has k = {robot.k} carriers; give one row for each sample of the platform motion.",
         )
     return carriers
 

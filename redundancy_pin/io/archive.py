@@ -144,9 +144,6 @@ _LONGEST_DIRECTORY = 1 << 21
 _DIGEST = "digest"
 """Key of the metadata under which the digest of everything else stands."""
 
-_WITHOUT_DIGEST = 1
-"""Newest version of a format, of plans and of simulations, that may be without: what version 0.1.0 wrote."""
-
 
 def _digest(content: Mapping[str, Any], arrays: Arrays) -> str:
     """Return the SHA-256 of metadata and arrays: not a signature, but no edit by accident or convenience fits it."""
@@ -219,7 +216,7 @@ def read_archive(path: str | Path, kind: str, version: int, word: str, make: Cal
     Args:
         path: the file.
         kind: what it must call itself.
-        version: version of the format that the caller understands; files of no other are read.
+        version: the version of the format that the caller understands.
         word: what it holds, for messages: "plan".
         make: from the record, dataclasses as mappings of their fields, to what is returned; raises ``InputError``, or
             what Python raises, where it does not fit.
@@ -252,9 +249,7 @@ def read_archive(path: str | Path, kind: str, version: int, word: str, make: Cal
         reason = shortened(" ".join(str(error).split()))
         raise _damaged(place, word, f"it does not hold a {word}'s fields ({reason})") from error
     # last: what does not fit together at all is named by what it is
-    if (_DIGEST in content or content["format_version"] > _WITHOUT_DIGEST) and content.get(_DIGEST) != _digest(
-        content, arrays
-    ):
+    if content.get(_DIGEST) != _digest(content, arrays):
         raise _damaged(place, word, f"it was changed after the {word} was saved, for its digest is another one")
     return made
 
@@ -270,7 +265,7 @@ def _require_format(path: Path, content: Mapping[str, Any], kind: str, version: 
         raise PlanFileError(
             f"{path} has format version {written}, written by redundancy_pin {writer}; this "
             f"one, {_package_version()}, reads version {version}.",
-            remedy=f"Make the {word} again." if written < version else "Install a newer redundancy_pin.",
+            remedy="Install a newer redundancy_pin." if written > version else f"Compute the {word} again.",
             path=str(path),
             found=written,
             readable=version,

@@ -5,11 +5,12 @@ And the one reader of JSON: of bounded size and depth, each key once, and nothin
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import stat
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TextIO
 
 from redundancy_pin.errors import RedundancyPinError, shortened, shown
 
@@ -46,6 +47,22 @@ def opened(path: str | Path, error: type[RedundancyPinError], what: str = "") ->
     return os.fdopen(handle, "rb")
 
 
+def open_text(path: str | Path, error: type[RedundancyPinError], what: str = "", *, largest: int) -> TextIO:
+    """Open an ordinary UTF-8 text file of at most ``largest`` bytes for reading, ends of lines as they stand.
+
+    For files that are read piece by piece; what is no UTF-8 raises UnicodeDecodeError where it is met.
+
+    Raises:
+        RedundancyPinError: as ``opened``, and too large.
+    """
+    stream = opened(path, error, what)
+    size = os.fstat(stream.fileno()).st_size
+    if size > largest:
+        stream.close()
+        raise _too_large(path, error, what, size, largest)
+    return io.TextIOWrapper(stream, "utf-8-sig", newline="")
+
+
 def read_bytes(path: str | Path, error: type[RedundancyPinError], what: str = "", *, largest: int) -> bytes:
     """Return the content of an ordinary file of at most ``largest`` bytes; errors as ``opened``, and too large."""
     with opened(path, error, what) as stream:
@@ -56,13 +73,15 @@ def read_bytes(path: str | Path, error: type[RedundancyPinError], what: str = ""
         except OSError as fault:
             raise _unreadable(path, error, what, fault.strerror or str(fault)) from fault
     if max(size, len(content)) > largest:
-        raise error(
-            f"{what}{path} is too large: {max(size, len(content))} bytes, of which at most {largest} are read.",
-            remedy="Shorten the file, or name another.",
-            path=str(path),
-            size=size,
-        )
+        raise _too_large(path, error, what, max(size, len(content)), largest)
     return content
+
+
+def _too_large(
+    path: str | Path, error: type[RedundancyPinError], what: str, size: int, largest: int
+) -> RedundancyPinError:
+    message = f"{what}{path} is too large: {size} bytes, of which at most {largest} are read."
+    return error(message, remedy="Shorten the file, or name another.", path=str(path), size=size)
 
 
 def read_text(path: str | Path, error: type[RedundancyPinError], what: str = "", *, largest: int) -> str:

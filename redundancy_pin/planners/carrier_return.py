@@ -70,16 +70,31 @@ def limit_uses(limits: ResolvedLimits, s: Array, sd: Array, sdd: Array, force: A
     return np.where(np.isfinite(side), (value - middle) / (side - middle), 0.0)
 
 
+def no_force(t: Array, s: Array, sd: Array, sdd: Array) -> Array:
+    """Return zeros (N, k): the forces of carriers whose force limits do not count."""
+    return np.zeros_like(s)
+
+
 def shortest_return(
-    limits: ResolvedLimits, force: CarrierForce, state: CarrierState, datum: Array, available: float
-) -> tuple[float | None, float, LimitEvent]:
-    """Search the shortest return that keeps every limit of the carriers.
+    limits: ResolvedLimits, force: CarrierForce, state: CarrierState, datum: Array, available: float, remedy: str
+) -> PiecewisePolynomial:
+    """Return the shortest return (``return_polynomial``) that keeps every limit of the carriers.
 
     The overshoot of the polynomial grows with its duration and its acceleration with the inverse, so the durations
     that keep the limits form an interval if there are any. It is bracketed on a logarithmic grid; where no candidate
-    lies in it, the neighbourhood of the best ones is searched before it is called empty. ``datum`` (k,) is where to
-    park, m, ``available`` the longest duration, s. Returned are the duration, s, or None where none keeps the limits;
-    and, of that return or of the best, the largest fraction of a limit that is used, and of which limit.
+    lies in it, the neighbourhood of the best ones is searched before it is called empty.
+
+    Args:
+        limits: of the carriers.
+        force: forces of their actuators along a motion; ``no_force`` where these do not count.
+        state: the carriers at the start.
+        datum: (k,) where to park, m.
+        available: longest duration, s.
+        remedy: what to do where no duration keeps the limits, for the message.
+
+    Raises:
+        InfeasiblePlanError: no duration keeps the limits. The message and the details are of the best one: which limit
+            of which carrier it exceeds, when and by how much.
     """
 
     def limit_use(duration: float) -> tuple[float, LimitEvent]:
@@ -104,9 +119,12 @@ def shortest_return(
         if use(high) <= ALLOWED:
             shortest = low
             if use(low) > ALLOWED:
-                shortest = float(brentq(lambda T: use(float(T)) - ALLOWED, low, high, rtol=_TIME_TOLERANCE))
-            return shortest, *limit_use(shortest)
-    return None, *limit_use(float(durations[uses.argmin()]))
+                exact = {"xtol": _TIME_TOLERANCE * low, "rtol": _TIME_TOLERANCE}
+                shortest = float(brentq(lambda T: use(float(T)) - ALLOWED, low, high, **exact))
+                if use(shortest) > ALLOWED:  # the root is known from one side only
+                    shortest = min(shortest * (1.0 + 2.0 * _TIME_TOLERANCE), high)
+            return return_polynomial(state, shortest, datum)
+    raise _no_return(limit_use(float(durations[uses.argmin()]))[1], state.t, available, remedy)
 
 
 def _sampled_uses(
@@ -146,7 +164,7 @@ def _limit_use(limits: ResolvedLimits, force: CarrierForce, path: PiecewisePolyn
     return use, LimitEvent(limits.names[i], QUANTITIES[which], t, t, t, value, limit, amount)
 
 
-def no_return(use: LimitEvent, start: float, available: float, remedy: str) -> InfeasiblePlanError:
+def _no_return(use: LimitEvent, start: float, available: float, remedy: str) -> InfeasiblePlanError:
     """Return the error that says that no return keeps the limits, which one stands in the way, and by how much."""
     return InfeasiblePlanError(
         f"No return of the carriers of at most {available:.6g} s from t = {start:.6g} s keeps their limits: the best "

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from redundancy_pin.arrays import Array, frozen, read_only, require_type
-from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.intersample_check import (
@@ -26,6 +25,7 @@ from redundancy_pin.planners.intersample_check import (
     intersample_check,
 )
 from redundancy_pin.planners.limits import (
+    LIMIT_TOLERANCE,
     QUANTITIES,
     LimitEvent,
     Limits,
@@ -34,6 +34,7 @@ from redundancy_pin.planners.limits import (
 )
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import record_difference, robot_record
+from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus, SampleStatus, solved_status
 
 SAME = 1e-6
@@ -171,7 +172,8 @@ class PlanCheck:
         imbalance: largest |W τ − f| at a sample, relative to the largest f.
         deviations: where the plan says something else; none if it is what it says.
         wider_limits: notes of limits that are wider than the robot's own, in words: a plan is judged by the limits it
-            was made with, which its user may have chosen.
+            was made with, which its user may have chosen. Of a main actuator the robot's own limits of effort and
+            speed are noted where the plan exceeds them.
         closure_rank: "time", s, and pose "x" of each rank loss of the closures on the way: branches meet there, and the
             machine may take another one than the plan.
     """
@@ -196,7 +198,7 @@ def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
 
     What the plan says of itself (efforts, forces, rates, margins, limits, peaks, status) is compared with what the
     dynamics say of the motion of platform and carriers. Any backend of the plan's robot will do; the one that the plan
-    was not made by judges it independently.
+    was not made by judges it independently. Whether the plan is an optimum is not judged again.
 
     Args:
         plan: the plan.
@@ -243,20 +245,33 @@ def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
         peak_effort=again.peak_effort,
         imbalance=float(np.nanmax(unbalanced, initial=0.0)),
         deviations=_deviations(plan, again, unbalanced),
-        wider_limits=_wider_limits(plan, dynamics),
+        wider_limits=_wider_limits(plan, again, dynamics.robot),
         closure_rank=tuple(again.diagnostics.get("closure_rank", ())),  # type: ignore[arg-type]
     )
 
 
-def _wider_limits(plan: Plan, dynamics: Dynamics) -> tuple[str, ...]:
-    own, used = Limits().resolved(dynamics.robot).bounds, plan.limits.judged_by.bounds
-    return tuple(
+def _wider_limits(plan: Plan, again: Plan, robot: Robot) -> tuple[str, ...]:
+    """Return notes of limits that are wider than the robot's own; ``again`` is the plan's evaluation."""
+    own, used = Limits().resolved(robot).bounds, plan.limits.judged_by.bounds
+    carriers = (
         f"{name}: judged by a {quantity} of {used[0][i, j]:g} to {used[1][i, j]:g}, the robot's own is "
         f"{own[0][i, j]:g} to {own[1][i, j]:g}."
-        for j, name in enumerate(dynamics.robot.carriers)
+        for j, name in enumerate(robot.carriers)
         for i, quantity in enumerate(QUANTITIES)
         if used[0][i, j] < own[0][i, j] or used[1][i, j] > own[1][i, j]
     )
+    judged, speed = plan.limits.judged_by, robot.model.upperVelocityLimit[robot.actuated_velocity]
+    table = (
+        ("effort", again.peak_effort, np.abs(robot.effort_limits).max(axis=0), judged.effort),
+        ("speed", np.abs(again.actuated_rate).max(axis=0), speed, judged.actuator_speed),
+    )
+    motors = (
+        f"{name}: judged by {quantity} up to {bound:g}, the robot's own is {most:g}, the plan takes {taken:g}."
+        for quantity, *columns in table
+        for name, taken, most, bound in zip(robot.actuated, *columns, strict=True)
+        if bound > most and taken > most * (1.0 + LIMIT_TOLERANCE)
+    )
+    return (*carriers, *motors)
 
 
 def _deviations(plan: Plan, again: Plan, unbalanced: Array) -> tuple[Deviation, ...]:
@@ -324,13 +339,22 @@ def _other_peak(plan: Plan, again: Plan) -> Deviation | None:
 
 
 def _other_limits(plan: Plan, again: Plan) -> list[Deviation]:
-    """Return the limits that are exceeded and that the plan does not report, each once."""
-    reported = {(one.carrier, one.quantity) for one in plan.limits.violated}
-    found = {(one.carrier, one.quantity): one for one in reversed(again.limits.violated)}  # the first of each counts
+    """Return where a plan reports limits as exceeded that are not, or not as much, or leaves one out."""
     deviations = []
-    for key, event in sorted(found.items(), key=lambda item: item[0]):
-        if key not in reported:
-            exceeds = f"exceeds its limit by {event.amount:.4g} at t = {event.worst:.6g} s."
-            message = f"The {event.quantity} of {event.carrier} {exceeds}"
-            deviations.append(Deviation("limits", event.worst, event.amount, message))
+    reported, found = _worst_events(plan), _worst_events(again)
+    for key in sorted({*reported, *found}):
+        event = found[key] if key in found else reported[key]
+        said, true = (events[key].amount if key in events else 0.0 for events in (reported, found))
+        same = said == true or abs(said - true) <= SAME_PEAK * max(abs(event.value), abs(event.limit))
+        if not same or (key in found and key not in reported):
+            exceeds = f"exceeds its limit by {true:.4g}" if key in found else "keeps its limit"
+            message = f"The {event.quantity} of {event.carrier} {exceeds} at t = {event.worst:.6g} s"
+            by = f", not by {said:.4g}." if key in reported else "."
+            deviations.append(Deviation("limits", event.worst, abs(true - said), message + by))
     return deviations
+
+
+def _worst_events(plan: Plan) -> dict[tuple[str, str], LimitEvent]:
+    """Return the largest excess over each limit that a plan violates, by joint and quantity."""
+    by_amount = sorted(plan.limits.violated, key=lambda event: event.amount)
+    return {(event.carrier, event.quantity): event for event in by_amount}

@@ -216,6 +216,7 @@ def plan_table(
         "planner": plan.planner,
         "backend": plan.backend,
         "status": plan.status.value,
+        "least_cost": plan.least_cost,
         "samples_per_second": None if rate is None else float(rate),
     }
     table = table_of_states(machine, plan.robot, parts, about)

@@ -121,14 +121,6 @@ class ResolvedLimits(Frozen):
         rates = np.stack([self.speed, self.acceleration, self.carrier_force])
         return np.vstack([lower, -rates]), np.vstack([upper, rates])
 
-    def parameters(self) -> dict[str, object]:
-        """Return track, speed and acceleration as plain data, for a plan."""
-        return {
-            "track": tuple(map(tuple, self.track.tolist())),
-            "speed": tuple(self.speed.tolist()),
-            "acceleration": tuple(self.acceleration.tolist()),
-        }
-
     def on_track(self, values: ArrayLike, name: str) -> Array:
         """Return (k,) positions after checking that they are on the tracks, m."""
         places = frozen(each(values, name, (len(self.names),), finite=True))

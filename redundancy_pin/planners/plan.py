@@ -36,6 +36,9 @@ PLAN_FORMAT = "redundancy_pin plan"
 PLAN_VERSION = 3
 """Version of the file format: counts up whenever the fields of the file change. 3: the limits it was judged by."""
 
+REVERSAL = 0.05
+"""Change after a turning point, as a fraction of the peak effort, from which the turning point is a reversal."""
+
 SAME_TIME = 1e-9
 """How far, relative to the duration, plan and trajectory may differ in their times."""
 
@@ -190,6 +193,20 @@ class Plan(Frozen):
         return largest(self.tau)
 
     @property
+    def reversals(self) -> IntArray:
+        """(m,) number of ``effort_reversals`` at the samples."""
+        return np.array([len(samples) for samples in effort_reversals(self.tau)], dtype=np.intp)
+
+    @property
+    def least_cost(self) -> float | None:
+        """Least weighted objective J* that ``plan_whole_trajectory`` found, in its unit; None for other planners.
+
+        Optima are compared by it. The plan itself may cost more, by the fraction ``calm``.
+        """
+        cost = self.diagnostics.get("least_cost")
+        return None if cost is None else float(cost)  # type: ignore[arg-type]
+
+    @property
     def rms_effort(self) -> Array:
         """(m,) root mean square of each main effort over time, N or N·m."""
         duration = float(self.t[-1] - self.t[0])
@@ -234,6 +251,38 @@ class Plan(Frozen):
         from redundancy_pin.planners.export import plan_table
 
         return plan_table(self, rate, two_sided=two_sided, robot=robot)
+
+
+def effort_reversals(tau: Array) -> list[IntArray]:
+    """Return for each effort the samples at which it reverses.
+
+    A turning point is a reversal if the effort changes by ``REVERSAL`` of the peak before it and after it.
+
+    Args:
+        tau: (N, m) efforts at samples, N or N·m; NaN counts as zero.
+
+    Returns:
+        m arrays of indices of samples, increasing.
+    """
+    tau = np.nan_to_num(tau)
+    least = REVERSAL * float(np.abs(tau).max(initial=0.0))
+    return [_turning_points(effort, least) for effort in tau.T]
+
+
+def _turning_points(values: Array, least: float) -> IntArray:
+    """Return the samples at which (N,) values turn between changes of at least ``least``."""
+    turned: list[int] = []
+    low = high = 0  # samples of the extremes since the last turning point
+    rising = None
+    for i, value in enumerate(values.tolist()):
+        low, high = (i if value < values[low] else low), (i if value > values[high] else high)
+        if rising is not False and values[high] - value >= least > 0.0:
+            turned += [high] if rising else []
+            rising, low = False, i
+        elif rising is not True and value - values[low] >= least > 0.0:
+            turned += [low] if rising is False else []
+            rising, high = True, i
+    return np.array(turned, dtype=np.intp)
 
 
 def _absolute_integral(power: Array, t: Array) -> float:

@@ -337,7 +337,7 @@ _IN_PLANE = 0.5
 def characteristic_length(model: pin.Model, q: Array, carriers: Sequence[str]) -> float:
     """Return one size for one machine: the root mean square distance of its joints from their mean.
 
-    It is 1 m where all joints are at one point, except for the rounding of a file.
+    It is 1 m where all joints are at one point, except for the rounding of a file, and where no joint counts.
 
     Args:
         model: the tree.
@@ -347,6 +347,8 @@ def characteristic_length(model: pin.Model, q: Array, carriers: Sequence[str]) -
     data = model.createData()
     pin.forwardKinematics(model, data, q)
     counted = [index for index in range(1, model.njoints) if model.names[index] not in carriers]
+    if not counted:
+        return 1.0
     origins = np.array([data.oMi[index].translation for index in counted])
     spread = float(np.sqrt(((origins - origins.mean(axis=0)) ** 2).sum(axis=1).mean()))
     parts = [origins, *(model.jointPlacements[index].translation[None] for index in counted)]

@@ -188,7 +188,7 @@ def with_limits(
         given = np.asarray(numbers, dtype=object)  # rows of different lengths are objects, and no numbers: said below
         if given.shape not in ((), (robot.k,)):
             raise InputError(
-                f"{key} has shape {given.shape}; {robot.name} has {robot.k} carrier(s).",
+                f"{key} has shape {given.shape}; {robot.name} has k = {robot.k} carriers.",
                 remedy="Pass one number, or one for each carrier.",
                 name=key,
             )

@@ -177,7 +177,8 @@ class Proposal:
         ]
         motors = f"motors: {', '.join(self.mechanism.actuated)}, {self.motors}" if self.motors else "motors: not known"
         frames = [f"links that close no loop: {', '.join(self.frames)}"] if self.frames else []
-        return (*(loops or ["loops: none"]), motors, *frames)
+        none = "loops: none; where links meet in a joint that the file leaves out, name it: --close A,B"
+        return (*(loops or [none]), motors, *frames)
 
 
 def propose(
@@ -508,4 +509,5 @@ def _which_motors(mechanism: Mechanism, count: int | None = None) -> str:
             reasons.setdefault(tuple(names), []).append(why)
     ways = [f"--actuate {','.join(names)} ({', '.join(why)})" for names, why in reasons.items()]
     degrees = "" if count is None else f" The mechanism has {count} DOF."
-    return f"Which joints are driven, of {', '.join(joints)}?{degrees} {'; '.join(ways) or '--actuate A,B'}."
+    letters = ",".join("ABCDEF"[:count]) if count and count <= 6 else "A,B,..."
+    return f"Which joints are driven, of {', '.join(joints)}?{degrees} {'; '.join(ways) or f'--actuate {letters}'}."

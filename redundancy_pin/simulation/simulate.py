@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import fields
 from typing import Literal
@@ -83,7 +82,6 @@ def simulate(
     integrator: Literal["DOP853", "RK45", "Radau"] = "DOP853",
     restart_at: Literal["breaks", "jumps"] = "breaks",
     method: Method = "projected",
-    way: Method | None = None,
     dynamics: DynamicsLike | None = None,
 ) -> Simulation:
     """Simulate a closed-chain robot under given efforts.
@@ -118,7 +116,6 @@ def simulate(
             that the integrator keeps its order; or at the jumps only, so that steps may be longer than those of a plan,
             which pays where tolerances are loose. At tight ones the step control grinds at the kinks.
         method: "projected" or "constraint_dynamics": Pinocchio's solver, for point closures and bodies with mass.
-        way: the name of ``method`` in version 0.1.0; deprecated.
         dynamics: this robot again, or its name or path, for generated code (``as_dynamics``); or a backend of it.
             Generated code then takes the ordinary steps of explicit integrators: many times as fast, the same to the
             tolerances. Backends without forward dynamics make no difference.
@@ -136,9 +133,6 @@ def simulate(
         UnsupportedRobotError: see ``method`` and ``FeedForward``.
     """
     robot = as_robot(robot)
-    if way is not None:
-        warnings.warn("simulate(way=...) is now simulate(method=...).", DeprecationWarning, stacklevel=2)
-        method = way
     controller = _controller(robot, drive, sampling)
     one_of(integrator, "integrator", INTEGRATORS)
     for name, value, fits in (("max_step", max_step, max_step > 0.0), ("max_steps", max_steps, max_steps >= 1)):

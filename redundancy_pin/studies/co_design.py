@@ -306,7 +306,8 @@ def _planning_task(task: DesignTask, robot: Robot) -> Task:
     groups: list[Any] = [
         kind(**{key: rest.pop(key) for key in _keys(kind) & rest.keys()}) for kind in (Limits, Mesh, Solver)
     ]
-    objective = Objective(weights, **{key: rest.pop(key) for key in ("lam", "baseline", "base_point") if key in rest})
+    given = {key: rest.pop(key) for key in ("lam", "baseline", "base_point") if key in rest}
+    objective = Objective(weights, **given, calm=0.0)  # machines are compared by least costs
     settings = checked_settings(robot, objective, *groups, **rest)
     return Task(task.dynamics.for_robot(robot), continuous_motion(task.motion), settings)
 
@@ -325,7 +326,7 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
     tasks = tuple(one if isinstance(one, DesignTask) else DesignTask(*one) for one in given)
     if not tasks:
         raise InputError("There is no task to design for.", remedy=remedy)
-    grouped = {"dynamics", "motion", "limits", "mesh", "solver"}
+    grouped = {"dynamics", "motion", "limits", "mesh", "solver", "calm"}
     known = set(inspect.signature(plan_whole_trajectory).parameters) - grouped
     for task in tasks:
         require_type(task.options, Mapping, "A mapping of a task's options", remedy)

@@ -44,7 +44,6 @@ __all__ = [
     "WHOLE",
     "Axis",
     "Cell",
-    "Crossing",
     "FeasibilityMap",
     "MapProblem",
     "Preset",
@@ -75,9 +74,6 @@ class VerdictChange:
     low: float
     high: float
     possible: Literal["low", "high"]
-
-
-Crossing = VerdictChange  # its name in version 0.1.0
 
 
 @dataclass(frozen=True, eq=False)

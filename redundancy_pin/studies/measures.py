@@ -14,7 +14,7 @@ from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.plan import Plan, effort_reversals
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
 from redundancy_pin.status import SampleStatus
@@ -240,9 +240,6 @@ Measure = Callable[[Any], Numbers]
 ACCELERATING = 1e-6
 """Fraction of the largest reference acceleration below which the platform does not accelerate."""
 
-SWING = 0.05
-"""Fraction of the peak that an effort has to move back by for a turn to count."""
-
 _SAME_TIME = 9
 """Digits of a time, s, that have to agree for two samples to be the same: those at events may be apart by rounding."""
 
@@ -355,27 +352,10 @@ def peak_until_off(plan: Plan) -> float:
 # --- plans of any kind ---------------------------------------------------------------------------------------------
 
 
-def reversals(plan: Plan) -> IntArray:
-    """Return (m,) how often each main effort turns round and then moves by more than ``SWING`` of the peak."""
-    return np.array([len(samples) for samples in _turns(plan)], dtype=np.intp)
-
-
 def reversals_beside_singularities(plan: Plan) -> IntArray:
-    """Return (m,) how many of the ``reversals`` are where W is near-singular."""
-    return np.array([(plan.margin[samples] < NEAR_SINGULAR_MARGIN).sum() for samples in _turns(plan)], dtype=np.intp)
-
-
-def _turns(plan: Plan) -> list[IntArray]:
-    """Return the samples at which each of the m main efforts turns round."""
-    from scipy.signal import find_peaks  # it loads scipy.stats as well: 0.4 s that no other command should wait for
-
-    least = SWING * float(plan.peak_effort_at_samples.max())
-    if least == 0.0:
-        return [np.empty(0, dtype=np.intp)] * plan.tau.shape[1]
-    tau = np.nan_to_num(plan.tau)
-    return [
-        np.concatenate([find_peaks(sign * effort, prominence=least)[0] for sign in (1.0, -1.0)]) for effort in tau.T
-    ]
+    """Return (m,) how many of ``Plan.reversals`` are where W is near-singular."""
+    reversals = effort_reversals(plan.tau)
+    return np.array([(plan.margin[samples] < NEAR_SINGULAR_MARGIN).sum() for samples in reversals], dtype=np.intp)
 
 
 def rms_acceleration(plan: Plan) -> float:
@@ -444,7 +424,7 @@ def numbers(plan: Plan) -> dict[str, Any]:
         "status": plan.status.value,
         "peak": float(plan.peak_effort_at_samples.max()),
         "before": peak_until_off(plan),
-        "reversals": float(reversals(plan).max()),
+        "reversals": float(plan.reversals.max()),
         "rms": float(np.linalg.norm(plan.rms_effort)),
         "carrier_force": float(np.abs(plan.carrier_force).max(initial=0.0)),
         "main_energy": plan.main_energy,

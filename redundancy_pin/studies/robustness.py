@@ -46,7 +46,7 @@ RESAMPLES = 2000
 LIBRARIES = ("casadi", "numpy", "pin", "scipy")
 """Whose versions may change a digit of a plan or a simulation."""
 
-UNUSED = ("_moved.py", "_startup.py", "cli", "crosscheck", "studies", "view.py", "visualisation", "workers.py")
+UNUSED = ("__main__.py", "_startup.py", "cli", "crosscheck", "studies", "view.py", "visualisation", "workers.py")
 """Parts of the package that no trial uses, but for ``OWN``."""
 
 OWN = ("studies/case.py", "studies/trial.py")

@@ -25,9 +25,6 @@ from redundancy_pin.workers import ready
 FILE = "store.sqlite"
 """Name of the store in the folder of a study."""
 
-OLD_FILE = "journal.jsonl"
-"""What version 0.1.0 kept in its place."""
-
 _TABLES = ("CREATE TABLE study (kind TEXT, identity TEXT)", "CREATE TABLE record (record TEXT)")
 """What a store consists of."""
 
@@ -172,16 +169,9 @@ def make_folder(folder: str | Path) -> Path:
 
 
 def _writable(path: Path) -> Path:
-    """Return the path of a store that can be written, and does not pass over the work of version 0.1.0 in silence."""
+    """Return the path of a store that can be written, its folder made."""
     make_folder(path.parent)
     require_writable(path)
-    old = path.with_name(OLD_FILE)
-    if path.name == FILE and old.exists() and not path.exists():
-        raise OutputError(
-            f"{old} is of version 0.1.0, whose finished work this version does not take over.",
-            remedy="Choose another folder, or delete that file to compute everything anew.",
-            path=str(old),
-        )
     return path
 
 

@@ -25,7 +25,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import chain
+from itertools import chain, islice
 from typing import TypeAlias
 
 import numpy as np
@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from redundancy_pin.arrays import LARGEST, Array, decimal
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.csv_cells import escape_formula, escape_value, unescape_formula
-from redundancy_pin.io.reading import read_text
+from redundancy_pin.io.reading import open_text, read_text
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
 from redundancy_pin.robot import AXES, Robot
@@ -45,7 +45,10 @@ _QUATERNION_TOLERANCE = 1e-6
 """How far the norm of a quaternion may be from one: text with six digits passes; it is then normalised."""
 
 _LARGEST_FILE = 1 << 30
-"""Bytes of a file, which is read as a whole: five million samples of ten columns."""
+"""Bytes of a file: five million samples of ten columns."""
+
+_ROWS = 4096
+"""Rows that become numbers at once: as text they take ten times the memory of their numbers."""
 
 _QUATERNION = ("qx", "qy", "qz", "qw")
 POSE = (*AXES[:3], *_QUATERNION)
@@ -361,7 +364,8 @@ def read_table(path: str | os.PathLike[str]) -> MotionTable:
     """
     place = os.fspath(path)
     header, rows = _header_and_rows(place)
-    values = _numbers(header, list(rows), place).T
+    blocks = iter(lambda: list(islice(rows, _ROWS)), [])
+    values = np.concatenate([_numbers(header, block, place) for block in blocks]).T
     columns = {name: column * header.factor[name] for name, column in zip(header.read, values, strict=True)}
     return MotionTable(place, header.coordinates, header.rates, header.carriers, columns, header.measures)
 
@@ -385,10 +389,13 @@ def _header_and_rows(path: str) -> tuple[_Header, Iterator[tuple[int, list[str]]
 
 def _rows(path: str) -> Iterator[tuple[int, list[str]]]:
     """Give the rows that are not empty, each with the number of its line in the file, as an editor shows it."""
-    text = read_text(path, InputError, largest=_LARGEST_FILE)
-    reader = csv.reader(io.StringIO(text, newline=""))
     try:
-        yield from ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
+        with open_text(path, InputError, largest=_LARGEST_FILE) as text:
+            reader = csv.reader(text)
+            yield from ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
+    except UnicodeDecodeError:
+        read_text(path, InputError, largest=_LARGEST_FILE)  # raises, and names the line
+        raise
     except csv.Error as error:
         raise _bad(path, f" is not a text file with columns: {error}.") from error
 
@@ -409,7 +416,8 @@ class _Header:
         self._path, self.names = path, [name for name, _ in given]
         twice = sorted(name for name, count in Counter(self.names).items() if count > 1)
         if twice:
-            raise _bad(path, f" has the column {twice[0]!r} more than once.", column=twice[0])
+            cells_of = ", ".join(shown(cell) for cell, name in zip(cells, self.names, strict=True) if name == twice[0])
+            raise _bad(path, f" has the column {twice[0]!r} more than once: {cells_of}.", column=twice[0])
         own = [name for name in self.names if name not in _TIMES and not _RESULTS.fullmatch(name)]
         # by name what a column is of, and how often that is differentiated
         of = {name: _differentiated(name, units) for name in own}

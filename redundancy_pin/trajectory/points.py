@@ -265,7 +265,8 @@ def _read_json(path: File) -> tuple[Array, Array | None, Array | None]:
             raise InputError(f"{path} {what}.", remedy=remedy, path=str(path))
         times, speed, data = data.get("t", data.get("times")), data.get("speed"), data["points"]
     if not isinstance(data, list) or not data or isinstance(data[0], Mapping):
-        raise InputError(f"{path} holds no list of points.", remedy="Write [[x, y], ...].", path=str(path))
+        remedy = 'Write [[x, y], ...], or {"points": [[x, y], ...], "t": [...]}.'
+        raise InputError(f"{path} holds no list of points.", remedy=remedy, path=str(path))
     depth = 3 if isinstance(data[0], list) and data[0] and isinstance(data[0][0], list) else 2
     optional = [
         None if part is None else checked(part, name, ("N",)) for name, part in (("t", times), ("speed", speed))

@@ -7,7 +7,7 @@ both of its ends.
 
 That optimum switches between extreme accelerations at once. Planners and motors need a continuous one, so the law is
 averaged over a short window, ``BLEND`` of the duration, by which it gets longer; then it is run as fast as the
-limits allow on dense samples.
+limits allow on dense samples. Corners that take less time than the window slow the whole law down.
 
 toppra imports matplotlib: this module is imported where it is used.
 """
@@ -87,7 +87,7 @@ def fastest_law(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -
         max_acceleration: the same of ẍ, m/s² and rad/s².
 
     Raises:
-        InputError: limits that are not positive, or of another number.
+        InputError: limits that are not positive, or of another number; a path that stands still.
     """
     groups = _groups(path, max_speed, max_acceleration)
     p, w, u = _optimum(path, groups)
@@ -107,7 +107,11 @@ def least_duration(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike
 
 def _groups(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -> list[_Group]:
     each = np.arange(path.dimension)[:, None]
-    pose = path.evaluate(np.zeros(1)).x.ndim == 3
+    start = path.evaluate(np.zeros(1))
+    if not start.tangent.any():
+        remedy = "Give two different poses, or a law that says how long it stays, RestToRest."
+        raise InputError("The path stands still: no limit determines its duration.", remedy=remedy)
+    pose = start.x.ndim == 3
     parts = {2: each.reshape(2, 3), 6: each} if pose else {len(each): each, 1: each.T}
     limits = []
     for name, values in (("max_speed", max_speed), ("max_acceleration", max_acceleration)):

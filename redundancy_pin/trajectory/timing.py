@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import BPoly, PchipInterpolator, PPoly
 from scipy.optimize import brentq
 
-from redundancy_pin.arrays import ROUNDING, Array, Frozen, Side, assign, checked, frozen, inside, positive
+from redundancy_pin.arrays import ROUNDING, Array, Frozen, Side, assign, checked, frozen, inside, one_of, positive
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -130,8 +130,9 @@ class TimingLaw(Frozen):
         """Return p, ṗ, p̈ at times t (scalar or any shape, s); ``side`` decides where p̈ jumps.
 
         Raises:
-            InputError: t outside [0, duration].
+            InputError: t outside [0, duration], or another side.
         """
+        one_of(side, "side", ("left", "right"))
         times = inside(t, 0.0, self.duration, "t", "s")
         if side == "left":  # the float before an edge is in the piece before it
             times = np.nextafter(times, 0.0)
@@ -188,6 +189,10 @@ class RestToRest(TimingLaw):
         curve = BPoly.from_derivatives([0.0, end], [[0.0, *zeros[shape]], [total, *zeros[shape]]])
         super().__init__(curve, total)
         assign(self, shape=shape)
+
+    def scaled(self, factor: float) -> RestToRest:
+        """Return the same law run ``factor`` times as fast; see ``TimingLaw.scaled``."""
+        return RestToRest(self.length, self.duration / positive(factor, "factor", "(ratio)"), self.shape)
 
 
 LEAST_RAMP_FRACTION = 0.4
@@ -273,6 +278,12 @@ class SpeedProfile(TimingLaw):
         """
         up = _peak(self.ramp_length / (self.speed * self.ramp_time))
         return max(up, _peak(self.end_ramp_length / (self.speed * self.end_ramp_time))) * self.speed
+
+    def scaled(self, factor: float) -> SpeedProfile:
+        """Return the same law run ``factor`` times as fast; see ``TimingLaw.scaled``."""
+        f = positive(factor, "factor", "(ratio)")
+        up, down = self.ramp_time / f, self.end_ramp_time / f
+        return SpeedProfile(self.length, f * self.speed, up, self.ramp_length, down, self.end_ramp_length)
 
     def evaluate(self, t: ArrayLike, side: Side = "right") -> TimingPoint:
         """Return p, ṗ, p̈ at times t; see ``TimingLaw.evaluate``. While it cruises nothing accelerates, exactly."""

@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -141,3 +143,25 @@ def test_refusals(given, message, urdf, tmp_path):
     (tmp_path / "notes.yaml").write_text("a: 1\n")
     assert message in refused("new", tmp_path / given[0], *given[1:])
     assert not (tmp_path / "robot.yaml").exists()
+
+
+def test_a_file_without_loops_is_told_how_to_close_one_and_asked_for_as_many_motors_as_it_has_freedoms(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "arm.urdf"
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    links = "".join(f'<link name="{name}">{inertial}</link>' for name in ("base", "upper", "lower"))
+    joint = '<joint name="{}" type="continuous"><parent link="{}"/><child link="{}"/><origin xyz="1 0 0"/></joint>'
+    joints = joint.format("shoulder", "base", "upper") + joint.format("elbow", "upper", "lower")
+    file.write_text(f'<robot name="arm">{links}{joints}</robot>')
+    result = call("new", file)
+    assert "loops: none; where links meet in a joint that the file leaves out, name it: --close A,B" in result.stdout
+    assert "The mechanism has 2 DOF" in result.stderr
+
+
+def test_the_package_runs_as_a_module() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "redundancy_pin", "--version"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0
+    assert done.stdout.startswith("redundancy-pin, version ")

@@ -50,10 +50,10 @@ def test_every_flag_reaches_the_planner(tmp_path: Path) -> None:
     out, plot = tmp_path / "plan.npz", tmp_path / "plan.svg"
     result = call(
         *CORNER, "--objective", "effort", "--objective", "peak=0.5", "--objective", "tracking=2", "--lam", "0.3",
-        "--baseline", "carriers=false", "--start", "0.01,0,-0.01", "--start-speed", "0.02", "--end", "rest",
-        "--datum", "0.001", "--track", "-0.5,0.6", "--max-speed", "0.9,0.8,0.7", "--max-acceleration", "6",
-        "--max-jerk", "3000", "--max-effort", "20,30,40", "--max-carrier-force", "60", "--starts", "2",
-        "--seconds", "30", "--refinements", "1", "--out", out, "--plot", plot,
+        "--calm", "0.02", "--baseline", "carriers=false", "--start", "0.01,0,-0.01", "--start-speed", "0.02",
+        "--end", "rest", "--datum", "0.001", "--track", "-0.5,0.6", "--max-speed", "0.9,0.8,0.7",
+        "--max-acceleration", "6", "--max-jerk", "3000", "--max-effort", "20,30,40", "--max-carrier-force", "60",
+        "--starts", "2", "--seconds", "30", "--refinements", "1", "--out", out, "--plot", plot,
     )  # fmt: skip
     assert result.exit_code == 0, result.stderr
     expected = rp.plan_whole_trajectory(
@@ -61,6 +61,7 @@ def test_every_flag_reaches_the_planner(tmp_path: Path) -> None:
         reference.corner(),
         objective={"effort": 1.0, "peak": 0.5, "tracking": 2.0},
         lam=0.3,
+        calm=0.02,
         baseline=_corner_robot(carriers=False),
         start=[0.01, 0.0, -0.01],
         start_speed=0.02,
@@ -84,6 +85,7 @@ def test_every_flag_reaches_the_planner(tmp_path: Path) -> None:
     assert plot.read_text(encoding="utf-8").startswith("<?xml")
     assert "effort, 0.5 peak, 2 tracking" in result.stdout
     assert "local optimum in" in result.stdout
+    assert f"{plan.least_cost:.6g}" in result.stdout
 
 
 def test_a_plan_through_a_singularity_is_saved_and_told(tmp_path: Path) -> None:
@@ -118,7 +120,7 @@ def test_a_problem_file_gives_the_plan_of_the_flags(tmp_path: Path) -> None:
     first, second = rp.load_plan(one), rp.load_plan(other)
     assert first.parameters["objective"] == {"effort": 1.0, "peak": 0.2}
     assert second.parameters["objective"] == {"peak": 1.0}
-    assert first.parameters["track"] == [(-0.1, 0.1), (-0.15, 0.15)]
+    assert first.limits.judged_by.track.tolist() == [[-0.1, 0.1], [-0.15, 0.15]]
     assert np.abs(first.carriers.s).max(axis=0)[0] <= 0.1
 
 
@@ -248,13 +250,16 @@ def test_wrong_limits_are_said_as_they_were_typed(given: str, said: str) -> None
     )
 
 
-@pytest.mark.long_for("objective1-False")
-@pytest.mark.parametrize(("objective", "advised"), [(("effort",), True), (("effort", "effort_rate=0.01"), False)])
+@pytest.mark.long_for("objective1-0-False")
+@pytest.mark.parametrize(
+    ("objective", "calm", "advised"),
+    [(("effort",), "0", True), (("effort", "effort_rate=0.01"), "0", False), (("effort",), "0.01", False)],
+)
 def test_efforts_that_swing_beside_singularities_are_calmed_by_what_the_plan_proposes(
-    objective: tuple[str, ...], advised: bool
+    objective: tuple[str, ...], calm: str, advised: bool
 ) -> None:
     flags = [part for entry in objective for part in ("--objective", entry)]
-    told = json.loads(call(*CIRCLE, "--dt", "0.01", *flags, "--json").stdout)
+    told = json.loads(call(*CIRCLE, "--dt", "0.01", *flags, "--calm", calm, "--json").stdout)
     assert told["backend"] == "virtual-work"  # as --backend writes it, not by its class
     if advised:
         assert "--objective effort --objective effort_rate=0.01" in told["advice"]

@@ -220,9 +220,3 @@ def test_a_killed_study_goes_on_from_its_store(tmp_path: Path, run: list[tuple[s
     assert call(*options).exit_code == 0
     assert run == [("open loop", 1), ("computed torque", 1)]
     assert sorted(path.name for path in tmp_path.iterdir()) == FILES
-
-
-def test_a_folder_of_version_0_1_0_is_refused(tmp_path: Path, run: list[tuple[str, int]]) -> None:
-    (tmp_path / "journal.jsonl").write_text("{}\n")
-    assert "is of version 0.1.0" in refused("study", "--draws", "1", "--jobs", "1", "--out", tmp_path)
-    assert run == []

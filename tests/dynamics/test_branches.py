@@ -103,6 +103,18 @@ def test_a_sample_off_the_branch_has_a_status_and_does_not_move_it(backend: type
     np.testing.assert_allclose(dynamics.torque([1.1], [1.0], [2.0]).tau, want.tau, rtol=ROUNDING)
 
 
+def test_a_refusal_holds_for_the_branch_that_it_was_met_on(tmp_path: Path) -> None:
+    """Near the last angle of the crank, which is on no way from the other one: there kinematics answer."""
+    robot = folding_four_bar(tmp_path, STOPPED, STOPPED_GUESS)
+    dynamics = rp.CompiledDynamics(robot)
+    low, high = (rp.assembly_modes(robot, [crank]).q[0] for crank in (1.0, 2.0 * np.pi - 1.0))
+    limit = np.arccos((0.4**2 + 0.3**2 - 0.45**2) / (2 * 0.4 * 0.3)) - 1e-5
+    for own, other, crank in ((low, high, limit), (high, low, 2.0 * np.pi - limit)):
+        for _ in range(2):  # a set-point that is held
+            assert dynamics.torque([crank], [1.0], [2.0], start=other).status is SampleStatus.BRANCH_LOST
+        assert dynamics.torque([crank], [1.0], [2.0], start=own).status is SampleStatus.OK
+
+
 @BOTH
 def test_a_start_decides_the_branch_in_any_working_mode(backend: type[Dynamics]) -> None:
     robot, flipped = zoo.robot_of("five_bar"), zoo.robot_of("five_bar", working_mode=(-1, 1))

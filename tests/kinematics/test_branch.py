@@ -26,6 +26,7 @@ from redundancy_pin.kinematics.branch import (
     Follower,
     follower,
 )
+from redundancy_pin.kinematics.closed_state import are_continuous
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import mode_indicator, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
@@ -476,3 +477,12 @@ def test_random_loops_on_one_crank_are_right_or_refused() -> None:
 def test_machine_code_is_right_there_or_refuses() -> None:
     """It carries nothing across a rank loss."""
     assert sum(require_closed_form(*random_crank(seed), CompiledDynamics) for seed in range(200)) >= 20
+
+
+def test_a_step_follows_if_it_is_what_the_trapezoidal_rule_predicts() -> None:
+    """q̇ = Γ ẋ with Γ = 1 and then 3: an increment of 0.1 moves q by 0.2, not back, by nothing, or thrice as far."""
+    robot = zoo.robot_of("five_bar")
+    nv = robot.model.nv
+    gamma0, gamma1 = np.full((4, nv, 1), 1.0), np.full((4, nv, 1), 3.0)
+    step = np.array([0.2, -0.2, 0.0, 0.6])[:, None] * np.ones(nv)
+    assert are_continuous(robot, step, gamma0, gamma1, np.full((4, 1), 0.1)).tolist() == [True, False, False, False]

@@ -12,10 +12,11 @@ import zoo
 from written import J, urdf_of, write_robot
 
 from redundancy_pin import load_robot
-from redundancy_pin.arrays import CLOSURE_TOLERANCE
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, SINGULAR_MARGIN
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import (
     assemble,
+    project,
 )
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.closing import close, closed_near
@@ -24,10 +25,13 @@ from redundancy_pin.kinematics.coordinates import coordinates, difference, worki
 from redundancy_pin.kinematics.multistart import multistart, wrapped
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.changes import with_limits
-from redundancy_pin.robot.scales import position_unit, row_scale
+from redundancy_pin.robot.scales import position_unit, row_scale, velocity_scale
 
 TURN = 2.0 * np.pi
 AXES = np.eye(3)
+INVERSION = 1e-12
+"""Rounding of an inverse, relative."""
+
 CLOSED = 1e-9  # m or rad: the closure tolerance, as Pinocchio's placements show it
 
 AXES_OF = {
@@ -289,3 +293,64 @@ def test_passive_angles_are_of_the_turn_that_is_allowed(limits, angle, guess, ex
     if near is not None:
         near[at] = guess
     assert wrapped(robot, q[None], near)[0, at] == pytest.approx(expected, abs=1e-14)
+
+
+def test_gamma_obeys_the_closures_and_the_margin_is_a_lower_bound(shipped: Robot) -> None:
+    """Of the smallest singular value of K with velocities in m/s on both sides, within the root of its size."""
+    system = zoo.system_of(shipped)
+    assert not any(row.rotation for row in system.rows)  # closure rows are in m/s already
+    state = system.evaluate(zoo.random_closed(shipped, 11, 8))
+    projection = project(system, state)
+    gamma = projection.gamma
+    np.testing.assert_allclose(state.Jc @ gamma, 0.0, atol=INVERSION)
+    np.testing.assert_allclose(
+        state.Jx @ gamma, np.broadcast_to(np.eye(shipped.n), (8, shipped.n, shipped.n)), atol=INVERSION
+    )
+    assert np.all(gamma[:, shipped.carrier_velocity] == 0.0)
+    k = np.concatenate([state.Jc, state.Jx * row_scale(shipped)[:, None]], axis=1) / velocity_scale(shipped)
+    smallest = np.linalg.svd(k[:, :, system.pose_columns], compute_uv=False).min(axis=1)
+    assert np.all(projection.margin <= smallest * (1 + INVERSION))
+    assert np.all(projection.margin >= smallest / np.sqrt(len(system.pose_columns)) * (1 - INVERSION))
+
+
+def five_bar_at(height: float) -> np.ndarray:
+    """Return a configuration of the five-bar on its axis of symmetry; both legs stretch together at the top."""
+    robot = zoo.robot_of("five_bar")
+    reach = np.sqrt(1.0 - 0.25**2)  # links of 0.5 m, hinges 0.5 m apart
+    target = np.array([[0.25, reach - height]])
+    return assemble(zoo.system_of(robot), robot.q_reference[None], target, max_iterations=200).q
+
+
+@pytest.mark.parametrize("name", ["five_bar", "2rpr"])
+def test_margin_is_zero_and_gamma_nan_at_a_type_i_singularity(name: str) -> None:
+    robot = zoo.robot_of(name)
+    system = zoo.system_of(robot)
+    if name == "five_bar":
+        singular = five_bar_at(0.0)
+    else:  # the end-effector on the first base hinge: that leg has no direction
+        singular = robot.q_reference[None].copy()
+        slides = [zoo.index(robot, f"slide_{leg}") for leg in (1, 2)]
+        swivel = zoo.index(robot, "swivel_2")
+        singular[0, slides], singular[0, swivel] = (0.0, 0.5), np.pi
+    assert np.abs(system.evaluate(singular).phi).max() < 1e-11
+    both = np.concatenate([singular, robot.q_reference[None]])
+    projection = project(system, system.evaluate(both))
+    assert projection.margin[0] == 0.0
+    assert np.isnan(projection.gamma[0, system.pose_columns]).all()
+    # the regular neighbour in the same stack is untouched
+    alone = project(system, system.evaluate(robot.q_reference[None]))
+    np.testing.assert_allclose(projection.gamma[1], alone.gamma[0], rtol=1e-12)
+    assert projection.margin[1] == pytest.approx(alone.margin[0])
+
+
+@pytest.mark.parametrize("exponent", [-9.0, -6.5, -3.0])
+def test_margin_falls_with_the_square_root_of_the_way_to_full_stretch(exponent: float) -> None:
+    """cos of the elbow angle gives the reach, so the sine of the elbow, and the margin, goes with √height."""
+    robot = zoo.robot_of("five_bar")
+    system = zoo.system_of(robot)
+    height = 10.0**exponent
+    margin = project(system, system.evaluate(five_bar_at(height))).margin[0]
+    unit = project(system, system.evaluate(five_bar_at(1e-4))).margin[0] / 1e-2
+    # the next term of the expansion is of the relative order √height; Newton leaves the elbow off by 1e-11 / √height
+    assert margin == pytest.approx(unit * np.sqrt(height), rel=0.1)
+    assert margin > SINGULAR_MARGIN

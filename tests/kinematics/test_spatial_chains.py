@@ -16,6 +16,7 @@ from written import urdf_of, write_robot
 import redundancy_pin as rp
 from redundancy_pin import PlatformMotion, RneaDynamics, distribute, forward_kinematics, load_robot
 from redundancy_pin.errors import DeclarationError
+from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import AXES, Robot
 
@@ -178,3 +179,19 @@ def test_rccc_axes_obey_the_spherical_four_bar() -> None:
     z = np.sin(alpha) * inner[1] + np.cos(alpha) * inner[2]
     axis_3 = np.array([about_z[0, 0] * inner[0] + about_z[0, 1] * y, about_z[1, 0] * inner[0] + about_z[1, 1] * y, z])
     np.testing.assert_allclose(axis_4 @ axis_3, np.cos(gamma), atol=CLOSED)
+
+
+def test_a_hinge_turned_over_is_not_closed() -> None:
+    """Opposite hinge axes make all five rows vanish; only the misalignment tells."""
+    robot = chain_of("hinge")
+    system = zoo.system_of(robot)
+    rng = np.random.default_rng(2)
+    q = robot.q_reference + rng.uniform(-np.pi, np.pi, (200, robot.model.nq))
+    assembled = assemble(system, q, np.full((200, 1), 0.6))
+    upright = np.array([placement.rotation[2, 2] for placement in relative_placements(robot, assembled.q)])
+    rows_vanish = np.abs(assembled.state.phi).max(axis=1) < CLOSED
+    over = rows_vanish & (upright < 0.0)
+    assert over.any()
+    assert not assembled.closed[over].any()
+    np.testing.assert_allclose(assembled.residual[over], np.pi * robot.characteristic_length, atol=1e-6)
+    assert assembled.closed[rows_vanish & (upright > 0.0)].all()

@@ -9,8 +9,16 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from redundancy_pin.planners.carrier_return import CarrierState, return_polynomial, shortest_return
-from redundancy_pin.planners.limits import Limits
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.carrier_return import (
+    ALLOWED,
+    CarrierState,
+    limit_uses,
+    no_force,
+    return_polynomial,
+    shortest_return,
+)
+from redundancy_pin.planners.limits import Limits, motion_events
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.trajectory.functions_of_time import carriers_at
 
@@ -25,8 +33,13 @@ SPEEDS = np.linspace(1.118, 1.1225, 6)
 """Of a carrier that has to turn back before the end of its track."""
 
 
-def no_force(t, s, sd, sdd):
-    return np.zeros_like(s)
+def shortest(state, datum=0.0, limits=LIMITS, force=no_force):
+    """Duration of the shortest return, s, or the details of the refusal."""
+    try:
+        back = shortest_return(limits, force, state, np.zeros_like(state.s) + datum, AVAILABLE, "Slow down.")
+    except InfeasiblePlanError as error:
+        return dict(error.details)
+    return back.end - back.start
 
 
 POWERS = np.arange(8)
@@ -69,9 +82,10 @@ def test_durations_between_two_candidates_are_found(wanted):
     track, acceleration = (1.001 * float(np.abs(part).max()) for part in (there.s, there.sdd))
     only = CarrierLimits(lower=-track, upper=track, speed=np.inf, acceleration=acceleration, force=np.inf)
     robot = replace(ROBOT, carriers=ROBOT.carriers[:1], carrier_limits=(only,))
-    duration, used, _ = shortest_return(Limits().resolved(robot), no_force, state, datum, AVAILABLE)
+    limits = Limits().resolved(robot)
+    duration = shortest(state, limits=limits)
     assert duration == pytest.approx(wanted, rel=2e-3)
-    assert used <= 1.0 + 1e-9
+    assert not motion_events(limits, return_polynomial(state, duration, datum))
 
 
 def test_boundary_conditions_and_path():
@@ -103,15 +117,21 @@ def test_extremes_are_found():
 )
 def test_shortest_against_brute_force(s, sd, sdd, datum):
     state, place = state_of(s, sd, sdd), np.full(2, datum)
-    duration, use, _ = shortest_return(LIMITS, no_force, state, place, AVAILABLE)
+    duration = shortest(state, datum)
     durations = np.geomspace(2e-3, AVAILABLE, 150)
     uses = largest_use(state, durations, place, 201)
-    if duration is None:
+    if isinstance(duration, dict):
+        use = (
+            1.0
+            + duration["amount"]
+            / {"track": TRACK, "speed": SPEED, "acceleration": ACCELERATION}[duration["constraint"]]
+        )
         assert use > 1.0
         assert uses.min() > 1.0 - 1e-3  # 201 samples miss an extreme by less than this
         assert use <= uses.min() * (1.0 + 2e-2)  # and the best duration was looked for between 160 candidates
         return
-    assert largest_use(state, duration, place)[0] <= 1.0 + 1e-6
+    use = largest_use(state, duration, place, 20_001)[0]
+    assert use <= 1.0 + 1e-6
     shorter = durations < duration * (1.0 - 1e-6)
     assert (uses[shorter] > 1.0 - 1e-3).all()
     if duration > 3e-3:  # not the shortest candidate: it lies on a limit
@@ -119,9 +139,7 @@ def test_shortest_against_brute_force(s, sd, sdd, datum):
 
 
 def test_carrier_at_rest_at_its_datum_returns_at_once():
-    duration, use, _ = shortest_return(LIMITS, no_force, state_of([0, 0], [0, 0], [0, 0]), np.zeros(2), AVAILABLE)
-    assert duration == pytest.approx(1e-3 * AVAILABLE)
-    assert use == 0.0
+    assert shortest(state_of([0, 0], [0, 0], [0, 0])) == pytest.approx(1e-3 * AVAILABLE)
 
 
 def test_narrow_interval_of_durations_is_found():
@@ -133,8 +151,7 @@ def test_narrow_interval_of_durations_is_found():
     seen = []
     for speed in SPEEDS:
         state = state_of([0.05, 0.0], [speed, 0.0], [0.0, 0.0])
-        intervals, *_ = shortest_return(LIMITS, no_force, state, np.zeros(2), AVAILABLE)
-        seen.append(intervals is not None)
+        seen.append(not isinstance(shortest(state), dict))
     last = int(np.flatnonzero(seen)[-1]) if any(seen) else -1
     assert 0 <= last < len(SPEEDS) - 1
     assert all(seen[: last + 1])
@@ -143,25 +160,52 @@ def test_narrow_interval_of_durations_is_found():
     assert largest_use(state, fine, np.zeros(2), 401).min() > 1.0 - 1e-4
 
 
+@pytest.mark.parametrize(("order", "quantity"), [(0, "track"), (1, "speed"), (2, "acceleration")])
+def test_a_limit_that_a_return_exceeds_only_at_its_extreme_is_found(order, quantity):
+    state = state_of([-0.1, 0.05], [-0.4, 0.3], [-1.0, 2.0])
+    path = return_polynomial(state, 0.3, np.zeros(2))
+    peak = float(np.abs(path.derivative(order)(np.linspace(path.start, path.end, 200_001))).max())
+    most = peak * (1.0 - 1e-6)
+    wide = {"track": (-9.0, 9.0), "speed": 1e3, "acceleration": 1e6}
+    limits = Limits(**{**wide, quantity: (-most, most) if order == 0 else most}).resolved(ROBOT)
+    (event,) = motion_events(limits, path)
+    assert event.quantity == quantity
+    assert event.amount == pytest.approx(peak - most, rel=1e-2)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3, 1e-6])
+def test_the_shortest_return_keeps_its_limits_whatever_the_unit_of_time(scale):
+    """Not above them by a rounding either: what a plan within its limits claims."""
+    own = {"speed": SPEED / scale, "acceleration": ACCELERATION / scale**2}
+    limits = Limits(**own).resolved(ROBOT)
+    state = CarrierState(0.0, np.array([0.15, -0.1]), np.array([0.3, 0.2]) / scale, np.zeros(2))
+    back = shortest_return(limits, no_force, state, np.zeros(2), AVAILABLE * scale, "Slow down.")
+    s, sd, sdd = (np.asarray(getattr(carriers_at(back, back_times(back)), part)) for part in ("s", "sd", "sdd"))
+    used = limit_uses(limits, s, sd, sdd, np.zeros_like(s)).max()
+    assert 1.0 - 1e-9 < used <= ALLOWED
+    same = shortest(CarrierState(0.0, state.s, state.sd * scale, state.sdd))
+    assert back.end / scale == pytest.approx(same, rel=1e-9)
+
+
+def back_times(path):
+    """Ends and extremes of a path and of its rates, s."""
+    return np.unique(np.concatenate([path.edges, *(path.derivative(order).extremes() for order in range(3))]))
+
+
 def test_forces_count():
     state = state_of([-0.08, -0.03], [-0.3, -0.25], [-0.5, -2.0])
 
     def force(t, s, sd, sdd):
         return 150.0 * sdd  # reaches the declared 1000 N before s̈ reaches 10 m/s²
 
-    free, *_ = shortest_return(LIMITS, no_force, state, np.zeros(2), AVAILABLE)
-    limited, _, use = shortest_return(LIMITS, force, state, np.zeros(2), AVAILABLE)
-    assert limited > free
-    assert use.quantity == "force"
+    limited = shortest(state, force=force)
+    assert limited > shortest(state)
     path = return_polynomial(state, limited, np.zeros(2))
     dense = carriers_at(path, np.linspace(*path.edges, 20_001))
     assert 150.0 * np.abs(dense.sdd).max() == pytest.approx(1000.0, rel=1e-6)
 
 
 def test_state_off_the_track_has_no_return():
-    duration, _, use = shortest_return(LIMITS, no_force, state_of([-0.25, 0], [0, 0], [0, 0]), np.zeros(2), AVAILABLE)
-    assert duration is None
-    assert use.quantity == "track"
-    assert use.carrier == "carrier_1"
-    assert use.limit == -0.2
-    assert use.amount == pytest.approx(0.05, abs=1e-9)
+    refused = shortest(state_of([-0.25, 0], [0, 0], [0, 0]))
+    assert (refused["constraint"], refused["carrier"], refused["time"]) == ("track", "carrier_1", 1.0)
+    assert refused["amount"] == pytest.approx(0.05, abs=1e-9)

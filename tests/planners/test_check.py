@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +122,20 @@ def test_an_edited_plan_is_not_what_it_says(name: str, whole: Plan) -> None:
         assert np.isnan(deviation.time) or whole.t[0] <= deviation.time <= whole.t[-1]
 
 
+@pytest.mark.parametrize(
+    ("part", "name"),
+    [("motion", "x"), ("motion", "xd"), ("motion", "xdd"), ("carriers", "s"), ("carriers", "sd"), ("carriers", "sdd")],
+)
+def test_each_sampled_array_is_compared_with_its_function(part: str, name: str, whole: Plan) -> None:
+    own = getattr(whole, part)
+    names = ("t", "x", "xd", "xdd") if part == "motion" else ("s", "sd", "sdd")
+    arrays = {one: np.array(getattr(own, one)) for one in names}
+    arrays[name][30] += 1e-3 * np.abs(arrays[name]).max()
+    edited = replace(whole, **{part: type(own)(**arrays, check_rates=False)})
+    found = {deviation.quantity for deviation in rp.check_plan(edited, other(whole)).deviations}
+    assert f"{'platform' if part == 'motion' else 'carrier'} motion {name}" in found
+
+
 def test_the_imbalance_is_relative_to_the_largest_f(whole: Plan) -> None:
     """Without efforts all of f is left."""
     dynamics = other(whole)
@@ -228,6 +242,40 @@ def test_limits_wider_than_the_robots_are_noted() -> None:
     lower, upper = plan.limits.judged_by.track[0].tolist()
     for track, notes in (([lower, 9.0], robot.k), ([-9.0, upper], robot.k), ([-0.1, 0.1], 0)):
         assert len(rp.check_plan(with_limit(plan, track=track), rp.RneaDynamics(robot)).wider_limits) == notes
+
+
+def test_limits_of_motors_that_a_plan_exceeds_are_noted() -> None:
+    """The robot declares them, nobody asked the planner to keep them: the plan stands, and the check says so."""
+    motors = {"slide_1": {"effort": 0.001, "speed": 1e9}, "slide_2": {"effort": 1e9, "speed": 0.01}}
+    robot = rp.with_limits(zoo.robot_of("2rpr"), motors)
+    plan = rp.plan_whole_trajectory(rp.VirtualWork(robot), reference.line(speed=0.2), dt=0.02)
+    result = rp.check_plan(plan, rp.RneaDynamics(robot))
+    assert result.passed
+    effort, speed = result.wider_limits
+    assert effort.startswith("slide_1: judged by effort up to inf, the robot's own is 0.001, the plan takes ")
+    assert speed.startswith("slide_2: judged by speed up to inf, the robot's own is 0.01, the plan takes ")
+
+
+def test_what_a_plan_says_of_its_limits_is_compared(whole: Plan) -> None:
+    """Violations that are none, and amounts that are others; the limits themselves are stated once."""
+    assert not {field.name for field in fields(whole.limits.judged_by)} & set(whole.parameters)
+    event = LimitEvent(whole.robot.carriers[0], "speed", 0.0, 0.1, 0.05, 9.0, 2.5, 6.5)
+    (deviation,) = rp.check_plan(
+        replace(whole, limits=replace(whole.limits, violated=(event,))), other(whole)
+    ).deviations
+    assert (deviation.quantity, deviation.amount) == ("limits", 6.5)
+    slow = with_limits(whole)
+    broken = replace(slow, status=ResultStatus.LIMIT_VIOLATED)
+    true = rp.check_plan(broken, other(whole)).violated
+    reported = replace(broken, limits=replace(broken.limits, violated=true))
+    assert rp.check_plan(reported, other(whole)).passed
+    halved = tuple(replace(one, amount=0.5 * one.amount) for one in true)
+    result = rp.check_plan(replace(reported, limits=replace(broken.limits, violated=halved)), other(whole))
+    assert len(result.deviations) == len({one.carrier for one in true})
+    for one in result.deviations:
+        assert (one.quantity, ", not by " in one.message) == ("limits", True)
+        amounts = [event.amount for event in true if f" of {event.carrier} " in one.message]
+        assert 2.0 * one.amount == pytest.approx(max(amounts))
 
 
 def test_an_effort_exceeded_at_samples_and_between_them_is_one_broken_limit(whole: Plan) -> None:

@@ -293,7 +293,7 @@ def test_another_format_and_newer_ones(saved: Path) -> None:
     saved.write_bytes(original)
     # an older file has other fields: it is not damaged
     _rewrite(saved, lambda content: content.update(format_version=PLAN_VERSION - 1, record={}))
-    _refused(saved, rf"version {PLAN_VERSION - 1}, .* reads version {PLAN_VERSION}\. Make the plan again")
+    _refused(saved, rf"version {PLAN_VERSION - 1}, .* reads version {PLAN_VERSION}\. Compute the plan again")
     for version in (0, "1", None, True):
         saved.write_bytes(original)
         _rewrite(saved, lambda content, version=version: content.update(format_version=version))

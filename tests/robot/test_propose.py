@@ -317,3 +317,26 @@ def test_joints_that_a_file_marks_as_independent_are_its_motors(tmp_path: Path) 
     path.write_text(path.read_text().replace('name="b" type', 'independent="false" name="b" type'))
     proposal, _ = propose_robot(path, is_open=True)
     assert (proposal.mechanism.actuated, proposal.motors) == (("a",), "marked as independent by the file")
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        (
+            "welded.urdf",
+            '<robot name="r"><link name="a"/><link name="b"/><joint name="weld" type="fixed"><parent link="a"/>'
+            '<child link="b"/></joint></robot>',
+        ),
+        ("welded.xml", '<mujoco><worldbody><body name="b"><geom size="0.1"/></body></worldbody></mujoco>'),
+        (
+            "welded.sdf",
+            '<sdf version="1.9"><model name="r"><link name="a"/><link name="b"/><joint name="weld" type="fixed">'
+            "<parent>a</parent><child>b</child></joint></model></sdf>",
+        ),
+    ],
+)
+def test_a_file_without_a_moving_joint_is_refused(tmp_path: Path, name: str, text: str) -> None:
+    file = tmp_path / name
+    file.write_text(text)
+    with pytest.raises(DeclarationError, match=f"{name} drives no joint. It has no joint that could be: add one"):
+        rp.load_robot(file)

@@ -303,15 +303,6 @@ def test_what_a_method_cannot_do_is_refused() -> None:
         rp.simulate(chain_of("hinge"), duration=1.0, method="constraint_dynamics")
 
 
-def test_the_name_of_the_method_in_version_0_1_0_is_taken_with_a_warning() -> None:
-    robot = moving.massive("3rrr")
-    start = closed_state(robot, xd=[0.2, -0.3, 0.4])
-    with pytest.warns(DeprecationWarning, match="method"):
-        old = rp.simulate(robot, start=start, duration=0.05, way="constraint_dynamics")
-    new = rp.simulate(robot, start=start, duration=0.05, method="constraint_dynamics")
-    np.testing.assert_array_equal(old.q, new.q)
-
-
 def test_an_object_with_the_attributes_of_a_controller_is_one() -> None:
     robot = moving.massive("3rrr")
 

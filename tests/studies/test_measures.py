@@ -16,7 +16,6 @@ from redundancy_pin.studies.measures import (
     missing_force,
     numbers,
     plan_differences,
-    reversals,
     reversals_beside_singularities,
 )
 
@@ -41,9 +40,9 @@ def with_efforts(*columns: Array) -> Plan:
 def test_reversals_count_turns_and_not_ripple() -> None:
     ripple = 0.01 * np.sin(200.0 * np.pi * T)  # 2 % of the peak from top to bottom
     swing = np.sin(10.0 * np.pi * T)  # five maxima and five minima
-    assert reversals(with_efforts(swing, 0.5 * swing)).tolist() == [10, 10]
-    assert reversals(with_efforts(T + ripple, swing)).tolist() == [0, 10]
-    assert reversals(with_efforts(0.0 * T, 0.0 * T)).tolist() == [0, 0]
+    assert with_efforts(swing, 0.5 * swing).reversals.tolist() == [10, 10]
+    assert with_efforts(T + ripple, swing).reversals.tolist() == [0, 10]
+    assert with_efforts(0.0 * T, 0.0 * T).reversals.tolist() == [0, 0]
 
 
 def test_only_turns_beside_singularities_are_told_as_such() -> None:

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from redundancy_pin.errors import OutputError
-from redundancy_pin.studies.store import FILE, OLD_FILE, Store
+from redundancy_pin.studies.store import Store
 
 IDENTITY = {"seed": 3, "bounds": {"b": 1.0, "a": 2.0}, "fingerprint": "f"}
 
@@ -261,13 +261,6 @@ def test_a_table_whose_text_is_damaged(tmp_path: Path) -> None:
 def test_a_pipe_is_no_store(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "store")
     refused(opened(tmp_path / "store"), "pipe or a device")
-
-
-def test_what_version_0_1_0_kept_is_not_ignored_in_silence(tmp_path: Path) -> None:
-    (tmp_path / OLD_FILE).write_text("{}\n")
-    refused(opened(tmp_path / FILE), r"version 0\.1\.0.*delete that file")
-    filled(tmp_path / "of_a_name_of_its_own")
-    filled(tmp_path / "new" / "folder" / FILE)
 
 
 # ------------------------------------------------------------------------------------------------- links, modes, places

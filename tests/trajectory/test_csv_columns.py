@@ -210,7 +210,7 @@ def test_points_have_units_too(tmp_path: Path) -> None:
         ("t,x,y,xd,yd,xdd\n0,0,0,0,0,0\n", "has no column 'xdd'|has no column 'ydd'"),
         ("t,x,xd,yd,xdd,ydd\n0,0,0,0,0,0\n", "has no column 'y'"),
         ("x,y,xd,yd,xdd,ydd\n0,0,0,0,0,0\n", "has no column 't'"),
-        ("t,time,x,xd,xdd\n0,0,0,0,0\n", "'t' more than once"),
+        ("t,time,x,xd,xdd\n0,0,0,0,0\n", "'t' more than once: 't', 'time'"),
         ("t,x,x [mm],xd,xdd\n0,0,0,0,0\n", "'x' more than once"),
         ("t,x,y\n0,0,0\n", r"positions \(x, y\) and no rates.*add xd, yd, xdd, ydd"),
         ("t,x,s:a,sd:a,sdd:a\n0,0,0,0,0\n", "has no column 'xd'"),

@@ -482,7 +482,7 @@ def test_poses_that_make_no_spline_are_said() -> None:
         ("way.json", '{"pionts": [[0, 1]]}', "'pionts'"),
         ("way.json", "{", "not JSON"),
         ("way.json", "3", "no list of points"),
-        ("way.json", '[{"x": 1}, {"y": 1}]', "no list of points"),
+        ("way.json", '[{"x": 1}, {"y": 1}]', r'no list of points.*"points": \[\[x, y\]'),
         ("way.txt", "t,x\n0,1\n", "neither .csv nor .json"),
     ],
 )

@@ -1,4 +1,6 @@
 import csv
+import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -145,3 +147,19 @@ def test_rates_of_other_units_are_refused_by_column_unless_told_otherwise(read, 
         read(other)
     assert caught.value.details["column"] == wrong
     assert len(read(other, check_rates=False)) == 101
+
+
+def test_a_long_file_takes_little_more_memory_than_its_numbers(tmp_path: Path) -> None:
+    t = np.arange(40_000) * 1e-3
+    path = tmp_path / "long.csv"
+    np.savetxt(
+        path, np.column_stack([t, np.sin(t), np.cos(t), -np.sin(t)]), delimiter=",", header="t,x,xd,xdd", comments=""
+    )
+    tracemalloc.start()
+    try:
+        motion = from_csv(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    np.testing.assert_allclose(motion.x[:, 0], np.sin(t), rtol=0.0, atol=1e-15)
+    assert peak < 8 * (4 * 8 * len(t))  # numbers, copies of them, and what compares the rates; as text 30 times

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin.trajectory import from_points, through_points
-from redundancy_pin.trajectory.time_optimal import least_duration
+from redundancy_pin.errors import InputError
+from redundancy_pin.trajectory import PoseLine, from_points, through_points
+from redundancy_pin.trajectory.time_optimal import fastest_law, least_duration
 
 BENT = np.array([[0.0, 0.0], [0.2, 0.1], [0.3, 0.4], [0.1, 0.5], [0.0, 0.3]])
 
@@ -62,3 +63,8 @@ def test_turned_paths_take_the_same_time_under_a_limit_of_the_norm(angle):
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     there = least_duration(through_points(BENT @ turn.T), 0.5, 2.0)
     assert there == pytest.approx(least_duration(through_points(BENT), 0.5, 2.0), rel=1e-6)  # steps halved elsewhere
+
+
+def test_a_line_between_equal_poses_has_no_least_time() -> None:
+    with pytest.raises(InputError, match=r"stands still.*RestToRest"):
+        fastest_law(PoseLine(np.eye(4), np.eye(4)), [1.0, 1.0], [1.0, 1.0])

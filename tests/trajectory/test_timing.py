@@ -58,12 +58,24 @@ def test_time_at_inverts_the_law(law, inner):
 @every_law
 def test_scaling_multiplies_speed_and_its_square_the_acceleration(law, inner):
     fast = law.scaled(2.5)
+    assert type(fast) is type(law)
     assert fast.duration == pytest.approx(law.duration / 2.5, rel=1e-14)
     t = np.linspace(0.0, law.duration, 201)[1:-1]
     slow_point, fast_point = law.evaluate(t), fast.evaluate(t / 2.5)
     np.testing.assert_allclose(fast_point.p, slow_point.p, atol=1e-14)
     np.testing.assert_allclose(fast_point.pd, 2.5 * slow_point.pd, atol=1e-13)
     np.testing.assert_allclose(fast_point.pdd, 2.5**2 * slow_point.pdd, atol=1e-11)
+
+
+def test_a_scaled_profile_cruises_as_exactly_and_a_side_is_left_or_right():
+    law = SpeedProfile(1.0, 0.5, 0.4, 0.11, 0.6, 0.14)
+    fast = law.scaled(2.5)
+    assert fast.peak_speed == pytest.approx(2.5 * law.peak_speed, rel=1e-15)
+    assert fast.cruise_time == pytest.approx(law.cruise_time / 2.5, rel=1e-15)
+    middle = fast.evaluate(0.5 * fast.duration)
+    assert (float(middle.pd), float(middle.pdd)) == (1.25, 0.0)
+    with pytest.raises(InputError, match="side"):
+        law.evaluate(0.1, "middle")
 
 
 def test_ramps_reach_the_speed_at_their_ends():

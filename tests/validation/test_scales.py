@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import functools
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +22,15 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.crosscheck.cases import RandomCase, random_case
 from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.kinematics.assembly import assemble
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.closed_state import are_continuous
+from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.loads import JointForces, Spring, Wrench
-from redundancy_pin.robot.scales import force_sizes, force_terms, velocity_unit
+from redundancy_pin.robot.scales import force_sizes, force_terms, position_unit, turning_velocities, velocity_unit
 from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory
 
@@ -304,6 +309,27 @@ def test_singular_instants_scale_with_the_time(name: str) -> None:
         np.testing.assert_allclose([each.slope for each in got], [each.slope for each in want], rtol=1e-5)
 
 
+@pytest.mark.parametrize("length", [2.0**-10, 1.0])
+def test_a_path_is_searched_as_densely_in_all_units(length: float) -> None:
+    """A 2-RPR rests, crosses the line between its base hinges four times within 2.5 ms and 0.3 m, and rests again."""
+    plain, units = rp.load_robot("2rpr"), Units(length=length)
+    s, duration = np.linspace(0.0, 1.0, 41), 1.0 / 400.0
+    parts = []
+    for order in range(3):  # x = 0.25 − 0.15 cos πs, y = 0.01 cos 4πs
+        shift = 0.5 * np.pi * order
+        across, along = np.cos(4.0 * np.pi * s + shift), np.cos(np.pi * s + shift)
+        moving = np.stack([-0.15 * np.pi**order * along, 0.01 * (4.0 * np.pi) ** order * across], axis=1)
+        rest = np.array([[-0.15, 0.01], [0.15, 0.01]]) * (order == 0)
+        parts.append(np.concatenate([rest[[0, 0]], moving, rest[[1, 1]]]) / duration**order)
+    parts[0] = parts[0] + [0.25, 0.0]
+    parts[1][[2, -3]] = 0.0  # without rounding, as at rest
+    t = np.concatenate([[0.0, 0.5], 0.5 + duration * s, [0.5 + duration, 1.0]])  # accelerations jump at both rests
+    motion = scaled_motion(plain, PlatformMotion(t, *parts), units)
+    crossings = rp.find_crossings(scaled_robot(plain, units), motion)
+    want = 0.5 + duration * np.array([1.0, 3.0, 5.0, 7.0]) / 8.0
+    np.testing.assert_allclose([crossing.t for crossing in crossings], want, rtol=0.0, atol=1e-3 * duration)
+
+
 @pytest.mark.parametrize("choice", [(1e-6, 1.0, 1.0), (1e6, 1.0, 1.0)])
 def test_poses_modes_and_workspaces_scale_with_the_length(choice: tuple[float, float, float]) -> None:
     units, plain = Units(*choice), rp.load_robot("five_bar", carriers=False)
@@ -324,13 +350,33 @@ def test_poses_modes_and_workspaces_scale_with_the_length(choice: tuple[float, f
 def test_an_angle_counts_beside_slides_of_any_length(length: float) -> None:
     """A step follows where each joint moves as Γ says, whatever the metres of the slides are."""
     robot = scaled_robot(rp.load_robot("2rpr"), Units(length=length))
-    unit = velocity_unit(robot)
+    unit, solver = velocity_unit(robot), follower(robot)
     gamma = unit[None, :, None]
+    here = replace(solver.home, gamma=gamma[0])
     for k in range(len(unit)):
         step = np.repeat(0.1 * unit[None], 2, axis=0)
         step[1, k] *= 1.5
         both = np.repeat(gamma, 2, axis=0)
-        assert are_continuous(robot, step, both, both, np.full((2, 1), 0.1)).tolist() == [True, False]
+        increment = np.full((2, 1), 0.1)
+        assert are_continuous(robot, step, both, both, increment).tolist() == [True, False]
+        ends = [replace(here, q=solver.integrate(here.q, each)) for each in step]
+        assert [solver.is_continuous(here, end, increment[0]) for end in ends] == [True, False]
+
+
+@pytest.mark.parametrize("length", [2.0**-10, 2.0**10])
+@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
+def test_newton_takes_the_same_steps_in_all_units(name: str, length: float) -> None:
+    """Iterates from far away, before they are closed: steps are cut at a radian, or at a characteristic length."""
+    plain = rp.load_robot(name)
+    robot, unit = scaled_robot(plain, Units(length=length)), np.where(turning_velocities(plain), 1.0, length)
+    guess = plain.q_reference + np.random.default_rng(5).uniform(-1.5, 1.5, (30, plain.model.nq)) * position_unit(plain)
+    x = coordinates(plain, constraint_system(plain).evaluate(plain.q_reference[None])).repeat(30, axis=0)
+    want, got = (
+        assemble(constraint_system(one), guess * u, x * v, max_iterations=3)
+        for one, u, v in ((plain, 1.0, 1.0), (robot, unit, coordinate_units(plain, Units(length=length))))
+    )
+    np.testing.assert_allclose(got.q / unit, want.q, rtol=0.0, atol=1e-8)
+    assert not want.closed.all()
 
 
 def test_slides_that_are_long_in_metres_are_followed_as_short_ones() -> None:

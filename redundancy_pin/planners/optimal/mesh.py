@@ -80,10 +80,15 @@ def first_mesh(dynamics: Dynamics, source: ContinuousMotion, dt: float, ends: bo
 
 def near_singular(reduced: ReducedDynamics) -> BoolArray:
     """Return (M,) at which nodes W is near a type II singularity."""
+    return singular_ratio(reduced) < NEAR
+
+
+def singular_ratio(reduced: ReducedDynamics) -> Array:
+    """Return (M,) the smallest singular value of the scaled W over the largest."""
     values = spectrum_of(scaled(reduced.W, reduced.row_scale, reduced.column_scale)).singular_values
     # the only singular value of a single freedom is compared with what it is elsewhere
     size = values[:, 0] if values.shape[1] > 1 else values.max()
-    return np.asarray(values[:, -1] < NEAR * size)
+    return np.asarray(values[:, -1] / size)
 
 
 def with_middles(grid: Grid, steps: BoolArray) -> Grid:

@@ -81,6 +81,17 @@ class Quantities(ABC):
         """Return ∫ Σ integrand dt of what is constant in each step, as ``rate`` is."""
         return casadi().dot(casadi().DM(self._h[self._steps]), casadi().sum2(integrand))
 
+    def bending(self, values: Any) -> tuple[Any, Array]:
+        """Return by how much values at inner nodes deviate from the line through both neighbours, and weights h / T.
+
+        Nodes at which the reference jumps are no inner ones.
+        """
+        at = np.flatnonzero((self._h[:-1] > 0.0) & (self._h[1:] > 0.0)) + 1
+        before, after = self._h[at - 1, None], self._h[at, None]
+        share = before / (before + after)
+        deviation = values[at, :] - ((1.0 - share) * values[at - 1, :] + share * values[at + 1, :])
+        return deviation, (before + after) / (2.0 * self.scales.duration)
+
     @abstractmethod
     def absolute(self, values: Any, size: float) -> Any:
         """Return |values|, which has to be minimised; ``size`` is what the values are scaled by."""
@@ -112,6 +123,25 @@ def _energy(q: Quantities) -> Any:
     return q.integral(q.absolute(q.tau * q.actuated_rate, power)) + q.integral(q.absolute(q.force * q.sd, power))
 
 
+RIPPLE = 1e-2
+"""Size of a ripple, as a fraction of the sizes of τ and s̈: what least efforts on the circle of the 2-RPR have."""
+
+CARRIER_RIPPLE = 0.1
+"""Weight of the ripple of s̈ beside that of τ. Without it s̈ zigzags from node to node, and W⁻¹ magnifies that between
+the nodes; with weight 1 the efforts keep more reversals (docs/whole_trajectory.md, *Calm plans*)."""
+
+
+def _ripple(q: Quantities) -> Any:
+    """Mean square of what τ and s̈ at each node deviate from the line through both neighbours, over their sizes.
+
+    What is smooth contributes with the fourth power of the step: this weighs the zigzag of the nodes and little else.
+    """
+    (tau, weights), (sdd, _) = q.bending(q.tau), q.bending(q.sdd)
+    parts = ((tau, 1.0 / q.scales.tau), (sdd, np.sqrt(CARRIER_RIPPLE) / q.scales.sdd))
+    ca = casadi()
+    return sum(ca.sumsqr(ca.DM(np.sqrt(weights) * factor * np.ones(part.shape)) * part) for part, factor in parts)
+
+
 OBJECTIVES: dict[str, ObjectiveTerm] = {
     "effort": ObjectiveTerm(lambda q: q.integral(q.tau**2), lambda u: u.duration * u.tau**2),
     "peak": ObjectiveTerm(lambda q: q.largest(q.tau, q.scales.tau), lambda u: u.tau),
@@ -134,6 +164,7 @@ OBJECTIVES: dict[str, ObjectiveTerm] = {
         efforts=False,
     ),
     "effort_rate": ObjectiveTerm(lambda q: q.integral_over_steps(q.rate(q.tau) ** 2), lambda u: u.tau**2 / u.duration),
+    "ripple": ObjectiveTerm(_ripple, lambda u: RIPPLE**2),
     "energy": ObjectiveTerm(_energy, lambda u: u.duration * u.power),
 }
 """All objectives by name."""
@@ -142,8 +173,8 @@ OBJECTIVES: dict[str, ObjectiveTerm] = {
 End = Literal["free", "rest", "datum", "periodic"]
 """How the carriers end: anyhow; at rest; at rest where they park; or as they began (s, ṡ and s̈)."""
 
-LIMITS = ("speed", "acceleration", "carrier_force", "jerk", "effort")
-"""Limits by one number a carrier or actuator, in the order in which plans have them."""
+CALM = 0.01
+"""Fraction of the least cost that a plan may cost more to have fewer reversals, unless the user asks for another."""
 
 # Each start is solved, and each refinement doubles nodes: more of them would never end
 MOST_STARTS, MOST_REFINEMENTS = 1000, 30
@@ -158,12 +189,14 @@ class Objective:
         lam: λ of "tracking", 0 to 1.
         baseline: the robot whose efforts are τ̂, or its name or path; or a backend of it.
         base_point: (3,) point about which the moment on the base is taken, m; the world origin when left out.
+        calm: fraction of the least cost that may be spent on fewer reversals of the efforts; 0 for none.
     """
 
     weights: str | Mapping[str, float] = "effort"
     lam: float = 0.0
     baseline: DynamicsLike | None = None
     base_point: ArrayLike | None = None
+    calm: float = CALM
 
 
 @dataclass(frozen=True)
@@ -202,6 +235,7 @@ class Settings:
     lam: float
     baseline: Dynamics | None
     base_point: Array
+    calm: float
     limits: ResolvedLimits
     start: Array
     start_speed: Array
@@ -218,8 +252,7 @@ class Settings:
             "objective": dict(self.objective),
             **({"at_most": dict(self.at_most)} if self.at_most else {}),
             "lam": self.lam,
-            "track": [tuple(ends) for ends in self.limits.track.tolist()],
-            **{name: getattr(self.limits, name).tolist() for name in LIMITS},
+            "calm": self.calm,
             **{name: getattr(self, name).tolist() for name in ("start", "start_speed", "datum", "base_point")},
             **{name: getattr(self.solver, name) for name in ("starts", "seconds")},
             "end": self.end,
@@ -256,6 +289,7 @@ def checked_settings(
         lam=lam,
         baseline=None if objective.baseline is None else as_dynamics(objective.baseline),
         base_point=point_of(objective.base_point),
+        calm=fraction(objective.calm, "calm"),
         limits=resolved,
         start=park if start is None else resolved.on_track(start, "start"),
         start_speed=frozen(each(start_speed, "start_speed", (robot.k,), finite=True)),

@@ -86,6 +86,9 @@ SPEEDS = np.geomspace(1e-3, 1e3, 121)
 USED = 0.9
 """Largest share of the limits of efforts and rates that the first guess may take."""
 
+AT_REST = 1.05
+"""The same, of the least share at any speed, which may be more than ``USED`` where the robot carries its weight."""
+
 
 def read_path_problem(task: Task, nodes: Grid, begin: str, lap: bool, before: Problem | None = None) -> Problem:
     """Read the coefficients at nodes on a path, and choose sizes by the speed that the parked robot may take.
@@ -135,8 +138,8 @@ def _first_speed(
 
     speeds = length * SPEEDS
     uses = np.array([use(speed) for speed in speeds])
-    below = np.flatnonzero(uses <= USED)
-    return float(speeds[below[-1] if len(below) else int(uses.argmin())])
+    # under gravity the load at rest may be more than that: the fastest speed that hardly needs more than the slowest
+    return float(speeds[np.flatnonzero(uses <= max(USED, AT_REST * uses.min()))[-1]])
 
 
 def _scales(

@@ -16,7 +16,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.planners.optimal.mesh import Grid, widened
-from redundancy_pin.planners.optimal.nlp import FALLBACK, FIRST, LEAST_SECONDS, WARM, Solution, solve_nlp
+from redundancy_pin.planners.optimal.nlp import FALLBACK, FIRST, LEAST_SECONDS, WARM, Options, Solution, solve_nlp
 from redundancy_pin.planners.optimal.problem import PathTiming, Problem
 from redundancy_pin.planners.optimal.transcription import RESERVE, relaxed_bounds, transcribe
 
@@ -38,12 +38,14 @@ def solve(
     *,
     elastic: Sequence[str] = (),
     most: int | None = None,
+    warm: Options = WARM,
 ) -> Solution:
     """Solve a problem with every limit held at the nodes and between them.
 
     ``guess``: first guess, scaled blocks by name; with efforts, an optimum of the same task; ``seconds``: time bound,
     s; ``stop``: says of an optimum with limits at the nodes that it will do, as where it asks for other nodes anyway;
-    ``elastic``: kinds of limits that give way (``transcribe``); ``most``: bound of the iterations.
+    ``elastic``: kinds of limits that give way (``transcribe``); ``most``: bound of the iterations;
+    ``warm``: options from an optimum.
 
     Returns:
         An optimum that keeps every limit; or where that is not reached, the outcome with ``feasible`` as found.
@@ -57,7 +59,7 @@ def solve(
     for added in range(ROUNDS + 2):
         nlp = transcribe(problem, elastic, between=between, limit_force=limit_force)
         # where limits give way at a price that was another, the last solution is no optimum to begin with
-        first = WARM if added or ("tau" in guess and not elastic) else FIRST
+        first = warm if added or ("tau" in guess and not elastic) else FIRST
         if most is not None:
             first = {**first, "ipopt.max_iter": most - iterations}
         # a bound below the least there is takes long to refute here, and one solution elsewhere (``require_bounds``)

@@ -20,7 +20,7 @@ from redundancy_pin.planners.intersample_check import IntersampleCheck
 from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, widened, with_nodes
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
-from redundancy_pin.planners.optimal.objectives import LIMITS, MOST_REFINEMENTS, End, Mesh, Settings, Solver
+from redundancy_pin.planners.optimal.objectives import MOST_REFINEMENTS, End, Mesh, Settings, Solver
 from redundancy_pin.planners.optimal.path_problem import read_path_problem
 from redundancy_pin.planners.optimal.problem import Problem, Task, required
 from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
@@ -127,8 +127,8 @@ def plan_time_optimal(
     if not (np.isfinite(resolved.effort).any() or np.isfinite(rates).any()):
         raise InputError(
             "Nothing limits the time.",
-            remedy="Limit the efforts, effort=, or the rates of the actuators, actuator_speed= (on the command line "
-            "--max-effort, --actuator-speed); limits that the robot's joints have bind no planner.",
+            remedy="Limit the efforts, as by effort=2.0, or the rates of the actuators, as by actuator_speed=1.0; "
+            "limits that the robot's joints have bind no planner.",
             name="effort",
         )
     park, count = resolved.on_track(datum, "datum"), whole(steps, "steps", 4, 100_000)
@@ -143,6 +143,7 @@ def plan_time_optimal(
         lam=0.0,
         baseline=None,
         base_point=np.zeros(3),
+        calm=0.0,
         limits=replace(resolved, actuator_speed=rates),
         start=park,
         start_speed=np.zeros(robot.k),
@@ -160,9 +161,6 @@ def plan_time_optimal(
         "end": end,
         "lap": lap,
         "datum": park.tolist(),
-        "track": [tuple(ends) for ends in resolved.track.tolist()],
-        **{name: getattr(resolved, name).tolist() for name in LIMITS},
-        "actuator_speed": rates.tolist(),
         "steps": count,
         "seconds": bound,
         "refinements": often,

@@ -17,10 +17,11 @@ from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import IntersampleCheck
 from redundancy_pin.planners.limits import Limits, grouped
+from redundancy_pin.planners.optimal.calm import Chosen, calmed
 from redundancy_pin.planners.optimal.infeasible import relax, require_bounds
 from redundancy_pin.planners.optimal.mesh import first_mesh, steps_around, with_middles
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
-from redundancy_pin.planners.optimal.objectives import End, Mesh, Objective, Solver, checked_settings
+from redundancy_pin.planners.optimal.objectives import CALM, End, Mesh, Objective, Solver, checked_settings
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
 from redundancy_pin.planners.optimal.refine import Planned, Planning, plan_and_refine
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, solve, with_seconds
@@ -48,6 +49,7 @@ def plan_whole_trajectory(
     lam: float = 0.0,
     baseline: DynamicsLike | None = None,
     base_point: ArrayLike | None = None,
+    calm: float = CALM,
     start: ArrayLike | None = None,
     start_speed: ArrayLike = 0.0,
     end: End = "datum",
@@ -97,10 +99,14 @@ def plan_whole_trajectory(
             "effort_rate" ∫ Σ τ̇² dt (0.01 of it beside "effort" calms the efforts next to singularities), "energy"
             ∫ Σ |τ q̇| + Σ |F ṡ| dt; "base_force" ∫ |F_b|² dt, "base_moment" ∫ |M_b|² dt and "base_wrench"
             ∫ |F_b|² + |M_b|²/ℓ² dt, ℓ the characteristic length: what the base feels beyond the load at rest where the
-            motion begins (``planners.base_wrench``).
+            motion begins (``planners.base_wrench``); "ripple" ∫ Σ ((τ − τ̄)/τ₀)² + 0.1 Σ ((s̈ − s̄)/s₀)² dt / T, with bars
+            for the line through the neighbouring nodes and τ₀, s₀ the sizes of τ and s̈: what ``calm`` minimises.
         lam: λ of "tracking", 0 to 1.
         baseline: the robot whose efforts are τ̂, or its name or path; or a backend of it.
         base_point: (3,) about which the moment on the base is taken, m; the world origin when left out.
+        calm: where an effort of the least-cost plan reverses more than 10 times (``Plan.reversals``), the plan with the
+            least ripple that costs at most 1 + ``calm`` times as much; 0 for the least-cost plan.
+            ``plan.least_cost`` is the least cost, ``diagnostics["calm"]`` says whether a calmer plan was kept.
         start: scalar or (k,) positions at the start, m; the datum when left out.
         start_speed: scalar or (k,) speeds there, m/s.
         end: "free", "rest", "datum" (at rest there), or "periodic" (s, ṡ, s̈ as at the start).
@@ -141,9 +147,9 @@ def plan_whole_trajectory(
     """
     dynamics = as_dynamics(dynamics)
     if isinstance(objective, Objective):
-        goal = grouped("objective", objective, Objective, lam=lam, baseline=baseline, base_point=base_point)
+        goal = grouped("objective", objective, Objective, lam=lam, baseline=baseline, base_point=base_point, calm=calm)
     else:
-        goal = Objective(objective, lam, baseline, base_point)
+        goal = Objective(objective, lam, baseline, base_point, calm)
     settings = checked_settings(
         dynamics.robot,
         goal,
@@ -170,7 +176,7 @@ def plan_whole_trajectory(
 
 
 def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[Plan, Outcome]:
-    """Return the plan of a task, and the programme and solution it is made of; as ``plan_whole_trajectory``.
+    """Return the plan of a task, and the programme and solution of least cost; as ``plan_whole_trajectory``.
 
     ``position``: of the carriers, to begin with in place of parked ones.
     """
@@ -188,8 +194,10 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
 
     planning = Planning("whole_trajectory", task, partial(_solve, task), lambda *_: task.source, finer)
     planned = plan_and_refine(planning, problem, guess)
-    plan = _plan(task, planned)
-    return replace(plan, diagnostics={**plan.diagnostics, "seconds": time.perf_counter() - began}), planned.best
+    chosen, calming = calmed(planning, planned, readers)
+    plan = _plan(task, planned, chosen)
+    found = {"calm": calming, "seconds": time.perf_counter() - began}
+    return replace(plan, diagnostics={**plan.diagnostics, **found}), planned.best
 
 
 def _solve(
@@ -222,16 +230,23 @@ def _solve(
     return replace(result, outcomes=(*result.outcomes, Outcome(problem, last)))
 
 
-def _plan(task: Task, planned: Planned) -> Plan:
-    """Return the plan, with what the search found."""
-    problem, solution, starts = planned.best.problem, planned.best.solution, planned.solutions.summary
+def _plan(task: Task, planned: Planned, chosen: Chosen) -> Plan:
+    """Return the plan of the least-cost solution or of a calmer one, with what the search found."""
+    least, starts, nodes = planned.best, planned.solutions.summary, chosen.problem.grid
+    costs = objective_values(least.problem, least.solution.values)
+    t = chosen.motion.motion.t
     found = {
         **planned.diagnostics,
-        "cost": solution.cost,
+        "violation": chosen.solution.violation,
+        "nodes": len(t),
+        "singular_nodes": nodes.singular.tolist(),
+        "smooth_nodes": np.flatnonzero(nodes.smooth).tolist(),
+        "cost": least.solution.cost,
+        "least_cost": sum(weight * costs[name] for name, weight in task.settings.objective.items()),
         "starts": starts,
         "costs": starts["costs"],
         "solver_messages": starts["messages"],
-        "objective": objective_values(problem, solution.values),
-        "objective_size": objective_sizes(problem),
+        "objective": objective_values(chosen.problem, chosen.solution.values),
+        "objective_size": objective_sizes(chosen.problem),
     }
-    return finish_plan(replace(planned.motion, parameters=task.settings.parameters, diagnostics=found), planned.check)
+    return finish_plan(replace(chosen.motion, parameters=task.settings.parameters, diagnostics=found), chosen.check)

@@ -142,9 +142,6 @@ def run_online(
                 "horizon": planner.horizon,
                 "step": planner.step,
                 "tick": tick,
-                **planner.resolved.parameters(),
-                "effort": tuple(planner.resolved.effort.tolist()),
-                "jerk": tuple(planner.resolved.jerk.tolist()),
             },
             diagnostics={
                 "ticks": {status.value: counts[status.value] for status in UpdateStatus},

@@ -14,7 +14,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, IntArray, fraction, one_of, positive, require_few
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.carrier_model import EffortModel
-from redundancy_pin.planners.carrier_return import CarrierState, no_return, return_polynomial, shortest_return
+from redundancy_pin.planners.carrier_return import CarrierState, no_force, return_polynomial, shortest_return
 from redundancy_pin.planners.limits import Limits, ResolvedLimits, return_duration
 from redundancy_pin.planners.stepwise.step import AccelerationBox, OptimisedSteps, optimise
 from redundancy_pin.robot import Robot
@@ -51,8 +51,7 @@ class StepwiseSettings:
     def parameters(self) -> dict[str, object]:
         """The settings as plain data, for the plan."""
         own = {each.name: getattr(self, each.name) for each in fields(self)[1:]}
-        own |= {name: tuple(own[name].tolist()) for name in ("start", "datum")}
-        return {**own, **self.limits.parameters()}
+        return own | {name: tuple(own[name].tolist()) for name in ("start", "datum")}
 
 
 def checked_settings(robot: Robot, limits: Limits, **options: Any) -> StepwiseSettings:
@@ -168,26 +167,17 @@ def plan_course(
         elif last == len(active) and at_rest[first:last].all():
             brake_from = first
         else:
-            back = _return(robot, settings, course.state(first), float(t[-1]))
+            back = _return(settings, course.state(first), float(t[-1]))
             course.append_return(first, last, back, settings.datum)
     return _braked(settings, course, brake_from, bool(at_rest[-1]))
 
 
-def _return(robot: Robot, settings: StepwiseSettings, state: CarrierState, end: float) -> PiecewisePolynomial:
+def _return(settings: StepwiseSettings, state: CarrierState, end: float) -> PiecewisePolynomial:
     """Return the way back to the datum from a state; ``end`` of the motion, s."""
-    duration: float | None
-    if settings.return_time == "shortest":
-
-        def no_force(times: Array, *_: Array) -> Array:
-            return np.zeros((len(times), robot.k))
-
-        duration, _, nearest = shortest_return(settings.limits, no_force, state, settings.datum, end - state.t)
-        if duration is None:
-            remedy = "Use a larger lam, higher limits, or a return_time and accept a plan that violates limits."
-            raise no_return(nearest, state.t, end - state.t, remedy)
-    else:
-        duration = settings.return_time
-    return return_polynomial(state, duration, settings.datum)
+    if settings.return_time != "shortest":
+        return return_polynomial(state, settings.return_time, settings.datum)
+    remedy = "Use a larger lam, higher limits, or a return_time and accept a plan that violates limits."
+    return shortest_return(settings.limits, no_force, state, settings.datum, end - state.t, remedy)
 
 
 _MOST_ADDED = 1_000_000

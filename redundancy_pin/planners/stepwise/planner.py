@@ -81,8 +81,8 @@ def plan_stepwise(
 
     At each sample s minimises Σ (τ_i − λ τ̂_i)², τ = W⁻¹ f(s, ṡ, s̈), with ṡ and s̈ the backward differences of s and ṡ
     over the steps of ``motion`` (eq. 4.1). Track, speed and acceleration limits are one box a step (eqs. 4.2 to 4.4),
-    and each minimum is taken over the box. Where a step does not meet the conditions of a minimum, the status is
-    ``not_converged``; the diagnostics state the largest deviation from them.
+    and each minimum is taken over the box. Where a step does not meet the first-order conditions of a minimum, the
+    status is ``not_converged``; the diagnostics state the largest deviation from them.
 
     The steps may differ in length. A sample on a jump of the reference acceleration is optimised for the acceleration
     it states; on a grid of single samples that is the one after the jump. The carriers then accelerate up to one step
@@ -131,8 +131,9 @@ def plan_stepwise(
     Raises:
         InputError: a setting out of its domain, or a baseline that does not fit.
         UnsupportedRobotError: no carriers, curved tracks, or too few main actuators.
-        InfeasiblePlanError: the box of a step is empty; a carrier cannot stop; no return keeps the limits; the motion
-            comes too close to a type II singularity. Carries constraint, carrier, time and amount.
+        InfeasiblePlanError: the box of a step is empty; a carrier has no time to stop before the motion ends; no return
+            keeps the limits; the motion comes too close to a type II singularity. Carries constraint, carrier, time and
+            amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
     """
     dynamics = as_dynamics(dynamics)
@@ -227,8 +228,8 @@ def _prolonged(motion: PlatformMotion, added: Array) -> PlatformMotion:
 def _diagnostics(missing: EffortModel, course: Course, limits: ResolvedLimits) -> dict[str, object]:
     """Return what the planner found, as plain data.
 
-    - ``solver``, ``optimal``: whether every step meets the conditions of a minimum.
-    - ``largest_gradient``: the largest deviation from them, N or N·m (see ``optimality``).
+    - ``solver``, ``optimal``: whether every step meets the first-order conditions of a minimum.
+    - ``largest_gradient``: the largest deviation from them, N or N·m: the gradient of ½ ‖r‖² over the largest slope.
     - ``bounds``: mappings with carrier, bound (``speed``, ``acceleration``, ``track``, or ``stop``: the carrier is kept
       able to stop), side, start and end, s.
     - ``returns``: start and end of each, s; ``braking``: start and end, NaN where nothing moved.

@@ -77,7 +77,7 @@ class AccelerationBox:
         (lower, upper), a = self.limits.track.T, self.limits.acceleration
         low = np.maximum((-self._largest_speed(t, step, s - lower, -sd) - sd) / step, -a)
         high = np.minimum((self._largest_speed(t, step, upper - s, sd) - sd) / step, a)
-        for j in np.flatnonzero(low > high):
+        for j in (low > high).nonzero()[0]:
             if low[j] - high[j] > _EMPTY * (abs(low[j]) + abs(high[j])):
                 raise self._infeasible(int(j), t, step, float(s[j]), float(sd[j]))
             low[j] = high[j] = np.clip(0.5 * (low[j] + high[j]), -a[j], a[j])
@@ -122,6 +122,10 @@ _MOST_ITERATIONS = 50
 _DAMPING = 1e-13
 """Relative to the largest JᵀJ, to which it is added: a direction without effect on r keeps its acceleration."""
 
+_NO_EFFECT = 1e-12
+"""Entries of a step's Jacobian, relative to the largest along the motion with the carriers at rest, that are rounding:
+at rest a carrier that slides along a link has no effect on its motor."""
+
 _SOLVER = {"primal_tol": 1e-11, "dual_tol": 1e-13, "zero_tol": 1e-16, "sing_tol": 1e-18}
 """Of DAQP: bounds, m/s²; gradient relative to the largest JᵀJ; pivots. With its own pivots it calls one of ten boxes
 infeasible where JᵀJ has a condition number of 1e12; with these none of 4,000."""
@@ -134,7 +138,7 @@ class OptimisedSteps:
     Attributes:
         s, sd, sdd: (P, k) positions, m, speeds, m/s, and accelerations, m/s², at the end of each step.
         lower, upper: (P, k) smallest and largest accelerations that the limits allow, m/s².
-        gradient: (P,) deviation from the conditions of a minimum (see ``optimality``), N or N·m.
+        gradient: (P,) deviation from the conditions of a minimum (see ``_solve_step``), N or N·m.
     """
 
     s: Array
@@ -156,12 +160,18 @@ def optimise(missing: EffortModel, first: int, last: int, start: CarrierState, b
         box: what the carriers must keep to.
     """
     s, sd, sdd, tolerance = start.s, start.sd, start.sdd, gradient_tolerance(missing)
+    terms = np.ascontiguousarray(np.moveaxis(missing.tau_terms, -1, 1))
+    steps, own = np.diff(missing.t)[first:last, None, None], terms[first + 1 : last + 1]
+    at_rest = (steps**2 * own[:, 0], steps * own[:, 2], own[:, 4])
+    no_effect = _NO_EFFECT * max(float(np.abs(part).max(initial=0.0)) for part in at_rest)
     results, gradients = [], []
     for i in range(first + 1, last + 1):
         h = float(missing.t[i] - missing.t[i - 1])
         lower, upper = box.box(float(missing.t[i]), h, s, sd)
         guess = np.clip(sdd, lower, upper)
-        s, sd, sdd, gradient = _solve_step(missing, i, h, s, sd, guess, lower, upper, tolerance)
+        s, sd, sdd, gradient = _solve_step(
+            missing.tau0[i], terms[i], h, s, sd, guess, lower, upper, tolerance, no_effect
+        )
         results.append((s, sd, sdd, lower, upper))
         gradients.append(gradient)
     path, speed, acceleration, low, high = np.moveaxis(np.array(results), 1, 0).copy()
@@ -175,8 +185,8 @@ def gradient_tolerance(missing: EffortModel) -> float:
 
 
 def _solve_step(
-    missing: EffortModel,
-    i: int,
+    tau0: Array,
+    terms: Array,
     h: float,
     s: Array,
     sd: Array,
@@ -184,33 +194,37 @@ def _solve_step(
     lower: Array,
     upper: Array,
     tolerance: float,
+    no_effect: float,
 ) -> tuple[Array, Array, Array, float]:
-    """Return s, ṡ and s̈ (k,) at the end of the step of length h to instant i, and the gradient left."""
-    by_s, by_s2, by_sd, by_ssd, by_sdd = np.moveaxis(missing.tau_terms[i], -1, 0)
+    """Return s, ṡ and s̈ (k,) at the end of a step of length h, and the largest gradient left, N or N·m.
+
+    ``tau0`` (m,), ``terms`` (5, m, k) of the efforts there less their target; see ``EffortModel``. The gradient is the
+    largest component of that of ½ ‖r‖² that a move inside the box could follow downhill, divided by the largest entry
+    of the Jacobian, so in the unit of r; 0 at a minimum, and where that entry is at most ``no_effect``.
+    """
+    by_s, by_s2, by_sd, by_ssd, by_sdd = terms
     u, damping, no_rows = guess, _DAMPING * np.eye(len(guess)), np.empty((0, len(guess)))
     for iteration in range(_MOST_ITERATIONS + 1):
         speed = sd + h * u
         place = s + h * speed
-        r = missing.tau0[i] + by_s @ place + by_s2 @ place**2 + by_sd @ speed + by_ssd @ (place * speed) + by_sdd @ u
+        r = tau0 + by_s @ place + by_s2 @ place**2 + by_sd @ speed + by_ssd @ (place * speed) + by_sdd @ u
         jacobian = h * h * (by_s + 2.0 * by_s2 * place + by_ssd * speed) + h * (by_sd + by_ssd * place) + by_sdd
-        gradient = optimality(r, jacobian, lower, upper, u)
-        if gradient <= tolerance or iteration == _MOST_ITERATIONS:
+        largest = np.abs(jacobian).max()
+        if largest <= no_effect:  # nor has any other acceleration: the guess is as good
+            gradient = 0.0
             break
-        scaled = jacobian / np.abs(jacobian).max()
-        linear = scaled.T @ (r / np.abs(jacobian).max())
-        d, _, flag, info = daqp.solve(scaled.T @ scaled + damping, linear, no_rows, upper - u, lower - u, **_SOLVER)
-        if flag < 1:
+        scaled = jacobian / largest
+        slope = scaled.T @ r
+        blocked = ((u <= lower) & (slope > 0.0)) | ((u >= upper) & (slope < 0.0))
+        gradient = float(np.abs(slope[~blocked]).max(initial=0.0))
+        if not gradient > tolerance or iteration == _MOST_ITERATIONS:
+            break
+        d, _, flag, info = daqp.solve(
+            scaled.T @ scaled + damping, slope / largest, no_rows, upper - u, lower - u, **_SOLVER
+        )
+        if flag < 1 or not np.isfinite(d).all():
             break
         # an active bound is met bit by bit, not up to the rounding of a difference
-        u = np.where(info["lam"] > 0.0, upper, np.where(info["lam"] < 0.0, lower, np.clip(u + d, lower, upper)))
+        free = np.minimum(np.maximum(u + d, lower), upper)
+        u = np.where(info["lam"] > 0.0, upper, np.where(info["lam"] < 0.0, lower, free))
     return place, speed, u, gradient
-
-
-def optimality(residual: Array, jacobian: Array, lower: Array, upper: Array, u: Array) -> float:
-    """Return the largest component of the gradient of ½ ‖r‖² that a move inside the box could follow downhill.
-
-    Divided by the largest entry of the Jacobian (m, k), so in the unit of the residual r (m,); 0 at a minimum.
-    """
-    gradient = jacobian.T @ residual
-    blocked = ((u <= lower) & (gradient > 0.0)) | ((u >= upper) & (gradient < 0.0))
-    return float(np.abs(np.where(blocked, 0.0, gradient)).max() / np.abs(jacobian).max())

@@ -190,24 +190,34 @@ def _uncompensated_force(equation: CarrierEquation, t: float, stuck: StepGivenUp
     """Return the error that names the force which remains where F loses rank, at a time.
 
     It is uᵀ(f − W τ_ref) along the direction u with uᵀ F = 0. On the 2-RPR the main actuators act along u, not where
-    they and the carriers act through the same joints.
+    they and the carriers act through the same joints. F may lose rank away from the type II singularity, and during the
+    ramp-down.
     """
     model, scale = equation.model.at(np.array([t])), equation.row_scale
     u = null_directions(model.f_terms[..., -1] / scale[:, None])[0][0]
     f = model.f(stuck.s[None], stuck.sd[None], np.zeros((1, model.k)))[0]
-    force = float(u @ ((f - model.W[0] @ equation.effort(model.t)[0]) / scale))
+    effort = equation.effort(model.t)[0]
+    force = float(u @ ((f - model.W[0] @ effort) / scale))
     W, by_motion = model.W[0] / scale[:, None], np.einsum("i,ikj->kj", u / scale, model.f_terms[0, ..., :-1])
     by_main = bool(np.abs(u @ W).max() > _ACTUATED * np.abs(W).max())
     helpless = np.abs(by_motion).max() <= _NEGLIGIBLE * equation.size
     where = "whatever the carriers do" if helpless else f"brought there at s = {np.round(stuck.s, 4).tolist()} m"
+    singular_values = spectrum_of(W[None]).singular_values[0]
+    singular = bool(singular_values[-1] <= _ACTUATED * singular_values[0])
+    place = "At the singular pose," if singular else "At"
+    phase = "ramping down" if effort.any() else "off"
+    remedy = (
+        "Pass the singularity without acceleration along this direction or without the masses that need it"
+        if singular
+        else "Keep this instant out of the crossing: a threshold nearer to the singularity, or a shorter ramp_down"
+    )
     direction = np.round(np.sign(force) * u, 12) + 0.0  # no negative zeros
     return InfeasiblePlanError(
-        f"At the singular pose, t = {t:.6g} s, nothing can carry the inertial force: the motion needs {abs(force):.6g} "
-        f"N along ({', '.join(f'{component:.6f}' for component in direction)}), but the main actuators are off there "
-        f"and no acceleration of the carriers has an effect in this direction ({where}).",
-        remedy="Pass the singularity without acceleration along this direction or without the masses that need it"
-        + (", or leave the main actuators on: they could carry it." if by_main else "."),
-        constraint="singular_pose",
+        f"{place} t = {t:.6g} s nothing can carry the inertial force: the motion needs {abs(force):.6g} N along "
+        f"({', '.join(f'{component:.6f}' for component in direction)}), but the main actuators are {phase} there and "
+        f"no acceleration of the carriers has an effect in this direction ({where}).",
+        remedy=remedy + (", or leave the main actuators on: they could carry it." if by_main else "."),
+        constraint="singular_pose" if singular else "carrier_effect",
         time=t,
         amount=abs(force),
         main_actuators_could=by_main,

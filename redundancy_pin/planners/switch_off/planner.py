@@ -15,7 +15,7 @@ from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import Actuation, Measure, TimedModel, require_carriers
-from redundancy_pin.planners.carrier_return import no_return, return_polynomial, shortest_return
+from redundancy_pin.planners.carrier_return import CarrierState, return_polynomial, shortest_return
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import PlannedMotion
@@ -98,9 +98,9 @@ def plan_switch_off(
     robot = dynamics.robot
     if robot.k < robot.n:
         raise UnsupportedRobotError(
-            f"{robot.name} has {robot.k} carrier(s) for {robot.n} coordinates: they cannot take over from the main "
-            "actuators.",
-            remedy=f"Switching off needs at least {robot.n} carriers.",
+            f"{robot.name} has k = {robot.k} carriers for n = {robot.n} coordinates: they cannot take over from the "
+            "main actuators.",
+            remedy="Switching off needs k ≥ n.",
             carriers=robot.k,
             coordinates=robot.n,
         )
@@ -137,23 +137,9 @@ def _return(
     """Return the carriers' way back after a crossing; None where it does not end before the next window."""
     state, end = crossing.exit, source.end
     room = (min(end, later[0].start - settings.ramp_down) if later else end) - state.t
-    duration: float | None
-    if settings.return_time != "shortest":
-        duration = settings.return_time
-    elif room <= 0.0:
-        return None
-    else:
-        model = TimedModel.of(dynamics, source, state.t, state.t + room)
-
-        def force(t: Array, s: Array, sd: Array, sdd: Array) -> Array:
-            return model.at(t).carrier_force(s, sd, sdd)
-
-        duration, _, nearest = shortest_return(Limits().resolved(dynamics.robot), force, state, settings.datum, room)
-        if duration is None and later:
-            return None
-        if duration is None:
-            remedy = "Raise the threshold (a shorter window moves the carriers less), lengthen the tracks, or pass a "
-            raise no_return(nearest, state.t, room, remedy + "return_time and accept a plan that violates limits.")
+    if settings.return_time == "shortest":
+        return _shortest_return(dynamics, source, state, settings.datum, room, bool(later))
+    duration = settings.return_time
     if duration <= room:
         return return_polynomial(state, duration, settings.datum)
     if later:
@@ -166,6 +152,29 @@ def _return(
         time=state.t,
         amount=duration - room,
     )
+
+
+def _shortest_return(
+    dynamics: Dynamics, source: ContinuousMotion, state: CarrierState, datum: Array, room: float, later: bool
+) -> PiecewisePolynomial | None:
+    """Return the shortest return within ``room``, s; None where none keeps the limits before a later window."""
+    if room <= 0.0:
+        return None
+    model = TimedModel.of(dynamics, source, state.t, state.t + room)
+
+    def force(t: Array, s: Array, sd: Array, sdd: Array) -> Array:
+        return model.at(t).carrier_force(s, sd, sdd)
+
+    remedy = (
+        "Raise the threshold (a shorter window moves the carriers less), lengthen the tracks, or pass a return_time "
+        "and accept a plan that violates limits."
+    )
+    try:
+        return shortest_return(Limits().resolved(dynamics.robot), force, state, datum, room, remedy)
+    except InfeasiblePlanError:
+        if later:
+            return None
+        raise
 
 
 def _require_inside(window: Interval, start: float, end: float, ramp_down: float) -> None:

@@ -47,7 +47,6 @@ from redundancy_pin.visualisation.figures.curves import (
     curves_of,
     curves_of_plan,
     curves_of_run,
-    numbers,
     plan_title,
 )
 from redundancy_pin.visualisation.figures.ellipsoids import draw_ellipsoids as ellipsoids
@@ -206,8 +205,8 @@ def plan(
         reference_name: what the legend calls them.
     """
     drawn = curves_of_plan(plan)
-    main, bounds = main_panel(drawn), numbers(plan.parameters.get("effort"))
-    if len(bounds) == len(plan.robot.actuated):
+    main, bounds = main_panel(drawn), plan.limits.judged_by.effort.tolist()
+    if np.isfinite(bounds).any():
         main = replace(main, limits=[(-bound, bound) for bound in bounds])
     if reference is not None:
         thin = tuple(

@@ -246,6 +246,19 @@ def test_limits_that_hardly_give_way_are_none(monkeypatch: pytest.MonkeyPatch) -
     assert (error.details["constraint"], error.details["together"], error.details["untried"]) == ("speed", False, ())
 
 
+def test_a_limit_exceeded_between_the_nodes_alone_is_in_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With limits at the nodes alone, where ``stop`` ends the search, none gives way."""
+
+    def solve(of: Problem, guess: Any, seconds: float, stop: Any = None, *, elastic: Any, most: Any = None) -> Any:
+        return solved(of, guess, seconds, elastic=elastic, most=most) if stop is None else kept
+
+    kept = elastic({})
+    solved = Solved(monkeypatch, {KINDS: elastic({"speed": 0.1})}, 100)
+    solved.answers |= {(kind,): elastic({}, optimal=False, infeasible=True) for kind in KINDS}
+    monkeypatch.setattr(infeasible, "solve", solve)
+    assert solved.refused().details["constraint"] == "speed"
+
+
 def test_each_limit_that_gave_way_is_tried_alone_and_the_least_relaxation_comes_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

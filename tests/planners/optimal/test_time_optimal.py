@@ -13,11 +13,14 @@ from scipy.spatial.transform import Rotation
 
 from redundancy_pin import (
     JointForces,
+    PlatformMotion,
     RneaDynamics,
     VirtualWork,
     Wrench,
     check_plan,
+    distribute,
     load_plan,
+    load_robot,
     plan_time_optimal,
     simulate,
 )
@@ -25,7 +28,7 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRo
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.trajectory import reference
+from redundancy_pin.trajectory import Line, reference
 
 pytest.importorskip("casadi")
 least_time = pytest.importorskip(
@@ -62,6 +65,22 @@ def test_without_carriers_the_time_is_that_of_toppra(rate: float) -> None:
         assert abs(plan.t[-1] - 1.070) < 2e-3
     else:
         assert expected > 1.2
+
+
+@pytest.mark.parametrize("share", [1.05, pytest.param(1.3, marks=pytest.mark.long)])
+def test_a_robot_that_carries_its_weight_has_the_time_of_toppra(share: float) -> None:
+    """At rest it needs nearly what its motors have: the first guess of the speed must not be the slowest of all."""
+    robot = load_robot("five_bar", gravity=(0.0, -9.81, 0.0))
+    home = zoo.home_of(robot)
+    end = home + np.array([0.05, -0.08])
+    path, dynamics = Line(home, end), RneaDynamics(robot)
+    x = np.linspace(home, end, 41)
+    at_rest = dynamics.reduce(PlatformMotion(np.arange(41.0), x, 0.0 * x, 0.0 * x, check_rates=False))
+    effort = share * np.abs(distribute(at_rest).tau).max()
+    plan = plan_time_optimal(dynamics, path, effort=effort, steps=60)
+    assert plan.status is ResultStatus.OK
+    assert plan.limits.binding
+    assert abs(plan.t[-1] / least_time(dynamics, path, effort, steps=400) - 1.0) < 5e-3
 
 
 def test_rates_are_looked_at_between_the_nodes(monkeypatch: pytest.MonkeyPatch) -> None:

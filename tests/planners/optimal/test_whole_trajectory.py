@@ -81,7 +81,7 @@ def require_sound(dynamics, trajectory, plan):
 )
 def test_circle(objective, speed, arguments, most):
     dynamics, trajectory = two_rpr(**arguments), circle(speed)
-    plan = plan_whole_trajectory(dynamics, trajectory, objective=objective, dt=0.01)
+    plan = plan_whole_trajectory(dynamics, trajectory, objective=objective, calm=0.0, dt=0.01)
     require_sound(dynamics, trajectory, plan)
     assert plan.peak_effort.max() <= most
 
@@ -229,7 +229,7 @@ def reversals(tau):
 @pytest.mark.long
 def test_a_little_weight_on_the_rate_calms_the_efforts_beside_singularities():
     swinging, calm = (
-        plan_whole_trajectory(two_rpr(), circle(), objective=objective, dt=0.01)
+        plan_whole_trajectory(two_rpr(), circle(), objective=objective, calm=0.0, dt=0.01)
         for objective in ("effort", {"effort": 1.0, "effort_rate": 0.01})
     )
     assert reversals(swinging.tau).max() > 20

@@ -76,7 +76,7 @@ def test_an_objective_is_added_by_its_formula(monkeypatch):
     }
     for name, term in added.items():
         monkeypatch.setitem(OBJECTIVES, name, term)
-    options = {"dt": 0.06, "refinements": 0, "effort": 0.3}
+    options = {"dt": 0.06, "refinements": 0, "effort": 0.3, "calm": 0.0}
     plans = {name: plan_of(objective=name, **options) for name in ("effort", *added)}
     half = 0.5 * np.diff(plans["effort"].t)
     weights = (np.append(half, 0.0) + np.append(0.0, half))[:, None]

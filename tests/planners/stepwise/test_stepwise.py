@@ -18,7 +18,7 @@ from redundancy_pin.kinematics.coordinates import all_working_modes
 from redundancy_pin.planners.intersample_check import ALLOWED
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.trajectory import reference
+from redundancy_pin.trajectory import Line, RestToRest, Trajectory, reference
 
 # scipy of Python 3.10 rounds out of its own bounds on the way, says so, and steps back inside
 pytestmark = pytest.mark.filterwarnings("ignore:Values in x were outside bounds:RuntimeWarning")
@@ -124,6 +124,41 @@ def test_each_step_is_the_true_minimum(lam, radius):
     plan = plan_stepwise(dynamics, motion, lam=lam, baseline=baseline, anticipate=False, track=(-1.5, 1.5))
     limits = [replace(limit, lower=-1.5, upper=1.5) for limit in dynamics.robot.carrier_limits]
     require_true_minimum(plan, dynamics_of(), motion, limits, lam * baseline, steps_of(plan)[::10])
+
+
+def test_steps_of_fast_carriers_far_out_are_true_minima():
+    """Where the terms with s² and s ṡ matter, and a carrier at its speed limit leaves efforts to be traded."""
+    dynamics, speed, a = dynamics_of(), (0.3, 2.0, 2.0), 20.0
+    motion = corner(0.02, radius=0.06, speed=0.5, ramp_time=0.2)
+    settings = {"track": (-1.5, 1.5), "speed": speed, "acceleration": a, "start": (0.3, -0.3, 0.3)}
+    plan = plan_stepwise(dynamics, motion, anticipate=False, **settings)
+    own = zip(dynamics.robot.carrier_limits, speed, strict=True)
+    limits = [replace(limit, lower=-1.5, upper=1.5, speed=most, acceleration=a) for limit, most in own]
+    assert "speed" in {event["bound"] for event in plan.diagnostics["bounds"]}
+    require_true_minimum(plan, dynamics, motion, limits, np.zeros_like(plan.tau), steps_of(plan)[::4])
+
+
+def test_a_step_in_which_no_carrier_has_an_effect_is_a_minimum(tmp_path):
+    """A mass that slides along a hinged rod has none while the rod rests, as at the end of the motion."""
+    inertia = '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/>'
+    (tmp_path / "arm.urdf").write_text(
+        f"""<robot name="arm"><link name="world"/>
+        <link name="rod"><inertial><origin xyz="0.25 0 0"/><mass value="1"/>{inertia}</inertial></link>
+        <link name="block"><inertial><mass value="0.5"/>{inertia}</inertial></link>
+        <joint name="hinge" type="revolute"><parent link="world"/><child link="rod"/><axis xyz="0 0 1"/>
+        <limit lower="-7" upper="7" effort="100" velocity="100"/></joint>
+        <joint name="slide" type="prismatic"><parent link="rod"/><child link="block"/><origin xyz="0.3 0 0"/>
+        <axis xyz="1 0 0"/><limit lower="-0.2" upper="0.2" effort="100" velocity="3"/></joint></robot>"""
+    )
+    (tmp_path / "robot.yaml").write_text(
+        "name: arm\nurdf: arm.urdf\ngravity: [0, 0, 0]\nactuated: [hinge]\n"
+        "carriers: [{joint: slide, acceleration: 20}]\nindependent: {joints: [hinge]}\n"
+    )
+    robot, path = load_robot(tmp_path), Line((0.0,), (1.0,))
+    plan = plan_stepwise(RneaDynamics(robot), Trajectory(path, RestToRest(path.length, 1.0)), dt=0.02)
+    assert plan.status is ResultStatus.OK
+    assert plan.diagnostics["optimal"]
+    require_limits(plan, robot.carrier_limits)
 
 
 @examples(3)
@@ -253,7 +288,7 @@ def test_lower_limits_bind_more_and_higher_ones_cure():
     peaks = [plan.peak_effort_at_samples.max() for plan in (tight, own, wide)]
     assert peaks == sorted(peaks, reverse=True)
     assert {event["bound"] for event in wide.diagnostics["bounds"]} == set()
-    assert own.parameters["acceleration"] == (7.0, 7.0, 7.0)
+    assert own.limits.judged_by.acceleration.tolist() == [7.0, 7.0, 7.0]
     assert not tight.limits.violated  # judged by the limits it was given
 
 

@@ -1,14 +1,16 @@
 """What the switch-off planner refuses, and the numbers it refuses it with."""
 
+import shutil
+
 import numpy as np
 import pytest
 import zoo
 
-from redundancy_pin import RneaDynamics, VirtualWork
+from redundancy_pin import RneaDynamics, VirtualWork, load_robot
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, circle_path, reference
+from redundancy_pin.trajectory import Line, RestToRest, SpeedProfile, Trajectory, circle_path, reference
 
 
 def two_rpr(**arguments):
@@ -169,6 +171,28 @@ def test_return_that_does_not_fit():
     with pytest.raises(InfeasiblePlanError, match="return") as caught:
         plan_switch_off(two_rpr(), trajectory, dt=5e-3, return_time=room + 0.01)
     assert caught.value.details["amount"] == pytest.approx(0.01, rel=1e-6)
+
+
+def test_a_crossing_refused_away_from_the_singular_pose_says_so_and_in_which_phase(tmp_path):
+    """A five-bar with tracks across its distal links: there the carriers lose their effect at another pose."""
+    folder = tmp_path / "five_bar"
+    shutil.copytree(zoo.robot_of("five_bar").urdf_folder, folder)
+    file = folder / "five_bar.urdf.xacro"
+    before, carrier = file.read_text().split('<joint name="carrier_${i}"')
+    carrier = carrier.replace('<origin xyz="0 0 0"/>', '<origin xyz="${distal_length / 2} 0 0"/>', 1)
+    carrier = carrier.replace('<axis xyz="1 0 0"/>', '<axis xyz="0 1 0"/>', 1)
+    file.write_text(before + '<joint name="carrier_${i}"' + carrier)
+    dynamics = RneaDynamics(load_robot(folder, carriers=True))
+    path = Line((0.3, 0.65), (0.3, 0.25))
+    motion = Trajectory(path, RestToRest(path.length, duration=2.0))
+    for threshold, ramp_down, phase in ((3.0, 0.03, "off"), (5.0, 0.1, "ramping down")):
+        with pytest.raises(InfeasiblePlanError, match=f"actuators are {phase} there") as caught:
+            plan_switch_off(dynamics, motion, threshold=threshold, ramp_down=ramp_down, dt=1e-2)
+        assert caught.value.details["constraint"] == "carrier_effect"
+        assert "ingular pose" not in caught.value.message
+        assert np.linalg.cond(dynamics.reduce(motion.sample_at([caught.value.details["time"]])).W[0]) < 5.0
+    # what the message offers: a shorter ramp leaves that pose out
+    assert np.isfinite(plan_switch_off(dynamics, motion, threshold=5.0, ramp_down=0.03, dt=1e-2).tau).all()
 
 
 def test_no_return_within_the_limits():

@@ -1,0 +1,119 @@
+"""Calm plans: of all motions of nearly least cost, the one whose efforts reverse least.
+
+s̈ is linear in a step, and near a singularity W⁻¹ magnifies what that leaves: the efforts of an optimum zigzag from node
+to node (docs/whole_trajectory.md, *Calm plans*). So the programme is solved once more. The nodes are denser by the
+square root of the distance to the singularity, the carriers' jerk may jump at all of them but the singular ones, the
+ripple is the objective, and the objective of the task is bounded by (1 + calm) times the least cost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.planners.intersample_check import IntersampleCheck, PlannedMotion, intersample_check
+from redundancy_pin.planners.optimal.mesh import NEAR, Grid, resample, singular_ratio, with_middles
+from redundancy_pin.planners.optimal.nlp import CALMING, Solution
+from redundancy_pin.planners.optimal.problem import Problem, Reader, Task, read_problem
+from redundancy_pin.planners.optimal.refine import Planned, Planning
+from redundancy_pin.planners.optimal.solve import Outcome, solve
+from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
+from redundancy_pin.planners.plan import effort_reversals
+
+MANY_REVERSALS = 10
+"""Reversals of one effort above which a plan is made calmer: a motion by itself causes a few."""
+
+LEVELS = 2
+"""How often steps near a singularity are halved: the error of a step, h² over the distance, stays what it is where the
+distance is a quarter."""
+
+LEAST_COST = 1e-9
+"""Least cost over the size of the objective below which a fraction of it is nothing to spend."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """The solution that becomes the plan.
+
+    ``problem``, ``solution``: programme and solution; ``motion``: what they plan; ``check``: what is between the nodes.
+    """
+
+    problem: Problem
+    solution: Solution
+    motion: PlannedMotion
+    check: IntersampleCheck
+
+
+def calmed(planning: Planning, planned: Planned, readers: Sequence[Reader]) -> tuple[Chosen, dict[str, object]]:
+    """Return a calmer solution than an optimum, or the optimum itself; and what was found, as plain data.
+
+    Args:
+        planning: the planner, whose task has the fraction ``calm`` that may be spent.
+        planned: its least-cost plan.
+        readers: of the coefficients, as ``read_problem`` takes them.
+
+    Returns:
+        The solution, the optimum unless one with fewer reversals passes the check; and ``tried``, ``kept``, and where
+        it was tried ``reversals`` before and after, and ``solver``, ``iterations`` and ``seconds`` of the solution.
+    """
+    task, best = planning.task, planned.best
+    least = Chosen(best.problem, best.solution, planned.motion, planned.check)
+    before = _most_reversals(best)
+    costs = objective_values(best.problem, best.solution.values)
+    sizes = objective_sizes(best.problem)
+    spendable = all(costs[name] > LEAST_COST * sizes[name] for name in task.settings.objective)
+    if not (task.settings.calm and best.solution.optimal and spendable and before > MANY_REVERSALS):
+        return least, {"tried": False, "kept": False}
+    bounds = {name: (1.0 + task.settings.calm) * costs[name] for name in task.settings.objective}
+    for name, bound in task.settings.at_most.items():
+        bounds[name] = min(bound, bounds.get(name, np.inf))
+    calmer = replace(task, settings=replace(task.settings, objective={"ripple": 1.0}, at_most=bounds))
+    found = _solve(calmer, best, readers)
+    after = _most_reversals(found)
+    chosen, solution = least, found.solution
+    if solution.feasible and solution.optimal and after < before:
+        motion = planning.planned(found.problem, solution)
+        check = intersample_check(motion)
+        chosen = Chosen(found.problem, solution, motion, check) if check.passed else least
+    return chosen, {
+        "tried": True,
+        "kept": chosen is not least,
+        "reversals": [before, after],
+        "solver": solution.message,
+        "iterations": solution.iterations,
+        "seconds": solution.seconds,
+    }
+
+
+def _most_reversals(outcome: Outcome) -> int:
+    efforts = outcome.problem.tau(outcome.solution.values)
+    return max(len(samples) for samples in effort_reversals(efforts))
+
+
+def _solve(task: Task, outcome: Outcome, readers: Sequence[Reader]) -> Outcome:
+    """Solve on denser nodes, from an optimum."""
+    old = outcome.problem
+    nodes = _denser(task, old.grid)
+    problem, _ = read_problem(task, nodes, readers, old.scales)
+    if old.shares is not None:
+        problem = replace(problem, shares=resample({"shares": old.shares}, old.grid.t, nodes.t)["shares"])
+    guess = old.resampled(outcome.solution.values, problem)
+    solution = solve(problem, guess, task.settings.solver.seconds, warm=CALMING)
+    return Outcome(replace(problem, settings=old.settings), solution)
+
+
+def _denser(task: Task, nodes: Grid) -> Grid:
+    """Return nodes that are denser near singularities, of which only the singular ones keep the jerk continuous."""
+    for level in range(1, LEVELS + 1):
+        steps = np.flatnonzero(nodes.h > 0.0)
+        middles: Array = 0.5 * (nodes.t[steps] + nodes.t[steps + 1])
+        ratio = singular_ratio(task.dynamics.along(task.source.sample_at(middles)).reduce())
+        marked = np.zeros(len(nodes.h), dtype=bool)
+        marked[steps] = ratio < NEAR / 4.0**level
+        nodes = with_middles(nodes, marked)
+    smooth = np.zeros(len(nodes.t), dtype=bool)
+    smooth[nodes.singular] = nodes.smooth[nodes.singular]
+    return replace(nodes, smooth=read_only(smooth))
