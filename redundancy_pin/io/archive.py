@@ -222,7 +222,8 @@ def read_archive(path: str | Path, kind: str, version: int, word: str, make: Cal
             what Python raises, where it does not fit.
 
     Raises:
-        PlanFileError: missing, unreadable, truncated or damaged, another kind of file, a newer format, or a record
+        PlanFileError: missing, unreadable, truncated or damaged, another kind of file, another version of the
+            format, or a record
             that ``make`` refuses; or a file that was changed since it was written.
     """
     if not isinstance(path, (str, Path)):

@@ -34,7 +34,7 @@ PLAN_FORMAT = "redundancy_pin plan"
 """What a saved plan calls itself."""
 
 PLAN_VERSION = 3
-"""Version of the file format: counts up whenever an older reader would misread a newer file, or the other way round."""
+"""Version of the file format: counts up whenever the fields of the file change. 3: the limits it was judged by."""
 
 REVERSAL = 0.05
 """Change after a turning point, as a fraction of the peak effort, from which the turning point is a reversal."""
@@ -293,7 +293,7 @@ def load_plan(path: str | Path) -> Plan:
     """Read a plan that was saved with ``Plan.save``. Nothing in the file is executed.
 
     Raises:
-        PlanFileError: the file is missing, truncated, damaged, no plan, of a newer format, or its arrays do not fit
+        PlanFileError: the file is missing, truncated, damaged, no plan, of another version, or its arrays do not fit
             together.
     """
     return read_archive(path, PLAN_FORMAT, PLAN_VERSION, "plan", lambda record: _plan(record, path))

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 import zoo
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import BPoly, CubicSpline
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
@@ -152,14 +152,21 @@ def test_efforts_beyond_their_limits_or_at_them_are_one_event_each():
 
 
 def test_between_samples_the_largest_values_decide():
-    """Of random cubics, by dense samples: position, speed and acceleration, and where they are largest."""
+    """Of random cubics and septics, by dense samples: position, speed, acceleration, and where they are largest.
+
+    The acceleration of a septic, such as a carrier's way back, is largest inside a piece.
+    """
     rng = np.random.default_rng(5)
-    for _ in range(20):
+    for septic in (False, True) * 20:
         t = np.concatenate([[1.0], 1.0 + np.cumsum(rng.uniform(0.05, 0.4, 5))])
         spline = CubicSpline(t, rng.normal(size=(6, 1)))
         position = PiecewisePolynomial.linear(t, *(spline(t, order) for order in range(3)))
+        if septic:
+            ends = rng.normal(size=(6, 4, 1)) * np.array([0.1, 1.0, 10.0, 100.0])[:, None]
+            spline = BPoly.from_derivatives(t, ends)
+            position = PiecewisePolynomial.through(t, *ends.swapaxes(0, 1))
         dense = np.unique(np.append(t, np.linspace(t[0], t[-1], 20001)))
-        values = [spline(dense, order)[:, 0] for order in range(3)]
+        values = [spline(dense, order).ravel() for order in range(3)]
         peaks = [np.abs(value).max() for value in values]
         limits = [CarrierLimits(-0.8 * peaks[0], 0.8 * peaks[0], 0.9 * peaks[1], 0.95 * peaks[2], np.inf)]
         events = motion_events(resolved(limits), position)
@@ -223,7 +230,9 @@ def planned(jerk: float | None = None) -> Plan:
 
 
 @pytest.mark.parametrize("beyond", [False, True])
-@pytest.mark.parametrize("name", ["carrier_force", "actuated_rate", "margin", "xd", "s", "sd", "sdd", "tau", "peak"])
+@pytest.mark.parametrize(
+    "name", ["carrier_force", "actuated_rate", "margin", "x", "xd", "xdd", "s", "sd", "sdd", "tau", "peak"]
+)
 def test_a_check_lets_pass_what_two_backends_may_show_and_no_more(name, beyond):
     plan = planned()
     i, part = 4, 1.05 if beyond else 0.95
@@ -241,7 +250,7 @@ def test_a_check_lets_pass_what_two_backends_may_show_and_no_more(name, beyond):
         peak[1] += amount
         changed, what = replace(plan, between=replace(plan.between, peak=peak)), "peak effort"
     else:
-        holder = plan.carriers if name in ("s", "sd", "sdd") else plan.motion if name == "xd" else plan
+        holder = plan.carriers if name in ("s", "sd", "sdd") else plan.motion if name in ("x", "xd", "xdd") else plan
         values = np.array(getattr(holder, name))
         flat = values.reshape(len(values), -1)
         amount = part * SAME * (1e3 if name == "sdd" else 1.0) * np.abs(values).max()
@@ -254,7 +263,7 @@ def test_a_check_lets_pass_what_two_backends_may_show_and_no_more(name, beyond):
             changed = replace(plan, motion=new)
         what = {
             "carrier_force": "forces of the carriers", "actuated_rate": "rates of the main actuators",
-            "margin": "margin", "xd": "platform motion xd",
+            "margin": "margin", **{part: f"platform motion {part}" for part in ("x", "xd", "xdd")},
         }.get(name, f"carrier motion {name}")  # fmt: skip
     found = rp.check_plan(changed, rp.RneaDynamics(zoo.robot_of("3rrr", carrier_mass=3.0)))
     named = {deviation.quantity: deviation for deviation in found.deviations}

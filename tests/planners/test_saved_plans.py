@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import zipfile
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from random_plans import PLAIN, difference, plans
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, OutputError, PlanFileError
 from redundancy_pin.io.archive import decode, encode
+from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import PLAN_VERSION, Plan, load_plan, load_robot_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import models_root
@@ -103,6 +105,33 @@ def test_the_file_can_be_read_without_this_package(plan: Plan, saved: Path) -> N
     assert content["format_version"] == PLAN_VERSION
     assert content["record"]["robot"]["name"] == "3rrr"
     assert content["record"]["parameters"]["return_time"] == "shortest"
+
+
+FIELDS_OF_VERSION = {3: "a91c30343fa83184"}
+"""SHA-256 of the names of all fields of a file, its start, for its version."""
+
+
+def test_the_version_changes_with_the_fields(plan: Plan, tmp_path: Path) -> None:
+    """If this fails, the file has other fields than those of its version: raise ``PLAN_VERSION``."""
+
+    def names(value: Any, path: str = "") -> set[str]:
+        if path in (".parameters", ".diagnostics", ".robot.arguments"):  # names of the planner's and the robot's own
+            return {path}
+        if isinstance(value, list):
+            return {path}.union(*(names(each, path) for each in value))
+        if not isinstance(value, dict):
+            return {path}
+        return {path}.union(*(names(each, path if key == "$tuple" else f"{path}.{key}") for key, each in value.items()))
+
+    event = LimitEvent("carrier_1", "speed", 0.0, 0.1, 0.1, 2.0, 1.0, 1.0)
+    functions = replace(plan.functions, prescribed=(plan.functions.carriers,), preferred=plan.functions.carriers)
+    full = replace(plan, limits=replace(plan.limits, violated=(event,), binding=(event,)), functions=functions)
+    full.save(tmp_path / "plan.npz")
+    with np.load(tmp_path / "plan.npz", allow_pickle=False) as archive:
+        content = json.loads(str(archive["metadata"]))
+    fields = sorted(names(content["record"]))
+    digest = hashlib.sha256("\n".join(fields).encode()).hexdigest()[:16]
+    assert {content["format_version"]: digest} == FIELDS_OF_VERSION, fields
 
 
 def test_the_name_is_kept_as_given(plan: Plan, tmp_path: Path) -> None:
@@ -257,10 +286,14 @@ def test_another_format_and_newer_ones(saved: Path) -> None:
     _rewrite(saved, lambda content: content.update(format="someone's plan"))
     _refused(saved, "someone's plan")
     saved.write_bytes(original)
-    for version in (PLAN_VERSION + 1, PLAN_VERSION - 1):
-        change = {"format_version": version, "package_version": "7.0"}
-        _rewrite(saved, lambda content, change=change: content.update(change))
-        _refused(saved, rf"version {version}, written by redundancy_pin 7\.0; .* reads version {PLAN_VERSION}")
+    _rewrite(saved, lambda content: content.update(format_version=PLAN_VERSION + 1, package_version="7.0"))
+    _refused(
+        saved, rf"version {PLAN_VERSION + 1}, written by redundancy_pin 7\.0; .* reads version {PLAN_VERSION}\. Inst"
+    )
+    saved.write_bytes(original)
+    # an older file has other fields: it is not damaged
+    _rewrite(saved, lambda content: content.update(format_version=PLAN_VERSION - 1, record={}))
+    _refused(saved, rf"version {PLAN_VERSION - 1}, .* reads version {PLAN_VERSION}\. Compute the plan again")
     for version in (0, "1", None, True):
         saved.write_bytes(original)
         _rewrite(saved, lambda content, version=version: content.update(format_version=version))

@@ -58,7 +58,7 @@ def relax(problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], mess
     # with limits at the nodes alone: most often one limit does by itself, and is held between the nodes then
     elastic = solve(problem, guess, settings.seconds, lambda _: True, elastic=KINDS)
     if elastic.feasible and not _exceeded(elastic):
-        elastic = solve(problem, elastic.values, settings.seconds, elastic=KINDS)
+        elastic = solve(problem, elastic.values, deadline - time.perf_counter(), elastic=KINDS)
     if not elastic.feasible:
         raise nothing_helps(problem, elastic, message)
     exceeded = _exceeded(elastic)
@@ -113,9 +113,10 @@ def require_bounds(problem: Problem, guess: Mapping[str, Array]) -> None:
         InfeasiblePlanError: one is, as ``relax``.
     """
     settings, events = problem.settings, []
+    deadline = time.perf_counter() + settings.solver.seconds
     for name, bound in settings.at_most.items():
         least = replace(problem, settings=replace(settings, objective={name: 1.0}, at_most={}))
-        solution = solve(least, guess, settings.solver.seconds)
+        solution = solve(least, guess, deadline - time.perf_counter())
         fraction = objective_values(least, solution.values)[name] / bound - 1.0
         if solution.optimal and fraction > NOTHING:
             events.append(_bound_event(problem, name, fraction))

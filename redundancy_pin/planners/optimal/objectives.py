@@ -218,7 +218,7 @@ class Solver:
 
     Attributes:
         starts: number of first guesses.
-        seconds: time bound of each solution, s.
+        seconds: time bound of the search, s: all first guesses and meshes, and why there is no plan.
         progress: called with a line of text at each stage.
     """
 

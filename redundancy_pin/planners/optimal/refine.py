@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -14,7 +15,7 @@ from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import LOWERED, IntersampleCheck, PlannedMotion, intersample_check
 from redundancy_pin.planners.optimal.nlp import Solution
 from redundancy_pin.planners.optimal.problem import Problem, Task
-from redundancy_pin.planners.optimal.solve import Multistart, Outcome
+from redundancy_pin.planners.optimal.solve import Multistart, Outcome, with_seconds
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -72,13 +73,15 @@ class Planned:
     """The last plan of ``plan_and_refine``.
 
     ``solutions``: of all first guesses; ``motion``: that of the best one; ``check``: what is between its nodes;
-    ``ratios``: largest efforts and forces between the nodes over those at the nodes or their limits, one a round.
+    ``ratios``: largest efforts and forces between the nodes over those at the nodes or their limits, one a
+    round; ``out_of_time``: whether the time bound ended the search on finer meshes or with lower limits.
     """
 
     solutions: Multistart
     motion: PlannedMotion
     check: IntersampleCheck
     ratios: tuple[float, ...]
+    out_of_time: bool = False
 
     @property
     def best(self) -> Outcome:
@@ -100,6 +103,7 @@ class Planned:
             "smooth_nodes": np.flatnonzero(nodes.smooth).tolist(),
             "solver_seconds": solution.seconds,
             "dense_ratios": list(self.ratios),
+            "out_of_time": self.out_of_time,
         }
 
 
@@ -118,6 +122,7 @@ def plan_and_refine(planning: Planning, problem: Problem, guess: Mapping[str, Ar
         InfeasiblePlanError: as ``Planning.solve``.
     """
     settings = planning.task.settings
+    deadline = time.perf_counter() + settings.solver.seconds
     report = settings.solver.progress or (lambda line: None)
     ratios: list[float] = []
     last: Planned | None = None
@@ -135,8 +140,11 @@ def plan_and_refine(planning: Planning, problem: Problem, guess: Mapping[str, Ar
     while True:
         report(f"{len(problem.grid.t)} nodes, {len(problem.grid.singular)} of them singular: solving")
         try:
-            solutions = planning.solve(problem, guess, is_coarse)
+            rest = with_seconds(problem, deadline - time.perf_counter())
+            solutions = planning.solve(rest, guess, is_coarse)
         except InfeasiblePlanError:
+            if last is not None and time.perf_counter() > deadline:
+                return replace(last, out_of_time=True)
             if last is None or not lowered:
                 raise
             return last  # nothing keeps the lower limits at the nodes: the last plan says what it exceeds
@@ -151,6 +159,8 @@ def plan_and_refine(planning: Planning, problem: Problem, guess: Mapping[str, Ar
         finer = bool(marked.any()) and refined < settings.mesh.refinements
         if found.passed or not solution.optimal or not (finer or (not found.within_limits and lowered < LOWERED)):
             return last
+        if time.perf_counter() > deadline:
+            return replace(last, out_of_time=True)
         if finer:
             following = planning.finer(problem, solution, found, marked, refined == 0)
             refined += 1

@@ -63,12 +63,16 @@ def solve(
         if most is not None:
             first = {**first, "ipopt.max_iter": most - iterations}
         # a bound below the least there is takes long to refute here, and one solution elsewhere (``require_bounds``)
+        attempts: list[Solution] = []
         for options in (first,) if problem.settings.at_most or elastic else (first, FALLBACK):
             left = max(deadline - time.perf_counter(), LEAST_SECONDS)
-            solution = solve_nlp(nlp, guess, left, options, problem.settings.solver.progress)
-            iterations, spent = iterations + solution.iterations, spent + solution.seconds
-            if solution.optimal or solution.infeasible or time.perf_counter() > deadline:
+            attempt = solve_nlp(nlp, guess, left, options, problem.settings.solver.progress)
+            iterations, spent = iterations + attempt.iterations, spent + attempt.seconds
+            attempts.append(attempt)
+            if attempt.optimal or attempt.infeasible or time.perf_counter() > deadline:
                 break
+            guess = attempt.values if attempt.feasible else guess
+        solution = min(attempts, key=preference)
         leaves = leaves_limits(problem, solution.values) & ~between
         beyond = not limit_force and exceeds_force(problem, solution)
         if not solution.feasible or not (leaves.any() or beyond):
@@ -83,6 +87,17 @@ def solve(
             break
     kept = solution.feasible and not leaves.any() and not beyond
     return replace(solution, optimal=solution.optimal and kept, feasible=kept, iterations=iterations, seconds=spent)
+
+
+def preference(solution: Solution) -> tuple[bool, bool, float]:
+    """Return what orders solutions, the best first: what keeps the limits, then optima, then by cost."""
+    return not solution.feasible, not solution.optimal, solution.cost
+
+
+def with_seconds(problem: Problem, seconds: float) -> Problem:
+    """Return a problem for whose solution there is so much time, s; ``LEAST_SECONDS`` at least."""
+    solver = replace(problem.settings.solver, seconds=max(seconds, LEAST_SECONDS))
+    return replace(problem, settings=replace(problem.settings, solver=solver))
 
 
 def leaves_limits(problem: Problem, values: Mapping[str, Array], by: float = 0.0) -> BoolArray:
@@ -146,9 +161,7 @@ class Multistart:
     @property
     def best(self) -> Outcome:
         """The best optimum; where there is none, the best of what keeps the limits."""
-        return min(
-            self.outcomes, key=lambda one: (not one.solution.feasible, not one.solution.optimal, one.solution.cost)
-        )
+        return min(self.outcomes, key=lambda one: preference(one.solution))
 
     @property
     def feasible(self) -> bool:

@@ -92,7 +92,7 @@ def plan_time_optimal(
         jerk: scalar or (k,) limit of |s⃛|, m/s³.
         carrier_force: the same for the forces of the carriers' actuators, N.
         steps: least number of steps.
-        seconds: time bound of each solution, s.
+        seconds: time bound of the search on all meshes, s. What was found by then is the plan.
         refinements: how often steps may be halved whose efforts or rates exceed their limits inside.
         progress: called with a line of text at each stage.
         limits: track, speed, acceleration, jerk, effort and carrier_force as one group in place of the keywords.

@@ -24,7 +24,7 @@ from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
 from redundancy_pin.planners.optimal.objectives import CALM, End, Mesh, Objective, Solver, checked_settings
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
 from redundancy_pin.planners.optimal.refine import Planned, Planning, plan_and_refine
-from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, solve
+from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, solve, with_seconds
 from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
@@ -123,7 +123,8 @@ def plan_whole_trajectory(
         starts: number of first guesses; the first is parked carriers, the others are random swings (seeded). The best
             optimum is kept. ``diagnostics["starts"]`` says how many were asked for, tried and converged, which optima
             they led to (cost and first guesses of each, best first), which guess won, and all costs and messages.
-        seconds: time bound of each solution, s.
+        seconds: time bound of the search, s: all first guesses and meshes, and why there is no plan. What was found by
+            then is the plan.
         refinements: how often the grid may be refined.
         progress: called with a line of text at each stage, and during it where the plan has 1000 nodes or more. What it
             raises ends the planning.
@@ -203,18 +204,20 @@ def _solve(
     task: Task, problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Solution], bool]
 ) -> Multistart:
     """Solve from all first guesses; ``guess``: scaled blocks by name, in place of parked carriers."""
+    deadline = time.perf_counter() + problem.settings.solver.seconds
     result = multistart(problem, guess, stop)
     if result.feasible:
         return result
     guess = first_guess(problem)
     if problem.settings.at_most:
-        require_bounds(problem, guess)
+        require_bounds(with_seconds(problem, deadline - time.perf_counter()), guess)
     # raises where limits are in the way; else what it returns keeps them, and the solver can begin there
     message = result.outcomes[0].solution.message
-    relaxed = relax(problem, robot_record(task.dynamics.robot), guess, message)
-    seconds = task.settings.solver.seconds
-    last = solve(problem, relaxed.values, seconds)
+    rest = with_seconds(problem, deadline - time.perf_counter())
+    relaxed = relax(rest, robot_record(task.dynamics.robot), guess, message)
+    last = solve(problem, relaxed.values, deadline - time.perf_counter())
     if not last.feasible:
+        seconds = task.settings.solver.seconds
         late = last.message == OUT_OF_TIME
         raise InfeasiblePlanError(
             f"No plan was found{f' within {seconds:g} s' if late else ''} (the solver says {last.message}), "

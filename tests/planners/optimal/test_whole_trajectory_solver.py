@@ -1,5 +1,7 @@
 """Several first guesses, limits between the nodes, strategies of the solver, and progress."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import zoo
@@ -9,6 +11,7 @@ import redundancy_pin.planners.optimal.nlp as solver
 import redundancy_pin.planners.optimal.solve as constraint_generation
 from redundancy_pin import CompiledDynamics, RneaDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.optimal import infeasible, refine, whole_trajectory
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -216,3 +219,70 @@ def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monke
     assert other.diagnostics["iterations"] > usual.diagnostics["iterations"]
     assert other.diagnostics["cost"] == pytest.approx(usual.diagnostics["cost"], rel=SAME_COST)
     np.testing.assert_allclose(usual.tau, other.tau, atol=BOTH_BACKENDS * np.abs(other.tau).max())
+
+
+def test_a_second_strategy_begins_at_what_keeps_the_limits_and_never_replaces_it(monkeypatch):
+    """The first strategy is stopped beside the optimum; the second, which may do next to nothing, leaves the limits."""
+    dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle()
+    settings = {"objective": "effort_rate", "dt": 0.05, "refinements": 0}
+    usual = plan_whole_trajectory(dynamics, trajectory, **settings)
+    monkeypatch.setitem(solver.FIRST, "ipopt.max_iter", 9)
+    monkeypatch.setitem(solver.FALLBACK, "ipopt.max_iter", 2)
+    guesses, ended, solve_nlp = [], [], constraint_generation.solve_nlp
+
+    def kept(nlp, guess, *others):
+        guesses.append(guess)
+        ended.append(solve_nlp(nlp, guess, *others))
+        return ended[-1]
+
+    monkeypatch.setattr(constraint_generation, "solve_nlp", kept)
+    plan = plan_whole_trajectory(dynamics, trajectory, **settings)
+    first, second, _ = ended  # the last one has rows between the nodes
+    assert (first.feasible, first.optimal, second.feasible) == (True, False, False)
+    assert second.cost < first.cost
+    assert guesses[1] is first.values
+    assert guesses[2] is first.values
+    assert plan.diagnostics["cost"] == pytest.approx(usual.diagnostics["cost"], rel=SAME_COST)
+
+
+class Clock:
+    """A clock for all modules of the planner, on which each solution takes so many seconds."""
+
+    def __init__(self, monkeypatch, each):
+        self.now, self.left = 100.0, []
+        solve_nlp = constraint_generation.solve_nlp
+
+        def timed(nlp, guess, seconds, *others):
+            self.left.append(seconds)
+            self.now += each
+            return solve_nlp(nlp, guess, 600.0, *others)
+
+        monkeypatch.setattr(constraint_generation, "solve_nlp", timed)
+        for module in (constraint_generation, infeasible, refine, whole_trajectory):
+            monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: self.now))
+
+
+def test_the_search_for_what_would_suffice_has_the_time_that_is_left(monkeypatch):
+    clock = Clock(monkeypatch, 1.0)
+    with pytest.raises(InfeasiblePlanError, match="What would suffice"):
+        plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(2.5), dt=0.05, seconds=60.0)
+    assert len(clock.left) > 3
+    assert clock.left == [60.0 - i for i in range(len(clock.left))]
+
+
+def test_meshes_share_the_time_and_where_it_is_over_the_last_plan_counts(monkeypatch):
+    dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle()
+    settings = {"objective": "peak", "dt": 0.05, "seconds": 60.0}
+    coarse = plan_whole_trajectory(dynamics, trajectory, **settings, refinements=0)
+    fine = plan_whole_trajectory(dynamics, trajectory, **settings)
+    assert fine.diagnostics["nodes"] > coarse.diagnostics["nodes"]
+    assert not fine.diagnostics["out_of_time"]
+    with monkeypatch.context() as patched:
+        clock = Clock(patched, 1.0)
+        assert plan_whole_trajectory(dynamics, trajectory, **settings).diagnostics["nodes"] == fine.diagnostics["nodes"]
+        assert clock.left == [60.0 - i for i in range(len(clock.left))]
+    Clock(monkeypatch, 70.0)
+    plan = plan_whole_trajectory(dynamics, trajectory, **settings)
+    assert plan.diagnostics["out_of_time"]
+    assert plan.diagnostics["nodes"] == coarse.diagnostics["nodes"]
+    assert plan.status in (ResultStatus.UNRESOLVED, ResultStatus.LIMIT_VIOLATED)
