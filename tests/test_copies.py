@@ -184,7 +184,8 @@ def test_results_are_compared_by_what_they_are_and_not_by_their_arrays(objects: 
     for name, one in objects.items():
         if isinstance(one, Frozen):
             assert {one: name}[one] == name
-            assert one != copy.deepcopy(one), name
+            by_value = name == "resolved"  # the limits of two plans are compared
+            assert (one == copy.deepcopy(one)) is by_value, name
 
 
 def test_copies_compute_what_the_originals_do(objects: dict[str, Any]) -> None:

@@ -106,7 +106,9 @@ class ResolvedLimits(Frozen):
             np.array_equal(getattr(self, name), getattr(other, name)) for name in numbers
         )
 
-    __hash__ = None  # type: ignore[assignment]
+    def __hash__(self) -> int:
+        """Equal limits have equal hashes."""
+        return hash((self.names, *(getattr(self, field.name).tobytes() for field in fields(self)[1:])))
 
     @property
     def of_carriers(self) -> tuple[CarrierLimits, ...]:
