@@ -47,13 +47,16 @@ class Chosen:
     check: IntersampleCheck
 
 
-def calmed(planning: Planning, planned: Planned, readers: Sequence[Reader]) -> tuple[Chosen, dict[str, object]]:
+def calmed(
+    planning: Planning, planned: Planned, readers: Sequence[Reader], seconds: float
+) -> tuple[Chosen, dict[str, object]]:
     """Return a calmer solution than an optimum, or the optimum itself; and what was found, as plain data.
 
     Args:
         planning: the planner, whose task has the fraction ``calm`` that may be spent.
         planned: its least-cost plan.
         readers: of the coefficients, as ``read_problem`` takes them.
+        seconds: time bound, s; none is tried without any left.
 
     Returns:
         The solution, the optimum unless one with fewer reversals passes the check; and ``tried``, ``kept``, and where
@@ -65,13 +68,13 @@ def calmed(planning: Planning, planned: Planned, readers: Sequence[Reader]) -> t
     costs = objective_values(best.problem, best.solution.values)
     sizes = objective_sizes(best.problem)
     spendable = all(costs[name] > LEAST_COST * sizes[name] for name in task.settings.objective)
-    if not (task.settings.calm and best.solution.optimal and spendable and before > MANY_REVERSALS):
+    if seconds <= 0.0 or not (task.settings.calm and best.solution.optimal and spendable and before > MANY_REVERSALS):
         return least, {"tried": False, "kept": False}
     bounds = {name: (1.0 + task.settings.calm) * costs[name] for name in task.settings.objective}
     for name, bound in task.settings.at_most.items():
         bounds[name] = min(bound, bounds.get(name, np.inf))
     calmer = replace(task, settings=replace(task.settings, objective={"ripple": 1.0}, at_most=bounds))
-    found = _solve(calmer, best, readers)
+    found = _solve(calmer, best, readers, seconds)
     after = _most_reversals(found)
     chosen, solution = least, found.solution
     if solution.feasible and solution.optimal and after < before:
@@ -93,7 +96,7 @@ def _most_reversals(outcome: Outcome) -> int:
     return max(len(samples) for samples in effort_reversals(efforts))
 
 
-def _solve(task: Task, outcome: Outcome, readers: Sequence[Reader]) -> Outcome:
+def _solve(task: Task, outcome: Outcome, readers: Sequence[Reader], seconds: float) -> Outcome:
     """Solve on denser nodes, from an optimum."""
     old = outcome.problem
     nodes = _denser(task, old.grid)
@@ -101,7 +104,7 @@ def _solve(task: Task, outcome: Outcome, readers: Sequence[Reader]) -> Outcome:
     if old.shares is not None:
         problem = replace(problem, shares=resample({"shares": old.shares}, old.grid.t, nodes.t)["shares"])
     guess = old.resampled(outcome.solution.values, problem)
-    solution = solve(problem, guess, task.settings.solver.seconds, warm=CALMING)
+    solution = solve(problem, guess, seconds, warm=CALMING)
     return Outcome(replace(problem, settings=old.settings), solution)
 
 

@@ -194,7 +194,8 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
 
     planning = Planning("whole_trajectory", task, partial(_solve, task), lambda *_: task.source, finer)
     planned = plan_and_refine(planning, problem, guess)
-    chosen, calming = calmed(planning, planned, readers)
+    left = began + task.settings.solver.seconds - time.perf_counter()
+    chosen, calming = calmed(planning, planned, readers, left)
     plan = _plan(task, planned, chosen)
     found = {"calm": calming, "seconds": time.perf_counter() - began}
     return replace(plan, diagnostics={**plan.diagnostics, **found}), planned.best
