@@ -316,7 +316,7 @@ def test_what_is_taken_turns_round(kind: str, tmp_path: Path) -> None:
     exact = drawn("four_bar")
     x, one = np.linspace(-3.0, 3.0, 13)[:, None], np.ones((13, 1))
     motion, taken, want = rp.PlatformMotion(x[:, 0], x, one, 0.0 * one), [], np.zeros(0)
-    for tilt in (0.0, 2e-4, *np.linspace(3e-4, 2e-3, 9), 1e-2):
+    for tilt in (0.0, 2e-4, *np.linspace(3e-4, 2e-3, 18), 1e-2):
         off_by = pin.SE3(pin.exp3(np.array([tilt, 0.0, 0.0 if kind == "sdf" else 0.2])), np.zeros(3))
         bodies = [each._replace(place=each.place * off_by) if each.name == "coupler" else each for each in exact.bodies]
         try:
