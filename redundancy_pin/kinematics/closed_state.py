@@ -395,7 +395,7 @@ def are_continuous(robot: Robot, step: Array, gamma0: Array, gamma1: Array, incr
 
 
 def _is_within(error: Any, predicted: Any, tolerance: float) -> Any:
-    """Return the acceptance test of a step, or of (N,): its error is small beside the prediction, or rounding."""
+    """Return the acceptance test of a step, or of (N,): its error is small relative to the prediction, or rounding."""
     return error <= tolerance * predicted + ROUNDING
 
 

@@ -83,7 +83,7 @@ def closed_neighbours(
     Args:
         system: closure rows, which may be redundant.
         q: (nq,) the closed configuration.
-        count: number of configurations beside it.
+        count: number of neighbouring configurations.
         spread: displacement, before closing, of the joint that moves farthest, rad or characteristic lengths.
         tolerance: as of ``closed_near``.
         rank_tolerance: as of ``assemble``.

@@ -26,7 +26,7 @@ def about_several_axes(robot: Robot, ends: Sequence[tuple[str, str]]) -> tuple[t
     Where two frames meet in a ball and turn about one axis only, a hinge along that axis allows the same motions: in a
     planar loop, and in a spherical one with its ball away from the centre. The test is the rank of the relative angular
     velocities, in the axes of the first frame, of all motions that the loops leave free, at the reference and at a few
-    configurations beside it. An axis that stays fixed in the first frame is fixed in the second.
+    configurations near it. An axis that stays fixed in the first frame is fixed in the second.
 
     Args:
         robot: its reference is closed.

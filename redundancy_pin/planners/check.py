@@ -344,13 +344,13 @@ def _other_limits(plan: Plan, again: Plan) -> list[Deviation]:
     reported, found = _worst_events(plan), _worst_events(again)
     for key in sorted({*reported, *found}):
         event = found[key] if key in found else reported[key]
-        said, true = (events[key].amount if key in events else 0.0 for events in (reported, found))
-        same = said == true or abs(said - true) <= SAME_PEAK * max(abs(event.value), abs(event.limit))
+        stated, true = (events[key].amount if key in events else 0.0 for events in (reported, found))
+        same = stated == true or abs(stated - true) <= SAME_PEAK * max(abs(event.value), abs(event.limit))
         if not same or (key in found and key not in reported):
             exceeds = f"exceeds its limit by {true:.4g}" if key in found else "keeps its limit"
             message = f"The {event.quantity} of {event.carrier} {exceeds} at t = {event.worst:.6g} s"
-            by = f", not by {said:.4g}." if key in reported else "."
-            deviations.append(Deviation("limits", event.worst, abs(true - said), message + by))
+            by = f", not by {stated:.4g}." if key in reported else "."
+            deviations.append(Deviation("limits", event.worst, abs(true - stated), message + by))
     return deviations
 
 

@@ -101,14 +101,16 @@ class ResolvedLimits(Frozen):
         """Return whether names and numbers are the same."""
         if not isinstance(other, ResolvedLimits):
             return NotImplemented
-        numbers = (field.name for field in fields(self)[1:])
-        return self.names == other.names and all(
-            np.array_equal(getattr(self, name), getattr(other, name)) for name in numbers
-        )
+        return self._values == other._values
 
     def __hash__(self) -> int:
         """Equal limits have equal hashes."""
-        return hash((self.names, *(getattr(self, field.name).tobytes() for field in fields(self)[1:])))
+        return hash(self._values)
+
+    @property
+    def _values(self) -> tuple[object, ...]:
+        """Names and numbers as tuples: bytes of 0.0 and -0.0 would differ."""
+        return (self.names, *(tuple(getattr(self, field.name).ravel().tolist()) for field in fields(self)[1:]))
 
     @property
     def of_carriers(self) -> tuple[CarrierLimits, ...]:

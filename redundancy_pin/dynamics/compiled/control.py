@@ -174,7 +174,7 @@ class _Branch:
     def by_kinematics(self, given: Sequence[Array], solve: Callable[[Start | None], T]) -> T | Refusal:
         """Return a sample that kinematics solve from here, or from the reference where no branch is known yet.
 
-        What they refuse is remembered for as long as it is asked for again: a set-point that is held.
+        What they refuse is kept while the same set-point is requested again.
 
         Args:
             given: positions and rates of the sample, which tell it from others.

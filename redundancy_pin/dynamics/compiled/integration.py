@@ -1,6 +1,6 @@
 """The integration of forward dynamics in machine code: ordinary steps of a simulation (``integration.c``).
 
-What Python and C share is said once, in two structures; numbers of ``Rules`` and ``Progress`` are members as they are.
+Python and C share two structures, each defined once; numbers of ``Rules`` and ``Progress`` are members as they are.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _KINDS = {"float": "double", "float | None": "double", "int": "long"}
 
 
 def _shared(of: type) -> tuple[Member, ...]:
-    """Return the numbers of a dataclass of ``dynamics.forward`` as members, whose meaning is said there."""
+    """Return the numbers of a dataclass of ``dynamics.forward`` as members; that module documents them."""
     known = ((field.name, str(field.type)) for field in fields(of))
     return tuple(Member(name, _KINDS[kind], f"of {of.__name__}") for name, kind in known if kind in _KINDS)
 

@@ -24,14 +24,14 @@ from redundancy_pin.planners.optimal.transcription import objective_sizes, objec
 from redundancy_pin.planners.plan import effort_reversals
 
 MANY_REVERSALS = 10
-"""Reversals of one effort above which a plan is made calmer: a motion by itself causes a few."""
+"""Reversals of one effort above which a calmer plan is sought: the motion of the platform causes a few."""
 
 LEVELS = 2
 """How often steps near a singularity are halved: the error of a step, h² over the distance, stays what it is where the
 distance is a quarter."""
 
 LEAST_COST = 1e-9
-"""Least cost over the size of the objective below which a fraction of it is nothing to spend."""
+"""Least cost over the size of the objective below which it counts as zero, and no fraction of it can be spent."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,7 +53,7 @@ def relax(problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], mess
             or one of them is enough; and ``untried``, limits of which it is not known whether they do by themselves.
             Or nothing admits a plan, or the time ran out.
     """
-    problem, settings = replace(problem, shares=None), problem.settings.solver  # what is said is said of whole limits
+    problem, settings = replace(problem, shares=None), problem.settings.solver  # messages state the limits themselves
     deadline = time.perf_counter() + settings.seconds
     # with limits at the nodes alone: most often one limit does by itself, and is held between the nodes then
     elastic = solve(problem, guess, settings.seconds, lambda _: True, elastic=KINDS)

@@ -89,7 +89,7 @@ class SingularNode:
 
 @dataclass(frozen=True, eq=False)
 class PathTiming:
-    """What a problem of least time has beside: its nodes are places on a path, m, and their times are unknown.
+    """The data that a least-time problem adds: its nodes are places on a path, m, and their times are unknown.
 
     ``begin``: how the carriers begin: "datum", "rest" or "free"; ``lap``: the platform goes on at the end as it began;
     ``speed``, ``acceleration``: sizes of ṗ and p̈, m/s and m/s²; ``h`` (M − 1,) of the durations of the steps, s;
@@ -349,7 +349,7 @@ def _require_crossing(rate: Array, source: ContinuousMotion, t: float) -> None:
     how = "rests in" if speed <= CROSSED * most else "touches, or follows,"
     message = (
         f"At t = {t:.6g} s the motion {how} a type II singularity without crossing it: what f and its rate say there "
-        "does not determine the efforts, and no condition on s, ṡ and s̈ keeps them finite beside it."
+        "does not determine the efforts, and no condition on s, ṡ and s̈ keeps them finite near it."
     )
     remedy = "Lead the motion across the singularity with a speed, or keep a distance from it."
     raise InfeasiblePlanError(

@@ -111,7 +111,7 @@ def plan_and_refine(planning: Planning, problem: Problem, guess: Mapping[str, Ar
     """Return a plan whose nodes show its efforts, and that keeps every limit between them, as far as that is reached.
 
     Where the nodes do not show the efforts between them the mesh is refined; where a limit is exceeded by less, the
-    limits at the nodes beside it are lowered.
+    limits at the adjacent nodes are lowered.
 
     Args:
         planning: the planner.

@@ -43,7 +43,7 @@ REGULARISATION = 1e-5
 carriers open they take the gentlest motion, and the plan is unique."""
 
 REGULARISATION_OF_TIME = 1e-3
-"""Weight of the mean square of s̈ over its size beside the duration over its own."""
+"""Weight of the mean square of s̈, scaled, relative to that of the duration, scaled."""
 
 LEAST_STEP = 1e-3
 """Fraction of its size that a step lasts at least."""
