@@ -23,7 +23,7 @@ from redundancy_pin.planners.optimal.objectives import Mesh, Objective, Solver, 
 from redundancy_pin.planners.optimal.problem import Task, read_problem
 from redundancy_pin.planners.optimal.solve import solve
 from redundancy_pin.planners.optimal.transcription import transcribe
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 
 REPEATS = 5
 FULL_REPEATS = 3
@@ -47,7 +47,7 @@ def problem_of(trajectory, nodes, objective):
     settings = checked_settings(
         robot, Objective(objective), mesh=Mesh(trajectory.duration / nodes, 0), solver=Solver(seconds=600.0)
     )
-    source = continuous_motion(trajectory)
+    source = as_motion(trajectory)
     grid = grid_of(source, [], settings.mesh.dt)
     task = Task(rp.VirtualWork(robot), source, settings)
     return seconds(lambda: read_problem(task, grid)[0])

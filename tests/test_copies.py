@@ -33,7 +33,7 @@ from redundancy_pin.status import UpdateStatus
 from redundancy_pin.studies.cases import SINGULAR
 from redundancy_pin.studies.co_design import CoDesign, DesignTask
 from redundancy_pin.studies.trade import TradeOff
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.time_scaling import ScaledMotion, TimeScaling
 
@@ -81,7 +81,7 @@ def objects() -> dict[str, Any]:
         "co-design": CoDesign({"length": 1.0}, (), np.ones(1), np.ones(1), np.ones((1, 1)), (), True, (), 0),
         "preview": Preview.of(motion),
         "slower preview": Preview.of(motion).scaled(slower := TimeScaling.none(0.0).changed(0.1, 0.5, 0.2)),
-        "slower motion": ScaledMotion(continuous_motion(motion), slower),
+        "slower motion": ScaledMotion(as_motion(motion), slower),
         "on-line run": OnLineRun(
             (stepwise := rp.plan_stepwise(dynamics, trajectory, lam=0.0)),
             (Command(0.0, UpdateStatus.OK, "", *[polynomial] * 3, 0.0, 0.0, three, 0.1, 0.0, 0.0),),
@@ -116,7 +116,7 @@ def objects() -> dict[str, Any]:
         "spline": rp.trajectory.SplinePath(np.array([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]])),
         "polynomial": rp.trajectory.rest_to_rest_345(0.0, 1.0, three, 0.0 * three),
         "poses": rp.trajectory.reference.pose(poses[0], poses[1]),
-        "sampled poses": continuous_motion(rp.trajectory.reference.pose(poses[0], poses[1]).sample(0.1)),
+        "sampled poses": as_motion(rp.trajectory.reference.pose(poses[0], poses[1]).sample(0.1)),
         "timed spline": rp.trajectory.from_points([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]], [0.0, 1.0, 2.0]),
         "pose spline": rp.trajectory.from_points(poses, speed=[0.0, 0.1]),
         "table": rp.plan_stepwise(dynamics, trajectory.sample(dt=0.1), lam=0.0).table(robot=robot),

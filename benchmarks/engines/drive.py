@@ -16,7 +16,7 @@ from redundancy_pin.planners.functions import DEGREE, PlanFunctions, apart
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon import Command
 from redundancy_pin.planners.reference import MotionReference, plan_reference, reference_of
-from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_series, chebyshev_times
 
 STRETCH = 0.01
@@ -102,7 +102,7 @@ def drive_of_motion(
         InputError: knots that are not finite numbers.
         InfeasiblePlanError: efforts without a finite value; carries the time.
     """
-    source, robot = continuous_motion(trajectory), dynamics.robot
+    source, robot = as_motion(trajectory), dynamics.robot
     own = checked(knots, "knots", ("c",))
     fixed = np.concatenate([[source.start, source.end], source.breaks, source.knots, own])
     edges = np.unique(np.clip(fixed, source.start, source.end))

@@ -32,7 +32,7 @@ from redundancy_pin.singularities.roots import Interval, below_zero, minima, zer
 from redundancy_pin.spectrum import scaled, spectrum_of
 from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory import Side
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.continuous_motion import Motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 Measure = Literal["condition", "margin"]
@@ -67,7 +67,7 @@ class Actuation:
     column_scale: Array
 
     @staticmethod
-    def along(dynamics: Dynamics, motion: ContinuousMotion) -> Actuation:
+    def along(dynamics: Dynamics, motion: Motion) -> Actuation:
         """Read W off a backend along a whole motion."""
 
         def values(times: Array) -> Array:
@@ -139,7 +139,7 @@ class Actuation:
         return values[:, -1] / values[:, 0] if measure == "condition" else values[:, -1]
 
 
-def smooth_edges(motion: ContinuousMotion, start: float, end: float) -> Array:
+def smooth_edges(motion: Motion, start: float, end: float) -> Array:
     """Return (P + 1,) ends of pieces to fit a function along a motion on: jumps, and the few kinks of a trajectory."""
     return np.concatenate([[start], motion.kinks[(motion.kinks > start) & (motion.kinks < end)], [end]])
 
@@ -421,7 +421,7 @@ class TimedModel:
     shapes: tuple[tuple[int, ...], ...]
 
     @staticmethod
-    def of(dynamics: Dynamics, motion: ContinuousMotion, start: float, end: float) -> TimedModel:
+    def of(dynamics: Dynamics, motion: Motion, start: float, end: float) -> TimedModel:
         """Read the model off a backend over a part of a motion."""
         n, m, k = dynamics.robot.n, dynamics.robot.m, dynamics.robot.k
         shapes = ((n, m), (n,), (n, k, TERMS), (k,), (k, TERMS))

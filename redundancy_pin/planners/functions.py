@@ -19,7 +19,7 @@ from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.continuous_motion import Motion
 from redundancy_pin.trajectory.functions_of_time import (
     PiecewisePolynomial,
     carriers_at,
@@ -60,7 +60,7 @@ class PlanFunctions(Frozen):
             least efforts.
     """
 
-    platform: ContinuousMotion
+    platform: Motion
     carriers: PiecewisePolynomial
     prescribed: tuple[PiecewisePolynomial, ...] = ()
     preferred: PiecewisePolynomial | None = None

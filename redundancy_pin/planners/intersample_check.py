@@ -43,7 +43,7 @@ from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.scales import velocity_scale
 from redundancy_pin.singularities.roots import zeros
 from redundancy_pin.status import SampleStatus
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.continuous_motion import Motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_points, chebyshev_series
 
 BALANCE_TOLERANCE = 1e-6
@@ -565,9 +565,7 @@ def joint_range_events(planned: PlannedMotion) -> tuple[LimitEvent, ...]:
     return range_events(robot, t, q)
 
 
-def closure_rank_losses(
-    dynamics: Dynamics, along: DynamicsAlongMotion, platform: ContinuousMotion
-) -> list[dict[str, object]]:
+def closure_rank_losses(dynamics: Dynamics, along: DynamicsAlongMotion, platform: Motion) -> list[dict[str, object]]:
     """Return "time", s, and pose "x" of each rank loss of the closures on the way: the branch is carried across it.
 
     ``along``: dynamics along samples of the platform's motion. Only where these show a rank loss are more needed.

@@ -24,7 +24,7 @@ from redundancy_pin.planners.limits import LimitEvent, LimitReport, ResolvedLimi
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus, SampleStatus
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ class Plan(Frozen):
         Raises:
             InputError: the trajectory is not that of the plan.
         """
-        platform, first, last = continuous_motion(trajectory), float(self.t[0]), float(self.t[-1])
+        platform, first, last = as_motion(trajectory), float(self.t[0]), float(self.t[-1])
         slack = SAME_TIME * (last - first)
         after = self.t > platform.end + slack
         if abs(platform.start - first) > slack or platform.end > last + slack or self.motion.xd[after].any():
@@ -349,7 +349,7 @@ def _plan(record: Mapping[str, Any], path: str | Path) -> Plan:
 
 
 def _functions(record: Mapping[str, Any]) -> PlanFunctions:
-    platform = _values(ContinuousMotion, record["platform"])
+    platform = _values(Motion, record["platform"])
     for name in ("breaks", "knots"):
         _require_array(f"functions, {name}", platform[name], "f", np.shape(platform[name])[:1] or (0,))
     for name, kind in (("start", float), ("end", float), ("moves_until", float), ("exact", bool)):
@@ -357,7 +357,7 @@ def _functions(record: Mapping[str, Any]) -> PlanFunctions:
             raise InputError(f"functions, {name} is {shown(platform[name])}, expected a finite {kind.__name__}")
     preferred = record["preferred"]
     return PlanFunctions(
-        platform=ContinuousMotion(**{**platform, "source": _polynomial(platform["source"])}),
+        platform=Motion(**{**platform, "source": _polynomial(platform["source"])}),
         carriers=_polynomial(record["carriers"]),
         prescribed=tuple(_polynomial(part) for part in record["prescribed"]),
         preferred=None if preferred is None else _polynomial(preferred),

@@ -28,7 +28,7 @@ from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.scales import column_scale, force_sizes, row_scale
-from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import SHIFT, PiecewisePolynomial, chebyshev_times
 
 if TYPE_CHECKING:
@@ -245,7 +245,7 @@ def motion_reference(
         UnreachablePoseError, SingularPoseError, WorkingModeError: as inverse dynamics.
     """
     positive(step, "step", "s")
-    robot, source = as_robot(robot), continuous_motion(motion)
+    robot, source = as_robot(robot), as_motion(motion)
     if isinstance(carriers, CarrierMotion):
         position = _between_samples(motion, carriers, robot.k)
     else:

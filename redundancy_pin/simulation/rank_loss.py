@@ -59,7 +59,7 @@ def rank_ratio(scaled: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class BranchMotion:
     """The state on a branch that has the z and ż of another state, with N and a₀.
 
     Attributes:
@@ -104,7 +104,7 @@ class Sheet:
         unit = self.solver.unit
         return float((v[self.independent] / unit).dot(self.passage.step / unit)) / self.passage.spacing
 
-    def at(self, q: Array, v: Array) -> Motion | None:
+    def at(self, q: Array, v: Array) -> BranchMotion | None:
         """Return the state on the branch that has the z and ż of q (nq,) and v (nv,); None beyond the passage."""
         robot, x = self.solver.robot, self.solver.coordinates_at(q)
         if not abs(self.position(q)) <= 1.05 * self.half:
@@ -115,7 +115,7 @@ class Sheet:
         columns, closed, speed = self.solver.chain.pose_columns, np.array(rated.state.q), v.copy()
         closed[robot.carrier_position] = q[robot.carrier_position]
         speed[columns] = rated.v[columns]
-        return Motion(closed, speed, rated.state.gamma, rated.a)
+        return BranchMotion(closed, speed, rated.state.gamma, rated.a)
 
     def rank_losses(self, fractions: Array, configurations: Array) -> Array:
         """Return (l,) complex roots of the determinants of the loops, which are known at m fractions of a step.

@@ -32,7 +32,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.classify import Margins, SingularityKind, classify, margins_of
 from redundancy_pin.singularities.roots import ZOOM, Zero, zeros
 from redundancy_pin.status import SampleStatus
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory
+from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory
 from redundancy_pin.trajectory.robot_motion import robot_motion
 
 SPACING = 0.01
@@ -100,7 +100,7 @@ def find_crossings(
     Args:
         robot: the robot, or its name or path; the motion is followed in its working mode.
         motion: a trajectory (evaluated exactly at every requested time), or N samples (interpolated by quintics
-            through x, ẋ, ẍ; see ``continuous_motion``).
+            through x, ẋ, ẍ; see ``as_motion``).
         spacing: longest step of the search along the path, in characteristic lengths.
         tolerance: scaled margin of W below which a minimum counts as touching type II.
         start: as in ``inverse_kinematics``, if the motion's first pose has been solved already.
@@ -200,9 +200,7 @@ class FollowedPath:
         SingularPoseError, WorkingModeError: the path cannot be followed in the robot's working mode.
     """
 
-    def __init__(
-        self, system: ConstraintSystem, law: ContinuousMotion, spacing: float, start: ClosedState | None = None
-    ) -> None:
+    def __init__(self, system: ConstraintSystem, law: Motion, spacing: float, start: ClosedState | None = None) -> None:
         self.system, self.law, self._follower = system, law, follower(system.robot)
         self.t = _sampling_times(system.robot, law, spacing)
         x = law.sample_at(self.t).x
@@ -290,7 +288,7 @@ class FollowedPath:
         return margins_of(self.system, self.system.evaluate(self.configurations(times)))
 
 
-def _sampling_times(robot: Robot, law: ContinuousMotion, spacing: float) -> Array:
+def _sampling_times(robot: Robot, law: Motion, spacing: float) -> Array:
     """Return (N,) times with steps of at most ``spacing`` characteristic lengths between them."""
     t = np.linspace(law.start, law.end, _FEWEST_STEPS + 1)
     x = law.sample_at(t).x

@@ -26,7 +26,7 @@ from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.trajectory import Trajectory, reference
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.workers import parallel
 
@@ -202,7 +202,7 @@ class Case:
         """Plan the case; errors as the planners."""
         dynamics, trajectory, given = self.dynamics(backend), self.trajectory(), dict(self.options)
         if self.planner in ("none", "parked"):
-            motion, source, k = trajectory.sample(self.dt), continuous_motion(trajectory), dynamics.robot.k
+            motion, source, k = trajectory.sample(self.dt), as_motion(trajectory), dynamics.robot.k
             parked = PiecewisePolynomial.constant(np.zeros(k), source.start, source.end)
             return finish_plan(
                 PlannedMotion(

@@ -50,7 +50,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.measures import numbers
 from redundancy_pin.studies.table import Record
-from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
 
 NO_MACHINE = (InfeasiblePlanError, UnreachablePoseError, SingularPoseError, WorkingModeError, DeclarationError)
 """What tells that a machine cannot carry out a task."""
@@ -309,7 +309,7 @@ def _planning_task(task: DesignTask, robot: Robot) -> Task:
     given = {key: rest.pop(key) for key in ("lam", "baseline", "base_point") if key in rest}
     objective = Objective(weights, **given, calm=0.0)  # machines are compared by least costs
     settings = checked_settings(robot, objective, *groups, **rest)
-    return Task(task.dynamics.for_robot(robot), continuous_motion(task.motion), settings)
+    return Task(task.dynamics.for_robot(robot), as_motion(task.motion), settings)
 
 
 def _keys(kind: type) -> set[str]:

@@ -61,7 +61,7 @@ FEW = 9
 
 
 @dataclass(frozen=True, eq=False)
-class ContinuousMotion(Frozen):
+class Motion(Frozen):
     """A platform motion over an interval, from a trajectory or from polynomials.
 
     Attributes:
@@ -133,7 +133,7 @@ class ContinuousMotion(Frozen):
         x, xd, xdd = np.split(_with_jumps(self.source, times, before, n), [-2 * n, -n], axis=1)
         return PlatformMotion(times, x.reshape(-1, 4, 4) if is_pose else x, xd, xdd, check_rates=False)
 
-    def prolonged_until(self, end: float) -> ContinuousMotion:
+    def prolonged_until(self, end: float) -> Motion:
         """Return the motion with the platform held where it is at the end, until a later time, s."""
         if not end > self.end:
             return self
@@ -161,7 +161,7 @@ class ContinuousMotion(Frozen):
         return PiecewisePolynomial.fit(values, edges, self.knots, scale, PLATFORM_TOLERANCE)
 
 
-def continuous_motion(motion: PlatformMotion | TimedTrajectory | ContinuousMotion) -> ContinuousMotion:
+def as_motion(motion: PlatformMotion | TimedTrajectory | Motion) -> Motion:
     """Return a trajectory or a sampled motion as a function of time.
 
     A trajectory gives its own exact motion. Between the samples of a motion stands the quintic that matches
@@ -175,7 +175,7 @@ def continuous_motion(motion: PlatformMotion | TimedTrajectory | ContinuousMotio
     if isinstance(motion, PlatformMotion):
         require_consistent(motion)
         return _from_samples(motion)
-    if isinstance(motion, ContinuousMotion):
+    if isinstance(motion, Motion):
         return motion
     if not is_timed(motion):
         require_sampled(motion)
@@ -183,10 +183,10 @@ def continuous_motion(motion: PlatformMotion | TimedTrajectory | ContinuousMotio
     breaks, knots = (
         frozen([t for t in times if start < t < end]) for times in (motion.breaks, getattr(motion, "knots", ()))
     )
-    return ContinuousMotion(motion, start, end, end, breaks, knots, getattr(motion, "exact", True))
+    return Motion(motion, start, end, end, breaks, knots, getattr(motion, "exact", True))
 
 
-def _from_samples(motion: PlatformMotion) -> ContinuousMotion:
+def _from_samples(motion: PlatformMotion) -> Motion:
     if motion.t[0] == motion.t[-1]:
         raise InputError("The motion has a single instant.", remedy="Pass at least two samples.")
     values = _in_quaternions(motion) if motion.is_pose else (motion.x, motion.xd, motion.xdd)
@@ -203,7 +203,7 @@ def _from_samples(motion: PlatformMotion) -> ContinuousMotion:
     breaks = frozen(motion.t[motion.jumps])
     knots = frozen(np.setdiff1d(edges[1:-1], breaks))
     source = _PosesBetween(polynomials, breaks) if motion.is_pose else polynomials
-    return ContinuousMotion(source, float(edges[0]), float(edges[-1]), float(edges[-1]), breaks, knots, False)
+    return Motion(source, float(edges[0]), float(edges[-1]), float(edges[-1]), breaks, knots, False)
 
 
 def _in_quaternions(motion: PlatformMotion) -> tuple[Array, Array, Array]:

@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from redundancy_pin.arrays import Array, Frozen, frozen, read_only
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.continuous_motion import Motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 FOR_EVER = 1e9
@@ -115,7 +115,7 @@ class ScaledMotion(Frozen):
         scaling: σ of time; from ``start`` on σ begins with the motion.
     """
 
-    motion: ContinuousMotion
+    motion: Motion
     scaling: TimeScaling
 
     @property

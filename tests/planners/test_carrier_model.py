@@ -11,14 +11,14 @@ from redundancy_pin import PlatformMotion, RneaDynamics, VirtualWork, load_robot
 from redundancy_pin.planners.carrier_model import Actuation, TimedModel, carrier_model
 from redundancy_pin.singularities.roots import below_zero, minima
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, reference
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 
 def test_model_is_that_of_the_backend():
     """At random times: relative to each group of coefficients, ten times the tolerance of the interpolation."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr", cylinder_mass=0.3, piston_mass=0.2)), reference.circle()
-    motion = continuous_motion(trajectory)
+    motion = as_motion(trajectory)
     times = np.sort(np.random.default_rng(3).uniform(0.0, trajectory.duration, 2000))
     model = TimedModel.of(dynamics, motion, 0.0, trajectory.duration).at(times)
     exact = carrier_model(dynamics.along(trajectory.sample_at(times)))
@@ -33,7 +33,7 @@ def test_jump_has_two_sides():
     """The 3-RRR corner: the acceleration jumps where the straight meets the arc, and f with it."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("3rrr")), reference.corner()
     t = trajectory.breaks[:1]
-    model = TimedModel.of(dynamics, continuous_motion(trajectory), 0.6, 1.2)
+    model = TimedModel.of(dynamics, as_motion(trajectory), 0.6, 1.2)
     both = dynamics.along(trajectory.sample_at(np.repeat(t, 2))).reduce()
     for side, expected in (("left", both.f[0]), ("right", both.f[1])):
         np.testing.assert_allclose(model.at(t, side).f0[0], expected, atol=1e-10)
@@ -89,7 +89,7 @@ def test_sampled_motion_keeps_both_sides_of_a_jump():
     exact = trajectory.sample(1e-2)
     t = np.repeat(trajectory.breaks, 2)
     jump = exact.xdd[np.flatnonzero(exact.jumps)] - exact.xdd[np.flatnonzero(exact.jumps) - 1]
-    motion = continuous_motion(exact)
+    motion = as_motion(exact)
     both = motion.sample_at(t)
     np.testing.assert_allclose(both.xdd[1::2] - both.xdd[::2], jump, atol=1e-9)  # rounding of x over Δt²
     np.testing.assert_array_equal(motion.breaks, trajectory.breaks)
@@ -100,7 +100,7 @@ def test_sampled_motion_keeps_both_sides_of_a_jump():
 def test_samples_however_dense_give_the_acceleration(dt):
     """Between the samples, on an exact circle: Δt³ x⁗' or the rounding of x over Δt², whichever the form leaves."""
     trajectory = reference.circle()
-    motion = continuous_motion(trajectory.sample(dt))
+    motion = as_motion(trajectory.sample(dt))
     t = np.random.default_rng(1).uniform(0.5, 2.3, 500)
     t.sort()
     exact, ours = trajectory.sample_at(t), motion.sample_at(t)
@@ -119,14 +119,14 @@ def test_samples_of_a_slow_motion_give_the_acceleration_too(dt):
         return PlatformMotion(t, place, rate * place[:, ::-1] * [-1.0, 1.0], -(rate**2) * place)
 
     times = np.sort(np.random.default_rng(1).uniform(0.0, 2.0, 3000))
-    ours = continuous_motion(circle(np.arange(0.0, 2.0 + dt, dt))).sample_at(times)
+    ours = as_motion(circle(np.arange(0.0, 2.0 + dt, dt))).sample_at(times)
     assert np.abs(ours.xdd - circle(times).xdd).max() < 1e-9 * rate**2 * radius
 
 
 def test_between_samples_at_rest_there_is_a_motion():
     """The quintic from rest to rest, all of it: velocity and acceleration too, although no sample has any."""
     still, length, duration = np.zeros((2, 2)), 0.1, 0.5
-    motion = continuous_motion(PlatformMotion(np.array([0.0, duration]), np.array([[0.0, 0.3], [length, 0.3]]), still,
+    motion = as_motion(PlatformMotion(np.array([0.0, duration]), np.array([[0.0, 0.3], [length, 0.3]]), still,
                                               still))  # fmt: skip
     ours = motion.sample_at(np.array([0.1, 0.25]))
     u = ours.t / duration
@@ -142,7 +142,7 @@ def test_the_worst_condition_number_is_that_of_dense_samples():
     dynamics = RneaDynamics(load_robot("2rpr"))
     line = Line((0.1, 0.05), (0.4, 0.03))
     beside = Trajectory(line, SpeedProfile(line.length, 0.1, 0.1))
-    actuation = Actuation.along(dynamics, continuous_motion(beside))
+    actuation = Actuation.along(dynamics, as_motion(beside))
     reduced = dynamics.along(beside.sample_at(np.linspace(0.0, beside.duration, 4001))).reduce()
     values = np.linalg.svd(reduced.W / reduced.row_scale[:, None] / reduced.column_scale, compute_uv=False)
     condition = values[:, 0] / values[:, -1]

@@ -15,7 +15,7 @@ from redundancy_pin.cli import main
 from redundancy_pin.planners.intersample_check import closure_rank_losses
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 
 DURATION = 2.0
 
@@ -46,7 +46,7 @@ def test_time_and_pose_of_each_rank_loss_are_named(first: float, last: float, fl
     # where two branches cross the determinant changes its sign, and the ratio of singular values is small
     assert margin[0] * margin[-1] * (-1.0) ** len(flat) > 0.0
     assert all(np.abs(margin[np.abs(motion.x[:, 0] - angle).argmin()]) < 0.05 for angle in flat)
-    crossings = closure_rank_losses(dynamics, dynamics.along(motion), continuous_motion(motion))
+    crossings = closure_rank_losses(dynamics, dynamics.along(motion), as_motion(motion))
     np.testing.assert_allclose([loss["time"] for loss in crossings], [when(first, last, a) for a in flat], atol=EXACT)
     np.testing.assert_allclose(np.ravel([loss["x"] for loss in crossings]), flat, atol=EXACT)
 
@@ -55,14 +55,14 @@ def test_time_and_pose_of_each_rank_loss_are_named(first: float, last: float, fl
 def test_two_loops_that_are_flat_at_once_are_one_pose() -> None:
     """The determinant keeps its sign there: it is a product of two that change theirs."""
     dynamics, motion = rp.RneaDynamics(row_of_four_bars(2)), swing(1.2, -0.9)
-    crossings = closure_rank_losses(dynamics, dynamics.along(motion), continuous_motion(motion))
+    crossings = closure_rank_losses(dynamics, dynamics.along(motion), as_motion(motion))
     assert [loss["time"] for loss in crossings] == pytest.approx([when(1.2, -0.9, 0.0)], abs=1e-4)
 
 
 def test_a_linkage_that_is_never_flat_has_none() -> None:
     """A crank that turns: the shortest and the longest side are together shorter than the other two."""
     dynamics, motion = rp.RneaDynamics(four_bar((1.0, 3.0, 3.0, 4.0), 1.2, 1)), swing(1.2, 7.0)
-    assert closure_rank_losses(dynamics, dynamics.along(motion), continuous_motion(motion)) == []
+    assert closure_rank_losses(dynamics, dynamics.along(motion), as_motion(motion)) == []
 
 
 def test_plans_and_their_check_name_it() -> None:

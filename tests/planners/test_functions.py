@@ -9,13 +9,13 @@ from prescribed import reduced
 
 from redundancy_pin.planners.functions import DEGREE, PlanFunctions, apart
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times
 
 
 def functions(**options: object) -> PlanFunctions:
     parked = PiecewisePolynomial.constant(np.zeros(1), 0.0, 1.0)
-    return PlanFunctions(continuous_motion(reference.corner()), parked, **options)
+    return PlanFunctions(as_motion(reference.corner()), parked, **options)
 
 
 def test_of_all_efforts_the_nearest_to_the_preferred_ones_are_taken() -> None:

@@ -22,7 +22,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import RestToRest, SplinePath, Trajectory, reference, rounded_polygon, with_constant
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 MANY = 100 * int(os.environ.get("EXAMPLES", "1"))
@@ -57,7 +57,7 @@ def test_pieces_are_halved_where_the_peak_is_and_hardly_elsewhere() -> None:
     robot, path = zoo.robot_of("3rrr"), cusp(2e-2)
     motion = Trajectory(with_constant(path, 0.0), RestToRest(path.length, 2.0))
     place = PiecewisePolynomial.constant(np.zeros(3), 0.0, 2.0)
-    peaks = extremes_between(rp.VirtualWork(robot), PlanFunctions(continuous_motion(motion), place), 0.0, 2.0)
+    peaks = extremes_between(rp.VirtualWork(robot), PlanFunctions(as_motion(motion), place), 0.0, 2.0)
     other, t = rp.RneaDynamics(robot), np.linspace(0.0, 2.0, 2001)
     for _ in range(3):
         tau = np.abs(rp.distribute(other.reduce(motion.sample_at(t))).tau).max(axis=1)
@@ -72,14 +72,14 @@ def test_a_spike_a_thousandth_of_a_piece_wide_is_resolved() -> None:
     robot = zoo.robot_of("3rrr")
     still = rp.PlatformMotion([0.0, 1.0], np.tile([1.0, 0.5, 0.0], (2, 1)), np.zeros((2, 3)), np.zeros((2, 3)))
     place = PiecewisePolynomial.constant(np.zeros(3), 0.0, 1.0)
-    parked = PlanFunctions(continuous_motion(still), place)
+    parked = PlanFunctions(as_motion(still), place)
     at_rest = extremes_between(rp.VirtualWork(robot), parked, 0.0, 1.0)
     width, size = 1e-5, 10.0
     edges = np.array([0.0, 0.5 - width, 0.5, 0.5 + width, 1.0])
     zero, bump = np.zeros((1, 4, 3)), np.zeros((1, 4, 3))
     bump[0, 1:3, 0] = [0.5 * size, -0.5 * size]
     pulse = PiecewisePolynomial(edges, np.concatenate([bump, zero, zero])).made_continuous()
-    peaks = extremes_between(rp.VirtualWork(robot), PlanFunctions(continuous_motion(still), pulse), 0.0, 1.0)
+    peaks = extremes_between(rp.VirtualWork(robot), PlanFunctions(as_motion(still), pulse), 0.0, 1.0)
     mass = float(robot.model.inertias[robot.model.getJointId(robot.carriers[0])].mass)
     change = np.abs(peaks.value[:, 3]).max() - np.abs(at_rest.value[:, 3]).max()
     assert change == pytest.approx(mass * size, rel=1e-3)
@@ -129,7 +129,7 @@ def test_a_singularity_crossed_twice_between_two_samples_has_no_peak(depth: floa
 def test_parked_carriers_have_no_peak_where_the_platform_crosses_the_line_of_the_bases() -> None:
     """There the two legs of the 2-RPR are parallel, and nothing pushes the platform across them."""
     robot, line = rp.load_robot("2rpr", end_effector_mass=0.2, cylinder_mass=0.1), reference.line(speed=0.2)
-    parked = PlanFunctions(continuous_motion(line), PiecewisePolynomial.constant(np.zeros(2), 0.0, line.duration))
+    parked = PlanFunctions(as_motion(line), PiecewisePolynomial.constant(np.zeros(2), 0.0, line.duration))
     peaks = extremes_between(rp.VirtualWork(robot), parked, 0.0, line.duration)
     infinite = peaks.ends[np.isinf(peaks.value[:, :2]).all(axis=1)]
     assert len(infinite)
@@ -193,7 +193,7 @@ def test_knots_of_a_path_are_where_it_is_resolved() -> None:
     assert distances[0] < 0.1 * distances[1]
     path = with_constant(sharp, 0.0)
     np.testing.assert_array_equal(path.knots, sharp.knots)
-    knots = continuous_motion(Trajectory(path, RestToRest(path.length, 1.0))).knots
+    knots = as_motion(Trajectory(path, RestToRest(path.length, 1.0))).knots
     assert np.diff(knots).min() > 1e-4
     assert len(knots) > 4
 
@@ -201,7 +201,7 @@ def test_knots_of_a_path_are_where_it_is_resolved() -> None:
 def test_efforts_that_jump_count_from_both_sides() -> None:
     """Carriers that stand, along a corner: the efforts are those of the robot on both sides of each jump."""
     robot, corner = zoo.robot_of("3rrr"), reference.corner()
-    parked = PlanFunctions(continuous_motion(corner), PiecewisePolynomial.constant(np.zeros(3), 0.0, corner.duration))
+    parked = PlanFunctions(as_motion(corner), PiecewisePolynomial.constant(np.zeros(3), 0.0, corner.duration))
     peaks = extremes_between(rp.VirtualWork(robot), parked, 0.0, corner.duration)
     both = rp.RneaDynamics(robot).reduce(corner.sample_at(np.repeat(corner.breaks, 2)))
     expected = np.abs(rp.distribute(both).tau)

@@ -13,13 +13,13 @@ from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import PlannedMotion
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 
 def parked_plan(dynamics: Dynamics, motion: rp.PlatformMotion, **settings: Any) -> Plan:
     """Return the plan of a sampled motion with the carriers at s = 0; ``settings`` as of ``PlannedMotion``."""
-    k, source = dynamics.robot.k, continuous_motion(motion)
+    k, source = dynamics.robot.k, as_motion(motion)
     return finish_plan(
         PlannedMotion(
             dynamics,

@@ -21,7 +21,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.status import ResultStatus, SampleStatus
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.continuous_motion import Motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 ANY_FLOAT = st.floats(allow_nan=True, allow_infinity=True)
@@ -117,7 +117,7 @@ def plans(draw: st.DrawFn) -> Plan:
         parameters=draw(st.dictionaries(KEYS, PLAIN, max_size=3)),
         diagnostics=draw(st.dictionaries(KEYS, PLAIN, max_size=3)),
         functions=PlanFunctions(
-            ContinuousMotion(pieces((16 if pose else n) + 2 * n), 0.0, 2.0, 2.0, floats(1), floats(2), True),
+            Motion(pieces((16 if pose else n) + 2 * n), 0.0, 2.0, 2.0, floats(1), floats(2), True),
             pieces(k or 1),
             prescribed=tuple(pieces(m) for _ in range(draw(st.integers(0, 2)))),
             preferred=draw(st.sampled_from([None, pieces(m)])),

@@ -22,7 +22,7 @@ from redundancy_pin.trajectory import (
     from_points,
     through_points,
 )
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.points import MOST_POINTS, read_points
 from redundancy_pin.trajectory.time_optimal import BLEND, fastest_law, least_duration
 from redundancy_pin.trajectory.timing import law_through_speeds
@@ -220,7 +220,7 @@ def test_planners_get_it_as_polynomials(name: str) -> None:
     """Its knots are known, so that few pieces resolve it to rounding."""
     motion = through(name)
     times = np.linspace(0.0, motion.duration, 999)
-    polynomials = continuous_motion(motion).polynomials
+    polynomials = as_motion(motion).polynomials
     exact = motion.sample_at(times)
     for part, columns in ((exact.x, slice(0, 2)), (exact.xd, slice(2, 4)), (exact.xdd, slice(4, 6))):
         assert np.abs(polynomials(times)[:, columns] - part).max() < 1e-8 * np.abs(part).max()

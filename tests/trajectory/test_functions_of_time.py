@@ -12,7 +12,7 @@ from zoo import robot_of, smooth_motion
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, preferred_middle
 
 EDGES = np.array([0.7, 0.75, 0.9])
@@ -91,7 +91,7 @@ def turning():
 @pytest.mark.parametrize("make", [reference.corner, reference.circle, turning])
 def test_a_trajectory_in_polynomials_is_the_trajectory(make):
     trajectory = make()
-    exact = continuous_motion(trajectory)
+    exact = as_motion(trajectory)
     t = np.sort(np.concatenate([np.linspace(0.0, trajectory.duration, 997), exact.breaks, exact.breaks]))
     ours = type(exact)(exact.polynomials, exact.start, exact.end, exact.moves_until, exact.breaks, exact.knots, True)
     mine, theirs = ours.sample_at(t), exact.sample_at(t)
@@ -102,7 +102,7 @@ def test_a_trajectory_in_polynomials_is_the_trajectory(make):
 
 
 def test_a_held_platform_stays_where_it_is():
-    motion = continuous_motion(reference.corner())
+    motion = as_motion(reference.corner())
     later = motion.prolonged_until(motion.end + 1.0)
     assert (later.breaks[-1], later.end) == (motion.end, motion.end + 1.0)
     samples = later.sample_at(np.array([0.5, motion.end, motion.end, motion.end + 0.5]))
@@ -113,7 +113,7 @@ def test_a_held_platform_stays_where_it_is():
 
 @pytest.mark.parametrize("make", [reference.corner, turning])
 def test_states_are_the_values_of_the_samples(make):
-    exact = continuous_motion(make())
+    exact = as_motion(make())
     polynomials = type(exact)(
         exact.polynomials, exact.start, exact.end, exact.moves_until, exact.breaks, exact.knots, True
     )
@@ -161,7 +161,7 @@ def tumbling(step):
 def pose_errors(step):
     exact, samples = tumbling(step)
     t = np.linspace(0.0, samples.t[-1], 499)
-    ours, theirs = continuous_motion(samples).sample_at(t), exact.at(t)
+    ours, theirs = as_motion(samples).sample_at(t), exact.at(t)
     return [np.abs(getattr(ours, part) - getattr(theirs, part)).max() for part in ("x", "xd", "xdd")]
 
 
@@ -184,7 +184,7 @@ def test_an_acceleration_of_poses_that_jumps_has_two_sides():
     twice = np.insert(np.arange(len(samples)), 8, 7)  # the sample at 0.35 s
     kick = np.where(np.arange(len(twice))[:, None] == 8, [0.0, 0.0, 1.0, 0.0, 2.0, 0.0], 0.0)
     motion = PlatformMotion(samples.t[twice], samples.x[twice], samples.xd[twice], samples.xdd[twice] + kick)
-    continuous = continuous_motion(motion)
+    continuous = as_motion(motion)
     assert continuous.breaks.tolist() == [samples.t[7]]
     there = continuous.sample_at(np.array([0.0, samples.t[7], samples.t[7], 0.5]))
     np.testing.assert_allclose(there.xdd[2] - there.xdd[1], kick[8], atol=1e-9)
@@ -195,7 +195,7 @@ def test_poses_that_do_not_say_which_way_they_turn_are_refused():
     turned = np.tile(np.eye(4), (2, 1, 1))
     turned[1, :3, :3] = Rotation.from_rotvec([0.0, 0.0, 3.1]).as_matrix()
     with pytest.raises(InputError, match=r"turns by 3.1 rad between its samples at 0 and 1 s.*more densely"):
-        continuous_motion(PlatformMotion([0.0, 1.0], turned, np.zeros((2, 6)), np.zeros((2, 6))))
+        as_motion(PlatformMotion([0.0, 1.0], turned, np.zeros((2, 6)), np.zeros((2, 6))))
 
 
 @pytest.mark.parametrize(("start", "length"), [(-1.0, 2.0), (-2.0, 2.0), (0.0, 2.0), (100.0, 2.0), (-1000.0, 2000.0)])

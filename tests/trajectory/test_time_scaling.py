@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.paths import ChainedPath, Line, circle_path
 from redundancy_pin.trajectory.time_scaling import ScaledMotion, TimeScaling
 
@@ -89,7 +89,7 @@ def test_what_is_past_is_forgotten() -> None:
 
 
 def test_rates_are_those_of_the_positions() -> None:
-    motion = continuous_motion(ScaledMotion(continuous_motion(reference.circle(speed=0.5)), SLOWER))
+    motion = as_motion(ScaledMotion(as_motion(reference.circle(speed=0.5)), SLOWER))
     assert motion.end > motion.source.motion.end + 0.1
     t = np.linspace(0.01, motion.end - 0.01, 300)
     t = t[np.abs(t[:, None] - motion.kinks).min(axis=1) > 2.0 * H]
@@ -107,10 +107,10 @@ def test_rates_are_those_of_the_positions() -> None:
 
 def test_knots_that_are_one_but_for_rounding_are_one() -> None:
     """A change of σ̇ begins at a tick, where the motion may have a knot; between both there is no time for samples."""
-    base = continuous_motion(reference.circle(speed=0.5))
+    base = as_motion(reference.circle(speed=0.5))
     knot = float(base.knots[0])
     for begin in (knot, np.nextafter(knot, 9.0), np.nextafter(knot, 0.0), knot + 1e-12):
-        motion = continuous_motion(ScaledMotion(base, TimeScaling.none(0.0).changed(begin, 0.5, 0.2)))
+        motion = as_motion(ScaledMotion(base, TimeScaling.none(0.0).changed(begin, 0.5, 0.2)))
         assert np.diff(motion.kinks).min() > 1e-9
         assert np.abs(motion.kinks - knot).min() < 1e-11
         assert len(motion.polynomials.edges) > 2  # samples in every piece
@@ -118,8 +118,8 @@ def test_knots_that_are_one_but_for_rounding_are_one() -> None:
 
 def test_changes_of_the_rate_begin_and_end_at_knots() -> None:
     """σ̇ begins to change at 0.2 s and 0.6 s, within 0.3 s and 0.25 s; the motion itself is smooth there."""
-    base = continuous_motion(reference.circle(speed=0.5))
-    motion = continuous_motion(ScaledMotion(base, SLOWER))
+    base = as_motion(reference.circle(speed=0.5))
+    motion = as_motion(ScaledMotion(base, SLOWER))
     changes = np.array([0.2, 0.5, 0.6, 0.85])
     assert np.abs(motion.kinks[:, None] - changes).min(axis=0).max() < 1e-12
 
@@ -128,7 +128,7 @@ def test_poses_turn_at_the_rates_they_say() -> None:
     start, end = np.eye(4), np.eye(4)
     end[:3, :3], end[:3, 3] = pin.exp3(np.array([0.9, -0.5, 1.1])), (0.1, 0.2, -0.1)
     trajectory = reference.pose(start, end, 1.5, "3-4-5")
-    motion = continuous_motion(ScaledMotion(continuous_motion(trajectory), SLOWER))
+    motion = as_motion(ScaledMotion(as_motion(trajectory), SLOWER))
     t = np.linspace(0.05, motion.end - 0.05, 100)
     t = t[np.abs(t[:, None] - motion.kinks).min(axis=1) > 2.0 * H]
     there, before, after = (motion.sample_at(t + shift) for shift in (0.0, -H, H))
@@ -140,7 +140,7 @@ def test_poses_turn_at_the_rates_they_say() -> None:
 def test_a_jump_of_the_acceleration_keeps_both_its_sides() -> None:
     """From an arc to a line it jumps; twice the same time asks for both."""
     path = ChainedPath([Line((0.1, 0.0), (0.0, 0.0)), circle_path((0.0, 0.1), 0.1, start_angle=-np.pi / 2, sweep=-2.0)])
-    motion = continuous_motion(Trajectory(path, SpeedProfile(path.length, 0.3, 0.2)))
+    motion = as_motion(Trajectory(path, SpeedProfile(path.length, 0.3, 0.2)))
     slowed = ScaledMotion(motion, SLOWER)
     assert len(motion.breaks) == 1
     (own,), (at,) = motion.breaks.tolist(), slowed.breaks.tolist()

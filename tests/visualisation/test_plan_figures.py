@@ -20,7 +20,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.status import ResultStatus, SampleStatus
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.visualisation.figures.plots import plan as plot_plan
 from redundancy_pin.visualisation.figures.style import save
@@ -85,7 +85,7 @@ def _plan(**changes: Any) -> Plan:
         planner="switch_off",
         backend="Rnea",
         robot=record,
-        functions=PlanFunctions(continuous_motion(motion), PiecewisePolynomial.constant(np.zeros(2), T[0], T[-1])),
+        functions=PlanFunctions(as_motion(motion), PiecewisePolynomial.constant(np.zeros(2), T[0], T[-1])),
         between=IntersamplePeaks(np.nanmax(np.abs(tau), axis=0), np.zeros(2), np.zeros(2), 1.0, 0),
         parameters={"threshold": 7.0, "measure": "condition"},
         diagnostics={"singular_instants": [0.5]},

@@ -12,7 +12,7 @@ from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only, require
 from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
 from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.spectrum import scaled, spectrum_of
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.continuous_motion import Motion
 
 MOST_NODES = 100_000  # unknowns and rows of the programme are a few dozen times as many
 
@@ -43,7 +43,7 @@ class Grid:
         return read_only(np.diff(self.t))
 
 
-def grid_of(source: ContinuousMotion, singular: Sequence[float], dt: float, ends: bool = False) -> Grid:
+def grid_of(source: Motion, singular: Sequence[float], dt: float, ends: bool = False) -> Grid:
     """Return nodes at most ``dt`` apart, with every event on a node.
 
     ``singular``: times on a type II singularity, s; ``dt``: largest step, s; ``ends``: steps become shorter towards
@@ -71,7 +71,7 @@ def grid_of(source: ContinuousMotion, singular: Sequence[float], dt: float, ends
     return _grid(t, np.isin(t, on), np.zeros(len(t), dtype=bool))
 
 
-def first_mesh(dynamics: Dynamics, source: ContinuousMotion, dt: float, ends: bool = False) -> Grid:
+def first_mesh(dynamics: Dynamics, source: Motion, dt: float, ends: bool = False) -> Grid:
     """Return the nodes of ``grid_of``, singular instants among them, and a middle in each step beside a singularity."""
     grid = grid_of(source, Actuation.along(dynamics, source).singular_instants, dt, ends)
     near = near_singular(dynamics.along(source.sample_at(grid.t)).reduce())

@@ -43,7 +43,7 @@ from redundancy_pin.planners.optimal.mesh import Grid, resample
 from redundancy_pin.planners.optimal.objectives import Scales, Settings
 from redundancy_pin.spectrum import scaled
 from redundancy_pin.trajectory import Side
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.continuous_motion import Motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times
 
 SDD = 4
@@ -68,7 +68,7 @@ class Task:
     """A planning task: what does not depend on the nodes."""
 
     dynamics: Dynamics
-    source: ContinuousMotion
+    source: Motion
     settings: Settings
 
 
@@ -301,7 +301,7 @@ def singular_nodes(task: Task, grid: Grid, read: Reader) -> tuple[SingularNode, 
 
 def singular_node(
     dynamics: Dynamics,
-    source: ContinuousMotion,
+    source: Motion,
     index: int,
     t: float,
     read: Reader = carrier_model,
@@ -339,7 +339,7 @@ def singular_node(
     return SingularNode(index, read_only(u[:, kept:].T / reduced.row_scale), rate, symbols)
 
 
-def _require_crossing(rate: Array, source: ContinuousMotion, t: float) -> None:
+def _require_crossing(rate: Array, source: Motion, t: float) -> None:
     """Check that the singular values that vanish do so at a rate; ``rate`` (r, r or more), 1/s, is that of W there."""
     slowest = float(np.linalg.svd(rate, compute_uv=False)[-1]) if rate.size else 0.0
     changed = slowest * (source.end - source.start)
@@ -357,7 +357,7 @@ def _require_crossing(rate: Array, source: ContinuousMotion, t: float) -> None:
     )
 
 
-def _spread(source: ContinuousMotion) -> Array:
+def _spread(source: Motion) -> Array:
     return np.linspace(source.start, source.end, 101)
 
 
@@ -368,7 +368,7 @@ DEGREE = 5
 """Of the polynomials in time whose derivatives they are."""
 
 
-def _rate_of_model(dynamics: Dynamics, source: ContinuousMotion, t: float, read: Reader, side: Side) -> CarrierModel:
+def _rate_of_model(dynamics: Dynamics, source: Motion, t: float, read: Reader, side: Side) -> CarrierModel:
     """Return derivatives by time of the coefficients that are read off at times around an instant."""
     edges, times = times_beside(source, t, side)
     model = read(dynamics.along(source.sample_at(times)))
@@ -381,7 +381,7 @@ def _rate_of_model(dynamics: Dynamics, source: ContinuousMotion, t: float, read:
     return CarrierModel(np.array([t]), *(rate(np.asarray(part)) for part in parts))
 
 
-def times_beside(source: ContinuousMotion, t: float, side: Side) -> tuple[Array, Array]:
+def times_beside(source: Motion, t: float, side: Side) -> tuple[Array, Array]:
     """Return (2,) ends of a smooth stretch that holds an instant, s, and times in it for a polynomial."""
     kinks = source.kinks
     ahead = t == source.start or (side == "right" and t < source.end)

@@ -16,7 +16,7 @@ from redundancy_pin.planners.intersample_check import LOWERED, IntersampleCheck,
 from redundancy_pin.planners.optimal.nlp import Solution
 from redundancy_pin.planners.optimal.problem import Problem, Task
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, with_seconds
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.continuous_motion import Motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 PHASES = ("optimised",)
@@ -39,7 +39,7 @@ class Planning:
     name: str
     task: Task
     solve: Callable[[Problem, Mapping[str, Array] | None, Callable[[Solution], bool]], Multistart]
-    platform: Callable[[Problem, Solution], ContinuousMotion]
+    platform: Callable[[Problem, Solution], Motion]
     finer: Callable[[Problem, Solution, IntersampleCheck, BoolArray, bool], Problem]
 
     def planned(self, problem: Problem, solution: Solution) -> PlannedMotion:

@@ -26,7 +26,7 @@ from redundancy_pin.planners.optimal.problem import Problem, Task, required
 from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
 from redundancy_pin.planners.optimal.solve import Multistart, multistart
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import Motion, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Path
 from redundancy_pin.trajectory.timing import TimingLaw, uniform_law
@@ -135,7 +135,7 @@ def plan_time_optimal(
     often, bound = whole(refinements, "refinements", 0, MOST_REFINEMENTS), positive(seconds, "seconds", "s")
     if robot.k:
         require_carriers(robot)
-    unit = continuous_motion(Trajectory(path, uniform_law(path.length, path.length)))
+    unit = as_motion(Trajectory(path, uniform_law(path.length, path.length)))
     if lap:
         _require_closed(unit)
     settings = Settings(
@@ -191,13 +191,13 @@ def _solve(
     )
 
 
-def platform_of(path: Path, problem: Problem, solution: Solution) -> ContinuousMotion:
+def platform_of(path: Path, problem: Problem, solution: Solution) -> Motion:
     """Return the motion of the platform along the path by the law of a solution."""
     law, t = law_of(problem, solution), problem.times(solution.values)
     breaks = t[:-1][problem.grid.h == 0.0]
     knots = frozen(np.setdiff1d(law.edges[1:-1], breaks))
     timed = Trajectory(path, TimingLaw.of(law, path.length))
-    return ContinuousMotion(timed, law.start, law.end, law.end, frozen(breaks), knots, True)
+    return Motion(timed, law.start, law.end, law.end, frozen(breaks), knots, True)
 
 
 def _finer(
@@ -234,7 +234,7 @@ def finer_nodes(grid: Grid, times: Array, law: Callable[[Array], Array], exceedi
     return with_nodes(grid, marked, places, ~is_long[marked])
 
 
-def _require_closed(unit: ContinuousMotion) -> None:
+def _require_closed(unit: Motion) -> None:
     ends = unit.sample_at(np.array([unit.start, unit.end]))
     apart = float(np.abs(np.diff(ends.x, axis=0)).max() + np.abs(np.diff(ends.xd, axis=0)).max())
     if apart > 1e-9:

@@ -28,7 +28,7 @@ from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_gue
 from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
-from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 BESIDE = 4
@@ -172,7 +172,7 @@ def plan_whole_trajectory(
         datum=datum,
         at_most=at_most,
     )
-    return optimise(Task(dynamics, continuous_motion(motion), settings))[0]
+    return optimise(Task(dynamics, as_motion(motion), settings))[0]
 
 
 def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[Plan, Outcome]:

@@ -11,10 +11,10 @@ import numpy as np
 from redundancy_pin.arrays import Array, Frozen, frozen, require_type
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion, is_timed
+from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory, as_motion, is_timed
 from redundancy_pin.trajectory.time_scaling import TimeScaling, scaled_rates
 
-Source: TypeAlias = "Preview | TimedTrajectory | PlatformMotion | ContinuousMotion | Callable[[Array], PlatformMotion]"
+Source: TypeAlias = "Preview | TimedTrajectory | PlatformMotion | Motion | Callable[[Array], PlatformMotion]"
 """A trajectory, samples, or what returns the motion at (N,) times, s."""
 
 STILL = 1e-9
@@ -49,7 +49,7 @@ class Preview(Frozen):
         if isinstance(self.motion, _Scaled):
             return self.motion.states(times)
         continuous = getattr(self.motion, "__self__", None)
-        if isinstance(continuous, ContinuousMotion) and self.motion == continuous.sample_at:
+        if isinstance(continuous, Motion) and self.motion == continuous.sample_at:
             return continuous.states_at(times)  # whose values nobody need look at again
         motion = self.motion(times)
         return motion.x, motion.xd, motion.xdd
@@ -70,8 +70,8 @@ class Preview(Frozen):
         """
         if isinstance(source, Preview):
             return source
-        if isinstance(source, (ContinuousMotion, PlatformMotion)) or is_timed(source):
-            known = source if isinstance(source, ContinuousMotion) else continuous_motion(source)
+        if isinstance(source, (Motion, PlatformMotion)) or is_timed(source):
+            known = source if isinstance(source, Motion) else as_motion(source)
             ends = known.sample_at(np.linspace(known.start, known.end, 9)).xd
             rests = np.abs(ends[-1]).max() <= STILL * np.abs(ends).max()
             polynomials = replace(known, source=known.polynomials)

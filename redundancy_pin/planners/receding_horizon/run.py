@@ -22,7 +22,7 @@ from redundancy_pin.planners.receding_horizon.command import Command
 from redundancy_pin.planners.receding_horizon.planner import RecedingHorizon
 from redundancy_pin.planners.receding_horizon.preview import place_of
 from redundancy_pin.status import UpdateStatus
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 from redundancy_pin.trajectory.time_scaling import ScaledMotion, TimeScaling
 
@@ -99,7 +99,7 @@ def run_online(
         )
     if planner.started:
         raise InputError("The planner has plans of another run.", remedy="Pass a new RecedingHorizon.")
-    source, at = continuous_motion(motion), each(start, "start", (planner.robot.k,), finite=True)
+    source, at = as_motion(motion), each(start, "start", (planner.robot.k,), finite=True)
     commands: list[Command] = []
     pieces, edges = [], [source.start]
     t, end = source.start, source.end
@@ -155,7 +155,7 @@ def run_online(
     return OnLineRun(plan, tuple(commands))
 
 
-def _require_progress(command: Command, source: ContinuousMotion, planner: RecedingHorizon) -> None:
+def _require_progress(command: Command, source: Motion, planner: RecedingHorizon) -> None:
     """Check that a run goes on.
 
     Raises:
@@ -195,7 +195,7 @@ def _require_progress(command: Command, source: ContinuousMotion, planner: Reced
         )
 
 
-def _followed(source: ContinuousMotion, commands: list[Command], edges: list[float]) -> ContinuousMotion:
+def _followed(source: Motion, commands: list[Command], edges: list[float]) -> Motion:
     """Return the motion of the platform, which each command led from one edge to the next, s."""
     if commands[-1].scaling is None:
         return source
@@ -204,7 +204,7 @@ def _followed(source: ContinuousMotion, commands: list[Command], edges: list[flo
     for i, after in zip(starts, [*starts[1:], None], strict=True):
         own = (commands[i].scaling or TimeScaling.none(edges[0])).curve
         parts.append(own.between(edges[i], own.end if after is None else edges[after]))
-    return continuous_motion(ScaledMotion(source, TimeScaling(PiecewisePolynomial.joined(parts))))
+    return as_motion(ScaledMotion(source, TimeScaling(PiecewisePolynomial.joined(parts))))
 
 
 def singular_instants_met(commands: Sequence[Command]) -> Array:
@@ -218,7 +218,7 @@ def singular_instants_met(commands: Sequence[Command]) -> Array:
 
 
 def pieces_of(
-    planner: RecedingHorizon, source: ContinuousMotion, carriers: PiecewisePolynomial, commands: list[Command]
+    planner: RecedingHorizon, source: Motion, carriers: PiecewisePolynomial, commands: list[Command]
 ) -> list[tuple[PiecewisePolynomial, float]]:
     """Return the efforts where W⁻¹ f magnifies what is left of f, and the force missing there, N.
 

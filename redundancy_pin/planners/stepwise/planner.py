@@ -36,7 +36,7 @@ from redundancy_pin.planners.stepwise.course import (
 )
 from redundancy_pin.planners.stepwise.step import AccelerationBox, OptimisedSteps, gradient_tolerance
 from redundancy_pin.robot import Robot
-from redundancy_pin.trajectory.continuous_motion import continuous_motion, is_timed
+from redundancy_pin.trajectory.continuous_motion import as_motion, is_timed
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 LEAST_MARGIN = 1e-3
@@ -175,7 +175,7 @@ def plan_stepwise(
     carriers, phase = _samples(motion, course, len(instants))
     added = course.t[len(instants) :]
     position = PiecewisePolynomial.joined(course.position).made_continuous()
-    platform = continuous_motion(trajectory if is_timed(trajectory) else motion)
+    platform = as_motion(trajectory if is_timed(trajectory) else motion)
     aimed_at = None
     if baseline is not None:
         aimed_at = repr(baseline.robot) if is_dynamics(baseline) else "efforts"

@@ -17,7 +17,7 @@ from redundancy_pin.planners.switch_off.carrier_equation import CarrierEquation,
 from redundancy_pin.singularities.roots import Interval, minima
 from redundancy_pin.spectrum import null_directions, spectrum_of
 from redundancy_pin.trajectory import boundary_polynomial
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.continuous_motion import Motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 
@@ -55,7 +55,7 @@ class Crossing:
 
 
 def cross(
-    dynamics: Dynamics, motion: ContinuousMotion, window: Interval, ramp_time: float, datum: Array, row_scale: Array
+    dynamics: Dynamics, motion: Motion, window: Interval, ramp_time: float, datum: Array, row_scale: Array
 ) -> Crossing:
     """Integrate the carriers through one window (steps 3 and 4 of Parsa 2014, section 3.1; eqs 3.5 and 3.6).
 
@@ -91,7 +91,7 @@ _TOLERANCE = 1e-11
 
 
 def ramp_down(
-    dynamics: Dynamics, motion: ContinuousMotion, start: float, window: Interval, datum: Array
+    dynamics: Dynamics, motion: Motion, start: float, window: Interval, datum: Array
 ) -> tuple[PiecewisePolynomial, Array]:
     """Return the main efforts (m,) until the end of a window, N or N·m, and the parked efforts at its start.
 

@@ -23,7 +23,7 @@ from redundancy_pin.planners.limits import Limits, require_motion, return_durati
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off.crossing import Crossing, cross
 from redundancy_pin.singularities.roots import Interval
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 MOST_SAMPLES = 1_000_000
@@ -113,7 +113,7 @@ def plan_switch_off(
         datum=Limits().resolved(robot).on_track(datum, "datum"),
         dt=positive(dt, "dt", "s"),
     )
-    source = continuous_motion(motion)
+    source = as_motion(motion)
     samples = (source.end - source.start) / settings.dt
     require_few(samples, MOST_SAMPLES, f"dt = {settings.dt:g} s makes {{}} samples", "Use a larger dt.", dt=settings.dt)
     actuation = Actuation.along(dynamics, source)
@@ -132,7 +132,7 @@ def plan_switch_off(
 
 
 def _return(
-    dynamics: Dynamics, source: ContinuousMotion, crossing: Crossing, settings: SwitchOffSettings, later: list[Interval]
+    dynamics: Dynamics, source: Motion, crossing: Crossing, settings: SwitchOffSettings, later: list[Interval]
 ) -> PiecewisePolynomial | None:
     """Return the carriers' way back after a crossing; None where it does not end before the next window."""
     state, end = crossing.exit, source.end
@@ -155,7 +155,7 @@ def _return(
 
 
 def _shortest_return(
-    dynamics: Dynamics, source: ContinuousMotion, state: CarrierState, datum: Array, room: float, later: bool
+    dynamics: Dynamics, source: Motion, state: CarrierState, datum: Array, room: float, later: bool
 ) -> PiecewisePolynomial | None:
     """Return the shortest return within ``room``, s; None where none keeps the limits before a later window."""
     if room <= 0.0:
@@ -201,7 +201,7 @@ def _require_inside(window: Interval, start: float, end: float, ramp_down: float
 
 def _assemble_plan(
     dynamics: Dynamics,
-    source: ContinuousMotion,
+    source: Motion,
     crossings: list[Returned],
     settings: SwitchOffSettings,
     actuation: Actuation,
@@ -242,7 +242,7 @@ def _assemble_plan(
     return finish_plan(planned)
 
 
-def _position(source: ContinuousMotion, crossings: list[Returned], settings: SwitchOffSettings) -> PiecewisePolynomial:
+def _position(source: Motion, crossings: list[Returned], settings: SwitchOffSettings) -> PiecewisePolynomial:
     """Return the positions of the carriers (k,) over time: parked, through a window, back, and so on."""
     parts: list[PiecewisePolynomial] = []
     free = source.start
@@ -257,7 +257,7 @@ def _position(source: ContinuousMotion, crossings: list[Returned], settings: Swi
     return PiecewisePolynomial.joined(parts)
 
 
-def _sample_times(source: ContinuousMotion, crossings: list[Returned], settings: SwitchOffSettings) -> Array:
+def _sample_times(source: Motion, crossings: list[Returned], settings: SwitchOffSettings) -> Array:
     """Return a uniform grid, with the events and peaks of the carriers' motion, and each jump twice."""
     steps = int(np.ceil((source.end - source.start) / settings.dt - 1e-9))
     uniform = np.append(source.start + settings.dt * np.arange(steps), source.end)
@@ -275,7 +275,7 @@ def _sample_times(source: ContinuousMotion, crossings: list[Returned], settings:
 
 
 def _window(
-    dynamics: Dynamics, source: ContinuousMotion, crossing: Crossing, back: PiecewisePolynomial, singular: list[float]
+    dynamics: Dynamics, source: Motion, crossing: Crossing, back: PiecewisePolynomial, singular: list[float]
 ) -> dict[str, object]:
     """Return times, efforts and carriers of a crossing, as plain data."""
     start, end, state = crossing.start, crossing.end, crossing.exit

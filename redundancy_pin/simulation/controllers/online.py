@@ -19,7 +19,7 @@ from redundancy_pin.simulation.controllers.base import Command, Sampling
 from redundancy_pin.simulation.controllers.computed_torque import HISTORY, ComputedTorque
 from redundancy_pin.simulation.derivatives import state_error
 from redundancy_pin.simulation.state import State
-from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times
 
 PIECE = 0.01
@@ -30,7 +30,7 @@ class OnlineReference(MotionReference):
     """The platform's motion with the carriers and efforts of the latest plan."""
 
     def __init__(self, robot: Robot, motion: TimedTrajectory) -> None:
-        source = continuous_motion(motion)
+        source = as_motion(motion)
         own = np.unique(np.concatenate([source.kinks, np.arange(source.start, source.end, PIECE)]))
         edges = own[np.append(np.diff(own) > 1e-6, True)]
         times = chebyshev_times(edges)

@@ -23,7 +23,7 @@ from redundancy_pin.planners.optimal.solve import REACH, Multistart, Outcome, fi
 from redundancy_pin.planners.optimal.transcription import KINDS, relaxed_bounds, slack_name
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 
 LIMITS = {"jerk": (900.0, 700.0), "speed": (2.0, 1.5), "acceleration": (9.0, 8.0), "effort": (5.0, 4.0),
          "carrier_force": (30.0, 20.0), "track": [(-0.1, 0.15), (-0.2, 0.05)]}  # fmt: skip
@@ -32,7 +32,7 @@ LIMITS = {"jerk": (900.0, 700.0), "speed": (2.0, 1.5), "acceleration": (9.0, 8.0
 @cache
 def problem(end: str = "datum") -> Problem:
     dynamics = rp.VirtualWork(zoo.robot_of("2rpr"))
-    source = continuous_motion(reference.circle(0.5, 0.2, 0.05))
+    source = as_motion(reference.circle(0.5, 0.2, 0.05))
     bounds = {"effort": 4.0, "energy": 9.0}
     settings = checked_settings(
         dynamics.robot, Objective("peak"), Limits(**LIMITS), Mesh(0.1, 0), end=end, at_most=bounds
@@ -186,7 +186,7 @@ def test_a_platform_at_rest_is_scaled_by_what_its_carriers_do() -> None:
     t = np.linspace(0.0, 1.0, 20)
     still = np.zeros((20, 2))
     motion = rp.PlatformMotion(t, still + np.array([0.25, 0.2]), still, still)
-    source = continuous_motion(motion)
+    source = as_motion(motion)
     settings = checked_settings(dynamics.robot, Objective("effort"), Limits(acceleration=8.0), Mesh(0.1, 0))
     scales = read_problem(Task(dynamics, source, settings), grid_of(source, [], 0.1))[0].scales
     pushed = []

@@ -21,7 +21,7 @@ from redundancy_pin.planners.optimal.path_problem import read_path_problem
 from redundancy_pin.planners.optimal.problem import Problem, Task
 from redundancy_pin.planners.optimal.transcription import REGULARISATION_OF_TIME, RESERVE, transcribe
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line, Path, circle_path
 from redundancy_pin.trajectory.timing import uniform_law
@@ -60,7 +60,7 @@ def problem_of(dynamics, path, **settings):
 
 
 def unit_speed(path):
-    return continuous_motion(Trajectory(path, uniform_law(path.length, path.length)))
+    return as_motion(Trajectory(path, uniform_law(path.length, path.length)))
 
 
 @cache

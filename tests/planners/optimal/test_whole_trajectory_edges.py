@@ -14,7 +14,7 @@ from redundancy_pin.planners.carrier_model import carrier_model
 from redundancy_pin.planners.optimal.problem import singular_node
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line
 
@@ -195,7 +195,7 @@ def test_settings_of_the_wrong_kind_are_named(setting):
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_rates_of_a_fit_beside_a_jump_are_one_sided(side):
     """For curved tracks they come from differences, which must not reach across; for straight ones from elsewhere."""
-    dynamics, source = VirtualWork(zoo.robot_of("2rpr", **HEAVY)), continuous_motion(through_a_jump(0.0))
+    dynamics, source = VirtualWork(zoo.robot_of("2rpr", **HEAVY)), as_motion(through_a_jump(0.0))
     (t,) = source.breaks
     # any reader but the usual one is differentiated by differences
     readers = carrier_model, partial(carrier_model)

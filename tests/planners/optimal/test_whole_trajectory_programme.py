@@ -26,7 +26,7 @@ from redundancy_pin.planners.optimal.transcription import (
     transcribe,
 )
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import Motion, as_motion
 
 POINTS = 3
 
@@ -51,7 +51,7 @@ POINT = np.array([0.2, -0.3, 0.1])
 
 @dataclass(frozen=True)
 class Case:
-    source: ContinuousMotion
+    source: Motion
     other: rp.RneaDynamics | rp.VirtualWork
     baseline: rp.RneaDynamics | None
     problem: Problem
@@ -89,7 +89,7 @@ def case(name: str) -> Case:
         robot, motion = zoo.robot_of("2rpr", **HEAVY), reference.circle(0.5, 0.2, 0.05)
         planned, other = rp.RneaDynamics(robot), rp.VirtualWork(robot)
     limits = limits_of(robot)
-    source = continuous_motion(motion)
+    source = as_motion(motion)
     checked = checked_settings(robot, goal, Limits(**limits), Mesh(0.2), **settings)
     grid = first_mesh(planned, source, 0.2)
     problem = read_problem(Task(planned, source, checked), grid)[0]
@@ -394,7 +394,7 @@ def test_unknowns_are_bounded_by_the_limits_a_little_narrowed(name):
 
 @pytest.mark.parametrize("at", ["track", "datum", "speed", "inside"])
 def test_a_limit_on_which_the_carriers_begin_or_end_gives_way_by_less_than_counts(at):
-    robot, source = zoo.robot_of("2rpr"), continuous_motion(reference.circle(0.5, 0.2, 0.05))
+    robot, source = zoo.robot_of("2rpr"), as_motion(reference.circle(0.5, 0.2, 0.05))
     start = {"track": -0.2, "datum": 0.0, "speed": 0.0, "inside": -0.2 + 1e-3}[at]
     datum = {"datum": 0.3}.get(at, 0.1)
     speed = {"speed": -2.0}.get(at, 0.0)
@@ -420,7 +420,7 @@ def test_a_limit_on_which_the_carriers_begin_or_end_gives_way_by_less_than_count
 
 @pytest.mark.parametrize("limited", [True, False])
 def test_sizes_are_those_of_limits_or_of_the_parked_machine(limited):
-    robot, source = zoo.robot_of("3rrr", carrier_mass=3.0), continuous_motion(reference.corner(0.5))
+    robot, source = zoo.robot_of("3rrr", carrier_mass=3.0), as_motion(reference.corner(0.5))
     limits = limits_of(robot)
     if not limited:
         limits |= {"track": (-np.inf, np.inf), "speed": np.inf, "acceleration": np.inf}

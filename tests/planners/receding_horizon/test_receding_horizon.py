@@ -18,7 +18,7 @@ from redundancy_pin.planners.receding_horizon.run import pieces_of
 from redundancy_pin.planners.receding_horizon.tick import SHORTEST_STOP
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
-from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line, circle_path
 
@@ -130,7 +130,7 @@ def test_where_w_is_next_to_singular_only_the_lost_direction_is_not_balanced():
     rate = np.array([0.0, 0.0, -2.0])
     x = zoo.home_of(robot) + [0.1, 0.2, 0.0] + t[:, None] * rate  # at the centre W would lose rotation alone
     motion = rp.PlatformMotion(t, x, np.tile(rate, (40, 1)), np.zeros((40, 3)))
-    source = continuous_motion(motion)
+    source = as_motion(motion)
     dynamics, ends = rp.RneaDynamics(robot), np.array([0.0, 1.0])
     (crossing,) = rp.find_crossings(robot, motion)
     efforts = PiecewisePolynomial.linear(ends, np.array([[1.0, 2.0, 3.0], [2.0, 1.0, 0.0]]))
