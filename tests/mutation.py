@@ -109,7 +109,7 @@ def failed_test(copy: Path, cache: Path, tests: Sequence[str]) -> str:
         return "tests that do not end"
     if done.returncode == 0:
         return ""
-    failed = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+    failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
     return failed[1] if failed else done.stdout.strip().splitlines()[-1] if done.stdout.strip() else "an error"
 
 
@@ -153,6 +153,8 @@ def main() -> None:
         cache.mkdir(mode=0o700)
         for number, mutant in [*enumerate(mutants, 1)][given.first - 1 : given.last]:
             by = judge(mutant, copy, cache)
+            if "::" in by and failed_test(copy, cache, [by]):
+                raise SystemExit(f"{by} fails without a mutant too: mend it, its verdicts do not count")
             judged, survivors = judged + 1, survivors + (not by)
             print(f"{number}: {f'killed by {by}' if by else 'SURVIVED'}: {mutant}", flush=True)
     print(f"{judged - survivors} of {judged} killed")
