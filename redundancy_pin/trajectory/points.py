@@ -62,7 +62,7 @@ def from_points(
     - ``speed``: a cubic spline by arc length (curvature is continuous), at one cruising speed with ramps, or with a
       speed of its own at each point.
     - ``times="time-optimal"``: the same path in least time under ``max_speed`` and ``max_acceleration`` of the
-      platform (``time_optimal``; switches of the acceleration take 2 % of the duration).
+      platform, with a continuous acceleration (``fastest_law``).
 
     By speed it is at rest at the ends, or has the speeds given there; time-optimal it is at rest. Poses (three or more
     make a spline; two are joined directly) turn by splines of quaternions. By speed or
