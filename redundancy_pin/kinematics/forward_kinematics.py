@@ -30,7 +30,7 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
-from redundancy_pin.kinematics.branch import SAME_CONFIGURATION, ClosedState, known_state
+from redundancy_pin.kinematics.branch import SAME_CONFIGURATION, ClosedState, follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, joint_position, with_independent_joints
@@ -235,7 +235,7 @@ def _start(driven: Robot, q: Array) -> ClosedState:
             "which one is meant.",
             remedy="Start from a configuration nearby.",
         )
-    return known_state(driven, coordinates(driven, home.state)[0], q, home.gamma[0])
+    return follower(driven).state_at(q, coordinates(driven, home.state)[0], home.gamma[0])
 
 
 def _followed(system: ConstraintSystem, q: Array) -> IntArray:
