@@ -224,7 +224,7 @@ static int velocities_agree(const double *numbers, const Platform *platform, con
 /* All joints and the platform from the actuators. in: positions (M) and velocities (M) of the actuators, s (NK), sd (NK); out:
    q (NQ), v (NV), x (NX), xd (N), type II margin, residual. More actuators than DOF may contradict each other: the residual of positions,
    m, is then written, and the status is unreachable. State and reached are as of rp_reach. Returns a status, or FOR_KINEMATICS where
-   these may go on from reached, or from the state at a rank loss of the closures. */
+   these say why it is not solved, or go on, from reached, or from the state at a rank loss of the closures. */
 int rp_joint_state(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
   const double *position = in, *velocity = in + M, *s = velocity + M, *sd = s + NK;
   double last[NQ], *q = out, *v = q + NQ;
@@ -240,13 +240,12 @@ int rp_joint_state(const double *numbers, double *state, double *reached, const 
     recall(reached, &pose);
     status = follow_drives(numbers, &pose, position);
     copy(last, pose.q, NQ);
-    if (status) return M == N && is_next_to_singular(numbers, last) ? FOR_KINEMATICS : status;
-    status = platform_of(numbers, &pose, position, velocity, &platform);
+    if (!status) status = platform_of(numbers, &pose, position, velocity, &platform);
   }
   if (status == STATUS_NOT_FINITE) return status;
-  if (status != STATUS_OK && status != STATUS_NEAR_SINGULAR) { /* at the sample itself */
-    int singular = status == STATUS_TYPE_I || status == STATUS_BRANCH_LOST || is_next_to_singular(numbers, last);
-    return M == N && singular ? FOR_KINEMATICS : status;
+  if (status != STATUS_OK && status != STATUS_NEAR_SINGULAR) { /* kinematics say why, and may pass a rank loss */
+    int of_actuators = status == STATUS_TYPE_II && !is_next_to_singular(numbers, last);
+    return M > N || of_actuators ? status : FOR_KINEMATICS;
   }
   copy(q, pose.q, NQ);
   clear(v, NV);
