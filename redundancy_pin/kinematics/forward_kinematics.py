@@ -29,7 +29,13 @@ from redundancy_pin.arrays import (
     rows_of,
 )
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
-from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
+from redundancy_pin.kinematics.assembly import (
+    assemble,
+    closed_configurations,
+    configuration_difference,
+    integrate,
+    project,
+)
 from redundancy_pin.kinematics.branch import SAME_CONFIGURATION, ClosedState, follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
@@ -222,13 +228,7 @@ def _start(driven: Robot, q: Array) -> ClosedState:
         InputError: it is not closed.
         SingularPoseError: it is a type II singularity.
     """
-    motors = constraint_system(driven)
-    home = assemble(motors, q[None], max_iterations=0)
-    if not home.closed[0]:
-        raise InputError(
-            f"start does not close the chains of {driven.name}: they stay open by {home.residual[0]:.3g} m.",
-            remedy="Pass a configuration of inverse_kinematics, assembly_modes or forward_kinematics.",
-        )
+    home = closed_configurations(driven, q, "start")
     if home.projection.margin[0] == 0.0:
         raise SingularPoseError(
             f"The start is a type II singularity of {driven.name}: branches meet there, and the motors do not say "

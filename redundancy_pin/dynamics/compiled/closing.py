@@ -133,7 +133,8 @@ def follow_motors(robot: Robot, start: Start | None, position: Array, velocity: 
     motion = PlatformMotion(np.zeros(1), position[None], velocity[None], np.zeros((1, robot.m)), check_rates=False)
     tree = inverse_kinematics(driven, motion, start=_state_of(driven, start))
     q, v, gamma, own = tree.q[0], tree.v[0], tree.gamma[0], follower(robot)
-    closing_margin = own.margin(q, None)
+    closed = own.state_at(q)
+    closing_margin = 0.0 if closed is None else closed.margin
     own.chain.update(q, v)
     by_motors = own.chain.platform_jacobian() @ gamma
     sizes = np.linalg.svd(by_motors * row_scale(robot)[:, None] / column_scale(robot), compute_uv=False)
