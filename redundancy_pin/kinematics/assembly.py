@@ -97,6 +97,12 @@ class Assembly:
         """(N,) closed, and no type I singularity."""
         return self.closed & (self.projection.margin > 0.0)
 
+    @property
+    def singular(self) -> BoolArray:
+        """(N,) closed, at a type I singularity."""
+        singular: BoolArray = self.closed & (self.projection.margin == 0.0)
+        return singular
+
     @cached_property
     def in_mode(self) -> BoolArray:
         """(N,) in the robot's own working mode, closed or not."""
