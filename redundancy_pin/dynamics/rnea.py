@@ -158,7 +158,7 @@ class RneaDynamics(Dynamics):
             return without_answer(robot, SampleStatus.NOT_FINITE)
         if q is not None:
             here = follower(robot).state_at(q)
-            if here is None:
+            if here is None or here.margin == 0.0:
                 return without_answer(robot, SampleStatus.BRANCH_LOST)
         sample = self._regular_sample(given, here, t)
         if isinstance(sample, BranchEnd):

@@ -110,8 +110,8 @@ class Follower(LoopSolver):
         """Return the closed state at or next to a configuration, or None where there is none so near.
 
         Newton's method keeps the independent coordinates and moves the other joints, by rounding or the noise of
-        measurements. Where it moves them so far that K may be singular on the way, the chains may close on another
-        branch: there is no state then, nor where K is singular.
+        measurements. Where it moves those of an open configuration so far that K may be singular on the way, the chains
+        may close on another branch: there is no state then.
 
         Args:
             q: (nq,) a configuration, closed or nearly so, carriers at any place.
@@ -134,7 +134,9 @@ class Follower(LoopSolver):
             x = self.coordinates_at(parked)
         closed = self.close(parked, x)
         if closed is not None and not self.length(self.tangent(parked, closed.q)) < 0.5 * closed.margin:
-            closed = None
+            # next to a stretched leg even rounding moves far
+            was_closed = self.identity_error(parked, x, closed.gamma, None)[0] < CLOSURE_TOLERANCE
+            closed = closed if was_closed else None
         if gamma is None or (closed is not None and closed.margin > self.near):
             return closed
         residual, _ = self.identity_error(parked, x, gamma, None)

@@ -16,8 +16,10 @@ import numpy as np
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.dynamics.compiled.build import Library
 from redundancy_pin.dynamics.compiled.parameters import trig_at, turning_joints
-from redundancy_pin.errors import WorkingModeError
+from redundancy_pin.errors import SingularPoseError, WorkingModeError
+from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.branch import LONGEST_STEP, BranchEnd, ClosedState, follower
+from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import coordinates, difference, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
@@ -88,16 +90,20 @@ def _first_configuration(robot: Robot, kernel: Library, motion: PlatformMotion) 
 
 
 def _state_of(robot: Robot, start: Start | None) -> ClosedState | None:
-    """Return the closed state at a start, None without one; raises WorkingModeError where the chains do not close."""
+    """Return the closed state at a start, None without one.
+
+    Raises:
+        SingularPoseError: K is singular there, so that no branch goes on from it.
+        WorkingModeError: the chains do not close next to it.
+    """
     if start is None or isinstance(start, ClosedState):
         return start
-    closed = follower(robot).state_at(start)
-    if closed is None:
-        raise WorkingModeError(
-            f"The chains of {robot.name} do not close at the start, or K is singular there: no branch goes on from it.",
-            remedy="Start from a closed configuration away from singularities.",
-        )
-    return closed
+    closed, remedy = follower(robot).state_at(start), "Start from a closed configuration away from singularities."
+    if closed is not None and closed.margin > 0.0:
+        return closed
+    if assemble(constraint_system(robot), start[None], max_iterations=0).singular[0]:
+        raise SingularPoseError(f"The start of {robot.name} is singular: no branch goes on from it.", remedy=remedy)
+    raise WorkingModeError(f"The chains of {robot.name} do not close at the start.", remedy=remedy)
 
 
 class Driven(NamedTuple):
