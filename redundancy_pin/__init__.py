@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from redundancy_pin.dynamics.reactions import joint_reactions
     from redundancy_pin.dynamics.rnea import RneaDynamics
     from redundancy_pin.dynamics.virtual_work import VirtualWork
-    from redundancy_pin.kinematics.forward_kinematics import assembly_modes, forward_kinematics
+    from redundancy_pin.kinematics.assembly_modes import assembly_modes
+    from redundancy_pin.kinematics.forward_kinematics import forward_kinematics
     from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
     from redundancy_pin.loading import load_robot, robot_from_model, with_parameters
     from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -58,7 +59,8 @@ _PLACES = {
         "dynamics.reactions": "joint_reactions",
         "dynamics.rnea": "RneaDynamics",
         "dynamics.virtual_work": "VirtualWork",
-        "kinematics.forward_kinematics": "assembly_modes forward_kinematics",
+        "kinematics.assembly_modes": "assembly_modes",
+        "kinematics.forward_kinematics": "forward_kinematics",
         "kinematics.inverse_kinematics": "inverse_kinematics",
         "loading": "load_robot robot_from_model with_parameters",
         "motion": "CarrierMotion PlatformMotion",

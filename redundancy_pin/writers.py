@@ -22,7 +22,7 @@ from redundancy_pin.io.files import require_writable, write_text
 from redundancy_pin.kinematics.closing import close
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.multistart import draw_starts
-from redundancy_pin.kinematics.selection import UNIVERSAL
+from redundancy_pin.kinematics.spinning_rods import UNIVERSAL
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.robot import AXES, Closure, Coupling, JointForces, Payload, Robot

@@ -23,7 +23,7 @@ from redundancy_pin.dynamics.base import (
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.errors import RedundancyPinError
-from redundancy_pin.kinematics.branch import known_state
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.coordinates import difference
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent, require_sampled
@@ -142,7 +142,7 @@ class InverseDynamics(Frozen):
             if not part.t[-1] > part.t[0] or not _may_meet(robot, part, margin, _NEAR):
                 continue
             q, gamma = (each[first] for each in self._configurations)
-            start = known_state(robot, part.x[0], q, gamma) if np.isfinite(q).all() else None
+            start = follower(robot).state_at(q, part.x[0], gamma) if np.isfinite(q).all() else None
             checked = PlatformMotion(part.t, part.x, part.xd, part.xdd, check_rates=False)
             try:
                 crossings += find_crossings(robot, checked, start=start)

@@ -46,7 +46,7 @@ from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_poses
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.loads import wrench_values
-from redundancy_pin.robot.scales import column_scale, force_sizes, row_scale, velocity_unit
+from redundancy_pin.robot.scales import column_scale, force_sizes, row_scale
 from redundancy_pin.robot.whole_turns import TURN, counted_turns
 from redundancy_pin.status import SampleStatus
 
@@ -157,8 +157,8 @@ class RneaDynamics(Dynamics):
         if not is_finite(given if q is None else (*given, q), t):
             return without_answer(robot, SampleStatus.NOT_FINITE)
         if q is not None:
-            here = self._state_at(q)
-            if here is None:
+            here = follower(robot).state_at(q)
+            if here is None or here.margin == 0.0:
                 return without_answer(robot, SampleStatus.BRANCH_LOST)
         sample = self._regular_sample(given, here, t)
         if isinstance(sample, BranchEnd):
@@ -171,19 +171,6 @@ class RneaDynamics(Dynamics):
         self._thread.last = sample.state
         kinematics = sample.residual, sample.serial_margin_bound
         return solve_sample(robot, sample, sample.state.q, kinematics, given, t)
-
-    def _state_at(self, start: Array) -> ClosedState | None:
-        """Return the closed state at or next to a configuration (nq,), open by measurement noise at most.
-
-        None where the chains do not close so near that K stays regular on the way: it may be another branch.
-        """
-        robot, own, q = self._robot, follower(self._robot), start.copy()
-        q[robot.carrier_position] = 0.0
-        state = own.state_at(q)
-        if state is None:
-            return None
-        moved = np.abs(pin.difference(robot.model, q, state.q) / velocity_unit(robot)).max(initial=0.0)
-        return state if moved < 0.5 * state.margin else None
 
     def _any_sample(self, given: SampleArrays, here: ClosedState | None, t: float) -> RneaSample:
         """Return one sample by the kinematics of whole motions, which pass rank losses and name errors."""

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import (
     CLOSURE_TOLERANCE,
@@ -22,9 +23,12 @@ from redundancy_pin.arrays import (
     SINGULAR_MARGIN,
     Array,
     BoolArray,
+    rows_of,
 )
-from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import coordinates, difference, in_working_mode
+from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, velocity_unit
 
 SETTLED_STEP = 1e-8
@@ -92,6 +96,12 @@ class Assembly:
     def regular(self) -> BoolArray:
         """(N,) closed, and no type I singularity."""
         return self.closed & (self.projection.margin > 0.0)
+
+    @property
+    def singular(self) -> BoolArray:
+        """(N,) closed, at a type I singularity."""
+        singular: BoolArray = self.closed & (self.projection.margin == 0.0)
+        return singular
 
     @cached_property
     def in_mode(self) -> BoolArray:
@@ -188,6 +198,36 @@ def assemble(
     misaligned = system.misalignment(state)
     worst = np.where(misaligned > TURNED_OVER, np.maximum(worst, misaligned), worst)
     return Assembly(system, state, system.robot.characteristic_length * worst)
+
+
+def closed_configurations(robot: Robot, q: ArrayLike, name: str = "q") -> Assembly:
+    """Return configurations from a user, (N, nq) or (nq,), evaluated where they are.
+
+    Args:
+        robot: the robot.
+        q: configurations, m and rad.
+        name: what to call them in an error.
+
+    Raises:
+        InputError: wrong shape, values that are not finite, or a configuration that is not closed, or closed the wrong
+            way round; carries its closure residual, m.
+
+    Example:
+        >>> closed_configurations(robot, robot.q_reference).regular
+        array([ True])
+    """
+    given = assemble(constraint_system(robot), rows_of(q, name, ("N", robot.model.nq)), max_iterations=0)
+    bad = np.flatnonzero(~given.closed)
+    if len(bad):
+        k, residual = int(bad[0]), float(given.residual[bad[0]])
+        raise InputError(
+            f"Configuration {k} of {name} is not closed: its closure residual is {residual:.3g} m ({len(bad)} of "
+            f"{len(given.q)} are not closed).",
+            remedy="Pass configurations of inverse_kinematics, forward_kinematics or assembly_modes.",
+            sample=k,
+            residual=residual,
+        )
+    return given
 
 
 def project(system: ConstraintSystem, state: ConstraintState) -> Projection:

@@ -11,6 +11,7 @@ import math
 import threading
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import overload
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import closure_tolerance
 from redundancy_pin.status import SampleStatus
 
-__all__ = ["BranchEnd", "ClosedState", "Follower", "Rates", "follower", "known_state"]
+__all__ = ["BranchEnd", "ClosedState", "Follower", "Rates", "follower"]
 
 LONGEST_STEP = 0.04
 """Longest step along a path, in characteristic lengths or rad: Newton converges from the prediction by Γ."""
@@ -99,17 +100,47 @@ class Follower(LoopSolver):
         gamma = np.full((self.robot.model.nv, self.robot.n), np.nan)
         return self.singular_state(self.coordinates_at(q), q, gamma)
 
-    def state_at(self, q: Array) -> ClosedState | None:
-        """Return the closed state at the coordinates of a configuration (nq,); None where it is not nearly closed.
+    @overload
+    def state_at(self, q: Array, x: Array | None = None) -> ClosedState | None: ...
 
-        Newton's method keeps the independent coordinates and moves the other joints.
+    @overload
+    def state_at(self, q: Array, x: Array, gamma: Array) -> ClosedState: ...
+
+    def state_at(self, q: Array, x: Array | None = None, gamma: Array | None = None) -> ClosedState | None:
+        """Return the closed state at or next to a configuration, or None where there is none so near.
+
+        Newton's method keeps the independent coordinates and moves the other joints, by rounding or the noise of
+        measurements. Where it moves those of an open configuration so far that K may be singular on the way, the chains
+        may close on another branch: there is no state then.
+
+        Args:
+            q: (nq,) a configuration, closed or nearly so, carriers at any place.
+            x: (n,) its coordinates, or a pose (4, 4); those of q when left out.
+            gamma: (nv, n) Γ there, where it is known, as of a sample of a ``JointTrajectory``. Near a singular K, where
+                Newton's method does not close the chains, q and Γ are taken as they are, and ``residual`` says how far
+                q is from closed.
 
         Raises:
             InputError: a configuration of another shape.
+
+        Example:
+            >>> state = follower(robot).state_at(tree.q[0], motion.x[0], tree.gamma[0])
         """
         if np.shape(q) != (self.robot.model.nq,):
             checked(q, "q", (self.robot.model.nq,))  # which raises
-        return self.close(q, self.coordinates_at(q))
+        parked = np.array(q)
+        parked[self.robot.carrier_position] = 0.0
+        if x is None:
+            x = self.coordinates_at(parked)
+        closed = self.close(parked, x)
+        if closed is not None and not self.length(self.tangent(parked, closed.q)) < 0.5 * closed.margin:
+            # next to a stretched leg even rounding moves far
+            was_closed = self.identity_error(parked, x, closed.gamma, None)[0] < CLOSURE_TOLERANCE
+            closed = closed if was_closed else None
+        if gamma is None or (closed is not None and closed.margin > self.near):
+            return closed
+        residual, _ = self.identity_error(parked, x, gamma, None)
+        return self.singular_state(x, parked, gamma, residual * self.robot.characteristic_length)
 
     # --- along a branch ----------------------------------------------------------------------------------------------
 
@@ -326,23 +357,6 @@ class Follower(LoopSolver):
                 if result is not None:
                     return result
         return None
-
-
-def known_state(robot: Robot, x: Array, q: Array, gamma: Array) -> ClosedState:
-    """Return a state of a branch from a sample of a ``JointTrajectory``: x, q and Γ, carriers at any place.
-
-    Its ``residual`` says how far q is from closed where K is singular, so that Newton's method cannot close it.
-
-    Example:
-        >>> state = known_state(robot, motion.x[0], tree.q[0], tree.gamma[0])
-    """
-    own, configuration = follower(robot), np.array(q)
-    configuration[robot.carrier_position] = np.array(robot.q_reference)[robot.carrier_position]
-    closed = own.close(configuration, x)
-    if closed is not None and closed.margin > own.near:
-        return closed
-    residual, _ = own.identity_error(configuration, x, gamma, None)
-    return own.singular_state(x, configuration, gamma, residual * robot.characteristic_length)
 
 
 @lru_cache(maxsize=32)

@@ -195,12 +195,6 @@ class LoopSolver:
             return None, plain
         return own, other
 
-    def margin(self, q: Array, basis: Array | None) -> float:
-        """Return the singularity margin of K at q (nq,); 0 where K is singular."""
-        inverse = inverses(self.matrix(q, basis)[0][None])[0]
-        size = float(np.sqrt((inverse * inverse).sum()))
-        return 1.0 / size if size > 0.0 and math.isfinite(size) else 0.0
-
     def closure_margin(self, q: Array, basis: Array | None = None, block: int | None = None) -> float:
         """Return the smallest singular value of the closure rows at q (nq,), of all or those of a block of K.
 

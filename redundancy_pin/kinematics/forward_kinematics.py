@@ -1,4 +1,4 @@
-"""Forward kinematics: from the positions of the main actuators to the platform, along one branch, and all branches.
+"""Forward kinematics: from the positions of the main actuators to the platform, along one branch.
 
 Motors are independent coordinates like any others: the same tree and closures with the actuated joints in the place of
 the platform are a robot whose ``inverse_kinematics`` is the forward kinematics. Its K is T = [J_c; S], so that its type
@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from redundancy_pin.arrays import (
@@ -24,38 +23,33 @@ from redundancy_pin.arrays import (
     IntArray,
     blocks,
     checked,
-    positive,
     read_only,
     rows_of,
 )
-from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
-from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
-from redundancy_pin.kinematics.branch import SAME_CONFIGURATION, ClosedState, known_state
+from redundancy_pin.errors import InputError, SingularPoseError, UnsupportedRobotError
+from redundancy_pin.kinematics.assembly import (
+    assemble,
+    closed_configurations,
+    configuration_difference,
+    integrate,
+)
+from redundancy_pin.kinematics.branch import ClosedState, follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, joint_position, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.kinematics.mobility import independent_columns
-from redundancy_pin.kinematics.multistart import SEED, SHORTEST_STEP, draw_starts, wrapped
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.checks import is_pose
-from redundancy_pin.robot.joint_ranges import out_of_range, range_excess, range_slack
-from redundancy_pin.robot.lookup import find_link_index
+from redundancy_pin.robot.joint_ranges import range_excess, range_slack
 from redundancy_pin.robot.scales import turning_velocities, velocity_unit
 from redundancy_pin.robot.whole_turns import FARTHEST, TURN, are_too_many_turns_away, counted_turns
 from redundancy_pin.status import SampleStatus, solved_status
 
 _WEAKER = 0.5
 """Part of the margin at which redundant motors began to be followed, below which others are looked for."""
-
-_STARTS, _IN_VAIN = 128, 512
-"""Random starts of a round, and of all where none closes."""
-
-_SEEN, _OFTEN = 1e-3, 6
-"""Random starts go on until one more has a chance below the first of finding a mode that none has found, and each mode
-was found as often as the second on average: one that is half as likely as the mean is missed with chance e⁻³."""
 
 _MOST_TURNS = 100
 """Whole turns of several motors between samples, which are followed one by one: a few seconds."""
@@ -144,7 +138,7 @@ def forward_kinematics(
     )
     system = constraint_system(robot)
     q0 = np.array(robot.q_reference if start is None else checked(start, "start", (robot.model.nq,)))
-    segments, followed = [], _followed(system, q0)
+    segments, followed = [], followed_motors(system, q0)
     while True:
         segment = _follow(system, (u, ud, udd), q0, followed)
         kept, others = _handed_over(system, segment, followed)
@@ -169,7 +163,7 @@ def _handed_over(
     good = int(np.argmin(np.append(segment.known, False)))
     for i in range(min(good, len(segment) - 1)) if system.robot.m > system.robot.n else ():
         if segment.margin[i] < _WEAKER * reference[0] or i == good - 1:
-            others = _followed(system, segment.q[i])
+            others = followed_motors(system, segment.q[i])
             if not np.array_equal(others, followed):
                 return i + 1, others
             reference = segment.margin[i : i + 1]
@@ -205,7 +199,7 @@ def _follow(
     J = np.full((len(u), robot.n, robot.m), np.nan)
     J[:end] = 0.0
     J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
-    residual = np.where(np.isnan(residual), np.nan, np.fmax(residual, _contradiction(system, followed, u, q)))
+    residual = np.where(np.isnan(residual), np.nan, np.fmax(residual, motor_mismatch(system, followed, u, q)))
     contradicted = (status == SampleStatus.OK) & (residual > AGREEMENT_TOLERANCE * robot.characteristic_length)
     status[contradicted] = SampleStatus.UNREACHABLE
     for part in (x, xd, xdd, q, J):
@@ -222,23 +216,17 @@ def _start(driven: Robot, q: Array) -> ClosedState:
         InputError: it is not closed.
         SingularPoseError: it is a type II singularity.
     """
-    motors = constraint_system(driven)
-    home = assemble(motors, q[None], max_iterations=0)
-    if not home.closed[0]:
-        raise InputError(
-            f"start does not close the chains of {driven.name}: they stay open by {home.residual[0]:.3g} m.",
-            remedy="Pass a configuration of inverse_kinematics, assembly_modes or forward_kinematics.",
-        )
-    if home.projection.margin[0] == 0.0:
+    home = closed_configurations(driven, q, "start")
+    if home.singular[0]:
         raise SingularPoseError(
             f"The start is a type II singularity of {driven.name}: branches meet there, and the motors do not say "
             "which one is meant.",
             remedy="Start from a configuration nearby.",
         )
-    return known_state(driven, coordinates(driven, home.state)[0], q, home.gamma[0])
+    return follower(driven).state_at(q, coordinates(driven, home.state)[0], home.gamma[0])
 
 
-def _followed(system: ConstraintSystem, q: Array) -> IntArray:
+def followed_motors(system: ConstraintSystem, q: Array) -> IntArray:
     """Return which n of the m motors are followed: those that determine the platform best at a configuration (nq,)."""
     robot = system.robot
     if robot.m < robot.n:
@@ -253,7 +241,7 @@ def _followed(system: ConstraintSystem, q: Array) -> IntArray:
     return np.sort(np.array(independent_columns(motors, 0.0), dtype=np.intp))
 
 
-def _contradiction(system: ConstraintSystem, followed: IntArray, u: Array, q: Array) -> Array:
+def motor_mismatch(system: ConstraintSystem, followed: IntArray, u: Array, q: Array) -> Array:
     """Return (N,) how far motors that are not followed are from positions u (N, m) at configurations q, m."""
     robot, unit = system.robot, velocity_unit(system.robot)[system.robot.actuated_velocity]
     left = [j for j in range(robot.m) if j not in followed]
@@ -266,12 +254,11 @@ def _judge_rest(motors: ConstraintSystem, u: Array, last: Array, rest: tuple[Arr
     """Write q, status, residual and margin of samples beyond the end of the branch, ``last`` (nq,), at u[0]."""
     far = are_too_many_turns_away(motors.robot, u[0], u[1:])
     solved = assemble(motors, np.repeat(last[None], len(far), axis=0), u[1:])
-    singular = solved.closed & (solved.projection.margin == 0.0)
-    passed = int(np.argmin(np.append(singular, False)))  # only until another sample is met the branch is known
+    passed = int(np.argmin(np.append(solved.singular, False)))  # only until another sample is met the branch is known
     q, status, residual, margin = rest
     status[:] = np.where(solved.closed | far, SampleStatus.BRANCH_LOST, SampleStatus.UNREACHABLE)
     status[:passed] = SampleStatus.TYPE_II
-    residual[:], margin[:] = np.where(far, np.nan, solved.residual), np.where(singular, 0.0, np.nan)
+    residual[:], margin[:] = np.where(far, np.nan, solved.residual), np.where(solved.singular, 0.0, np.nan)
     q[:passed] = solved.q[:passed]
 
 
@@ -364,104 +351,3 @@ def _angles_along(system: ConstraintSystem, before: Array, step: Array) -> tuple
     x = np.concatenate([coordinates(robot, system.evaluate(between[part])) for part in blocks(len(between))])
     ends = np.append(0, last)
     return np.unwrap(x[:, columns], axis=0)[ends], x[ends][:, columns]
-
-
-@dataclass(frozen=True, eq=False)
-class AssemblyModes(Frozen):
-    """All that positions of the motors allow, as far as it was found; made by ``assembly_modes``.
-
-    Attributes:
-        robot: the robot.
-        q: (M, nq) a configuration of each mode, angles in (−π, π]; that nearest to the reference first.
-        x: (M, n) coordinates or (M, 4, 4) poses of the platform.
-        margin: (M,) lower bound of the scaled distance to type II, where modes meet.
-        in_range: (M,) whether all joints are within their limits.
-        hits: (M,) how many random starts led to each.
-        unseen: estimated chance that one more start finds another mode (Good and Turing: the share of modes that were
-            found once among all successful starts).
-    """
-
-    robot: Robot
-    q: Array
-    x: Array
-    margin: Array
-    in_range: BoolArray
-    hits: IntArray
-    unseen: float
-
-    def __len__(self) -> int:
-        """Return the number of modes."""
-        return len(self.q)
-
-
-def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 2048) -> AssemblyModes:
-    """Return the configurations that positions of the motors allow: two of a five-bar, up to forty of a Gough platform.
-
-    Newton from random starts, the same ones every time, until another start would hardly find a new mode. Modes are
-    alike where joints, platform and closures are at the same places: a universal joint turned over is no other mode.
-
-    Args:
-        robot: the robot, or its name or path.
-        actuated: (m,) positions of the main actuators, m and rad.
-        most_starts: bound on the number of starts; a Gough platform takes up to 2,000.
-
-    Raises:
-        InputError: wrong shape.
-        UnsupportedRobotError: fewer motors than freedoms.
-        UnreachablePoseError: no start closes the chains.
-    """
-    robot, most_starts = as_robot(robot), int(positive(most_starts, "most_starts", ""))
-    u = np.array(checked(actuated, "actuated", (robot.m,)))
-    reference, system = np.array(robot.q_reference), constraint_system(robot)
-    followed = _followed(system, reference)
-    motors = constraint_system(with_independent_joints(robot, tuple(robot.actuated[j] for j in followed)))
-    rng, length = np.random.default_rng(SEED), robot.characteristic_length
-    q, keys, hits = np.zeros((0, robot.model.nq)), np.zeros((0, len(_frames(robot, reference)))), np.zeros(0, np.intp)
-    residual, starts = np.inf, 0
-    while starts < (most_starts if len(q) else min(most_starts, _IN_VAIN)):
-        guess = draw_starts(motors, reference, _STARTS, rng)
-        if not starts:
-            guess[0] = reference
-        solved = assemble(motors, guess, np.repeat(u[None, followed], _STARTS, axis=0), shortest_step=SHORTEST_STEP)
-        off = np.fmax(solved.residual, _contradiction(system, followed, np.repeat(u[None], _STARTS, axis=0), solved.q))
-        starts, residual = starts + _STARTS, min(residual, float(np.nanmin(off)))
-        for one in solved.q[solved.closed & (off < AGREEMENT_TOLERANCE * length)]:
-            key = _frames(robot, one)
-            same = np.flatnonzero(np.abs(keys - key).max(axis=1, initial=0.0) < SAME_CONFIGURATION * length)
-            if len(same):
-                hits[same[0]] += 1
-            else:
-                q, keys, hits = np.vstack([q, one]), np.vstack([keys, key]), np.append(hits, 1)
-        if (hits == 1).sum() < _SEEN * hits.sum() and hits.mean() >= _OFTEN:
-            break
-    if not len(q):
-        raise UnreachablePoseError(
-            f"No configuration of {robot.name} has its motors at {np.round(u, 6).tolist()}: the chains stay open by "
-            f"{residual:.3g} m in {starts} attempts.",
-            remedy="Move the motors back towards the reference.",
-            residual=residual,
-        )
-    order = np.argsort(np.abs(keys - _frames(robot, reference)).max(axis=1), kind="stable")
-    q = wrapped(motors.robot, q)[order]
-    parts = (
-        read_only(q),
-        read_only(coordinates(robot, system.evaluate(q))),
-        project(motors, motors.evaluate(q)).margin,
-        read_only(~out_of_range(robot, q, motion=False)),
-        read_only(hits[order]),
-    )
-    return AssemblyModes(robot, *parts, unseen=float((hits == 1).sum() / hits.sum()))
-
-
-def _frames(robot: Robot, q: Array) -> Array:
-    """Return the origins of joints and of frames of closures and platform, and the platform's axes, m, at one state."""
-    model = robot.model
-    data = model.createData()
-    pin.forwardKinematics(model, data, q)
-    pin.updateFramePlacements(model, data)
-    parts = [*(data.oMi[k].translation for k in range(1, model.njoints))]
-    parts += [data.oMf[find_link_index(model, name)].translation for name in constraint_system(robot).support]
-    if robot.platform is not None:
-        platform = data.oMf[find_link_index(model, robot.platform.frame)]
-        parts.append(robot.characteristic_length * platform.rotation.ravel())
-    return np.concatenate(parts)

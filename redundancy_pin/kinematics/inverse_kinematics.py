@@ -26,7 +26,6 @@ from redundancy_pin.kinematics.branch import (
     Follower,
     Rates,
     follower,
-    known_state,
 )
 from redundancy_pin.kinematics.closure import ConstraintSystem, dependent_row_residual
 from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator, mode_name, working_modes
@@ -93,7 +92,7 @@ class JointTrajectory(Frozen):
 
     def state(self, k: int) -> ClosedState:
         """Return sample k as a closed state: where other motions on the same branch may start from."""
-        return known_state(self.robot, self.motion.x[k], self.q[k], self.gamma[k])
+        return follower(self.robot).state_at(self.q[k], self.motion.x[k], self.gamma[k])
 
     def with_carriers(self, carriers: CarrierMotion) -> JointTrajectory:
         """Return the motion with that of the carriers (N samples) in it."""

@@ -26,7 +26,7 @@ from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, frozen
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.kinematics.branch import known_state
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import SINGULAR_SAMPLE, PlanFunctions, apart
@@ -556,7 +556,8 @@ def joint_range_events(planned: PlannedMotion) -> tuple[LimitEvent, ...]:
             own, parts = at[first : last + 1], np.arange(1, RANGE_PARTS) / RANGE_PARTS
             inside = (own[:-1, None] + np.diff(own)[:, None] * parts).ravel()
             times = np.sort(np.concatenate([own[1:], inside]))
-            start = known_state(robot, planned.motion.x[known[first]], q[known[first]], gamma[known[first]])
+            sample = known[first]
+            start = follower(robot).state_at(q[sample], planned.motion.x[sample], gamma[sample])
             between = inverse_kinematics(robot, platform.sample_at(times), mark_unreachable=True, start=start)
             new = np.isin(times, inside)
             t, q = np.append(t, times[new]), np.append(q, between.q[new], axis=0)

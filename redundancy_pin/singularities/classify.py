@@ -35,10 +35,9 @@ from redundancy_pin.arrays import (
     Labelled,
     read_only,
     require_type,
-    rows_of,
 )
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.assembly import inverses
+from redundancy_pin.kinematics.assembly import closed_configurations, inverses
 from redundancy_pin.kinematics.closure import (
     ConstraintState,
     ConstraintSystem,
@@ -48,8 +47,7 @@ from redundancy_pin.kinematics.closure import (
 )
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory
 from redundancy_pin.loading import RobotLike, as_robot
-from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import closure_tolerance, column_scale, row_scale
+from redundancy_pin.robot.scales import column_scale, row_scale
 from redundancy_pin.spectrum import left_singular, oriented, spectrum_of
 
 
@@ -215,7 +213,8 @@ def classify(robot: RobotLike, q: ArrayLike, *, tolerance: float = RANK_TOLERANC
     if not 0.0 < tolerance < 1.0:
         raise InputError(f"tolerance is {tolerance}.", remedy="Pass a fraction between 0 and 1, for example 1e-9.")
     robot = as_robot(robot)
-    system, state = closed_state(robot, q)
+    given = closed_configurations(robot, q)
+    system, state = given.system, given.state
     rows = row_scale(system.robot)
     K, T = serial_matrix(system, state), locked_matrix(system, state)
     serial, locked = np.linalg.svd(K), np.linalg.svd(T)
@@ -252,29 +251,6 @@ def classify(robot: RobotLike, q: ArrayLike, *, tolerance: float = RANK_TOLERANC
         least_producible=read_only(oriented(_unit(covectors[:, :, -1])) / rows),
         passive_motion=read_only(passive),
     )
-
-
-def closed_state(robot: Robot, q: ArrayLike) -> tuple[ConstraintSystem, ConstraintState]:
-    """Return closures and Jacobians at configurations (N, nq) or (nq,) from a user.
-
-    Raises:
-        InputError: wrong shape, values that are not finite, or a configuration that is not closed.
-    """
-    configurations = rows_of(q, "q", ("N", robot.model.nq))
-    system = constraint_system(robot)
-    state = system.evaluate(configurations)
-    residual = system.largest_residual(state.phi)
-    bad = np.flatnonzero(residual > closure_tolerance(system.robot))
-    if len(bad):
-        k = int(bad[0])
-        raise InputError(
-            f"Configuration {k} is not closed: its closure residual is {residual[k]:.3g} m ({len(bad)} of "
-            f"{len(residual)} are not closed).",
-            remedy="Close the chains first, with inverse_kinematics or assemble.",
-            sample=k,
-            residual=float(residual[k]),
-        )
-    return system, state
 
 
 def classify_motion(motion: JointTrajectory, *, tolerance: float = RANK_TOLERANCE) -> Singularities:

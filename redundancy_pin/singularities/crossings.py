@@ -227,8 +227,7 @@ class FollowedPath:
         if beyond:
             # many instants next to a touch at once; all else is for the follower, one after the other
             ends = assemble(self.system, np.array([self._nearest(new[k]).q for k in beyond]), x[beyond])
-            singular = ends.closed & (ends.projection.margin == 0.0)
-            for k, q, is_singular in zip(beyond, ends.q, singular, strict=True):
+            for k, q, is_singular in zip(beyond, ends.q, ends.singular, strict=True):
                 if is_singular:
                     self._q[new[k]] = q
                 else:

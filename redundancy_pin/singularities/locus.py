@@ -8,7 +8,9 @@ Newton's method. In joint coordinates a singularity is a simple root, also where
 (at the border of the workspace). The unknowns are all p joint displacements. The equations are the closure rows, the
 fixed platform coordinates and σ = 0, the smallest singular value of the scaled K (type I) or T (type II). With
 σ = uᵀ M v and the symmetry of second derivatives, Ṁ(δ) v = Ṁ(v) δ, the gradient of σ is uᵀ Ṁ(v): one rate of a Jacobian
-instead of p differences.
+instead of p differences. It is a method of its own: the equations have no closed configuration as their goal, and where
+they leave a curve free, the point of it that is found depends on the steps. Those of ``assemble``, which a line search
+shortens, end elsewhere on the curve.
 """
 
 from __future__ import annotations

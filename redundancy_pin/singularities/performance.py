@@ -28,12 +28,11 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, each, read_only
 from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
-from redundancy_pin.kinematics.assembly import inverses, project
+from redundancy_pin.kinematics.assembly import closed_configurations, inverses
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint, has_joint
 from redundancy_pin.robot.scales import column_scale, row_scale
-from redundancy_pin.singularities.classify import closed_state
 from redundancy_pin.spectrum import left_singular, scaled, spectrum_of
 
 _LARGEST = float(np.finfo(float).max)
@@ -151,7 +150,7 @@ def platform_stiffness(robot: RobotLike, q: ArrayLike, stiffness: ArrayLike | Ma
         InputError: wrong shapes, unknown names, numbers that are negative.
     """
     robot = as_robot(robot)
-    system, state = closed_state(robot, q)
+    gamma = closed_configurations(robot, q).gamma
     if not isinstance(stiffness, Mapping):
         values = each(stiffness, "stiffness", (robot.m,), finite=True)
         stiffness = dict(zip(robot.actuated, values.tolist(), strict=True))
@@ -165,7 +164,6 @@ def platform_stiffness(robot: RobotLike, q: ArrayLike, stiffness: ArrayLike | Ma
                 remedy=f"{did_you_mean(name, list(model.names)[1:])}Pass N/m or N·m/rad by joint.",
             )
         springs[joint.idx_v] = value
-    gamma = project(system, state).gamma
     return read_only(np.einsum("nvi,v,nvj->nij", gamma, springs, gamma))
 
 
@@ -207,5 +205,5 @@ def _actuation(robot: Robot, q: ArrayLike) -> tuple[Array, Array]:
             f"{robot.name} has {robot.m} main actuators and {robot.n} DOF: some velocities move no motor.",
             remedy="Declare more joints as actuated.",
         )
-    system, state = closed_state(robot, q)
-    return state.q, project(system, state).gamma[:, robot.actuated_velocity].transpose(0, 2, 1).copy()
+    given = closed_configurations(robot, q)
+    return given.q, given.gamma[:, robot.actuated_velocity].transpose(0, 2, 1).copy()

@@ -238,6 +238,23 @@ def test_at_and_next_to_a_flat_pose_the_answer_is_that_of_the_branch(
         assert abs(np.sin((again.q - dynamics.joint_state([flat + 0.1], start=home).q) / 2.0)).max() < 1e-9
 
 
+def test_torques_and_joint_states_have_one_status_at_the_ends_of_a_crank(tmp_path: Path) -> None:
+    """Its two last angles, and beyond: the crank is the coordinate and the motor, so both calls mean one state."""
+    robot = folding_four_bar(tmp_path, STOPPED, STOPPED_GUESS)
+    dynamics, last = rp.CompiledDynamics(robot), np.arccos((0.4**2 + 0.3**2 - 0.45**2) / (2 * 0.4 * 0.3))
+    ends = last, TURN - last
+    want = dict.fromkeys(ends, SampleStatus.TYPE_I)
+    want |= dict.fromkeys((last + 1e-6, TURN - last - 1e-6, 2.5), SampleStatus.UNREACHABLE)
+    for start in (q for crank in (1.0, TURN - 1.0) for q in rp.assembly_modes(robot, [crank]).q):
+        beyond = TURN - 1.0 if start[joint(robot, "crank")] == pytest.approx(1.0) else 1.0
+        for angle, status in (want | {beyond: SampleStatus.BRANCH_LOST}).items():
+            torque = dynamics.torque([angle], [1.0], [2.0], start=start)
+            state = dynamics.joint_state([angle], [1.0], start=start)
+            assert torque.status is state.status is status
+            assert np.isnan(torque.tau).all()
+            assert np.isnan(state.q).all()
+
+
 def test_samples_out_of_reach_singular_or_behind_the_border_are_refused_by_name(tmp_path: Path) -> None:
     dynamics, still = rp.RneaDynamics(zoo.robot_of("five_bar")), np.zeros(2)
     home = zoo.home_of(dynamics.robot)

@@ -387,11 +387,13 @@ def test_motors_without_a_pose_have_a_status() -> None:
     robot, dynamics, still = machine("2rpr"), dynamics_of("2rpr"), np.zeros((1, 2))
     at = actuated_positions(robot)
     apart = dynamics.joint_state([0.05, 0.05])  # legs too short to meet, half a metre apart
-    assert apart.status is SampleStatus.BRANCH_LOST
+    assert apart.status is SampleStatus.UNREACHABLE
+    assert apart.residual > 0.01
     assert np.isnan(np.concatenate([apart.q, apart.v, apart.x, apart.xd, [apart.margin]])).all()
     flat = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.2, 0.0]], still, still)).q[0]
     for step in (0.0, 1e-3):
         assert dynamics.joint_state(flat[at] + step, start=flat).status is SampleStatus.TYPE_II
+    assert dynamics.joint_state(flat[at], start=robot.q_reference).status is SampleStatus.TYPE_II
     near = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.2, 1e-4]], still, still)).q[0]
     assert dynamics.joint_state(near[at], start=near).status is SampleStatus.NEAR_SINGULAR
     assert dynamics.joint_state(np.array([np.nan, 0.3])).status is SampleStatus.NOT_FINITE

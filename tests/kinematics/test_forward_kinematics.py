@@ -335,7 +335,7 @@ def test_modes_are_said_with_their_ranges_margins_and_hits(five_bar: rp.Robot) -
 def test_motors_robots_and_searches_of_no_sense_are_refused(five_bar: rp.Robot) -> None:
     home, wrong = motors(five_bar, five_bar.q_reference), ("x", [[1, 2], [3]], [1.0], 10**400, [np.nan, 0.0])
     for given, message in (
-        ({"start": np.array(five_bar.q_reference) + 0.1}, "start does not close"),
+        ({"start": np.array(five_bar.q_reference) + 0.1}, "of start is not closed"),
         ({"actuated": [[2.0]]}, "actuated has shape"),
         ({"actuated": [1e4 * np.pi, 1.0]}, "whole turns between samples"),
         ({"actuated": [1.0, -2e6 * np.pi]}, "whole turns between samples"),

@@ -220,7 +220,7 @@ def test_bad_arguments_are_refused() -> None:
     robot = zoo.robot_of("2rpr")
     open_chain = np.array(robot.q_reference)
     open_chain[0] += 0.1
-    with pytest.raises(InputError, match="Configuration 0 is not closed"):
+    with pytest.raises(InputError, match="Configuration 0 of q is not closed"):
         classify(robot, open_chain)
     with pytest.raises(InputError, match="tolerance is 0"):
         classify(robot, robot.q_reference, tolerance=0.0)

@@ -138,6 +138,7 @@ def test_strips_narrower_than_a_cell_are_reached_across_its_corners() -> None:
     rho = np.linalg.norm(nodes(space)[:, :, None] - bases, axis=-1)
     least, most = np.abs(lengths[:, 0] - lengths[:, 1]), lengths.sum(axis=1)
     assert (space.reachable[0] == ((rho > least) & (rho < most)).all(axis=-1)).all()
+    assert space.island.max() == 0  # the rings meet in one piece
 
 
 def test_an_island_is_not_left_out_for_a_node_at_its_end() -> None:

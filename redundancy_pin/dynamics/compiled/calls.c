@@ -11,7 +11,6 @@ typedef struct {
 
 #define MOST_SEARCHES 100 /* steps of Newton's method: half a turn of every joint takes some 50 */
 #define STALLED 10 /* steps of it; where so many reduce the residual by less than a tenth, no configuration is near */
-#define NEXT_TO_SINGULAR 1e-2 /* margin of K, no unit, at the end of a way: it may be zero within the shortest step, 3e-3 of 30 rad */
 
 static int in_ranges(const double *q, const Range *ranges, int count) {
   for (int i = 0; i < count; ++i) {
@@ -181,19 +180,6 @@ static void recall(const double *state, Pose *pose) {
 
 enum { FOR_KINEMATICS = STATUSES };
 
-/* Whether K is next to singular at a closed configuration: actuators lead through that at a type I singularity, and maybe at a rank loss
-   of the closures. */
-static int is_next_to_singular(const double *numbers, const double *q) {
-  double all, platform, x[NX], residual[NP + 1], alignment[NALIGN];
-  Pose pose;
-  turns_of(q, pose.trig);
-  coordinates_of(numbers, q, pose.trig, x);
-  rows(numbers, q, pose.trig, x, residual, pose.lu, alignment);
-  if (decompose(pose.lu, pose.pivot) == 0.0) return 1;
-  inverse_sizes(&pose, &all, &platform);
-  return !(all * NEXT_TO_SINGULAR * NEXT_TO_SINGULAR < 1.0);
-}
-
 static int close_drives(const double *numbers, Pose *pose, const double *position, const double *left) {
   double off[M];
   Pose next = *pose;
@@ -224,30 +210,24 @@ static int velocities_agree(const double *numbers, const Platform *platform, con
 /* All joints and the platform from the actuators. in: positions (M) and velocities (M) of the actuators, s (NK), sd (NK); out:
    q (NQ), v (NV), x (NX), xd (N), type II margin, residual. More actuators than DOF may contradict each other: the residual of positions,
    m, is then written, and the status is unreachable. State and reached are as of rp_reach. Returns a status, or FOR_KINEMATICS where
-   these may go on from reached, or from the state at a rank loss of the closures. */
+   these say why it is not solved, or go on, from reached, or from the state at a rank loss of the closures. */
 int rp_joint_state(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
   const double *position = in, *velocity = in + M, *s = velocity + M, *sd = s + NK;
-  double last[NQ], *q = out, *v = q + NQ;
+  double *q = out, *v = q + NQ;
   Pose pose;
   Platform platform;
   if (!finite(in, 2 * M + 2 * NK)) return STATUS_NOT_FINITE;
   if (begin_at(numbers, state, reached)) return STATUS_BRANCH_LOST;
   if (isnan(state[NQ])) return FOR_KINEMATICS;
   recall(reached, &pose);
-  copy(last, pose.q, NQ);
   int status = platform_of(numbers, &pose, position, velocity, &platform);
   if (status == STATUS_UNREACHABLE || status == STATUS_TYPE_II) { /* too far for one step of Newton's method */
     recall(reached, &pose);
     status = follow_drives(numbers, &pose, position);
-    copy(last, pose.q, NQ);
-    if (status) return M == N && is_next_to_singular(numbers, last) ? FOR_KINEMATICS : status;
-    status = platform_of(numbers, &pose, position, velocity, &platform);
+    if (!status) status = platform_of(numbers, &pose, position, velocity, &platform);
   }
   if (status == STATUS_NOT_FINITE) return status;
-  if (status != STATUS_OK && status != STATUS_NEAR_SINGULAR) { /* at the sample itself */
-    int singular = status == STATUS_TYPE_I || status == STATUS_BRANCH_LOST || is_next_to_singular(numbers, last);
-    return M == N && singular ? FOR_KINEMATICS : status;
-  }
+  if (status != STATUS_OK && status != STATUS_NEAR_SINGULAR) return M == N ? FOR_KINEMATICS : status;
   copy(q, pose.q, NQ);
   clear(v, NV);
   for (int i = 0; i < NV; ++i)

@@ -16,8 +16,10 @@ import numpy as np
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.dynamics.compiled.build import Library
 from redundancy_pin.dynamics.compiled.parameters import trig_at, turning_joints
-from redundancy_pin.errors import WorkingModeError
+from redundancy_pin.errors import SingularPoseError, WorkingModeError
+from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.branch import LONGEST_STEP, BranchEnd, ClosedState, follower
+from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import coordinates, difference, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
@@ -69,7 +71,7 @@ def close_motion(
             everywhere = read_only(np.ones(samples, dtype=bool))
             tree = JointTrajectory(robot, motion, q, v, a, gamma, W, residual, everywhere, sizes[:, 0])
             return ClosedMotion(tree, trig)
-    tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=_state_at(robot, start))
+    tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=_state_of(robot, start))
     return ClosedMotion(tree, read_only(trig_at(robot, tree.q)))
 
 
@@ -87,19 +89,21 @@ def _first_configuration(robot: Robot, kernel: Library, motion: PlatformMotion) 
     return np.array(tree.q[0]) if tree.reachable[0] else None
 
 
-def _state_at(robot: Robot, start: Start | None) -> ClosedState | None:
-    """Return the closed state at a start, None without one; raises WorkingModeError where the chains do not close."""
+def _state_of(robot: Robot, start: Start | None) -> ClosedState | None:
+    """Return the closed state at a start, None without one.
+
+    Raises:
+        SingularPoseError: K is singular there, so that no branch goes on from it.
+        WorkingModeError: the chains do not close next to it.
+    """
     if start is None or isinstance(start, ClosedState):
         return start
-    q = start.copy()
-    q[robot.carrier_position] = 0.0
-    closed = follower(robot).state_at(q)
-    if closed is None:
-        raise WorkingModeError(
-            f"The chains of {robot.name} do not close at the start, or K is singular there: no branch goes on from it.",
-            remedy="Start from a closed configuration away from singularities.",
-        )
-    return closed
+    closed, remedy = follower(robot).state_at(start), "Start from a closed configuration away from singularities."
+    if closed is not None and closed.margin > 0.0:
+        return closed
+    if assemble(constraint_system(robot), start[None], max_iterations=0).singular[0]:
+        raise SingularPoseError(f"The start of {robot.name} is singular: no branch goes on from it.", remedy=remedy)
+    raise WorkingModeError(f"The chains of {robot.name} do not close at the start.", remedy=remedy)
 
 
 class Driven(NamedTuple):
@@ -133,9 +137,10 @@ def follow_motors(robot: Robot, start: Start | None, position: Array, velocity: 
     """
     driven = with_independent_joints(robot, robot.actuated)
     motion = PlatformMotion(np.zeros(1), position[None], velocity[None], np.zeros((1, robot.m)), check_rates=False)
-    tree = inverse_kinematics(driven, motion, start=_state_at(driven, start))
+    tree = inverse_kinematics(driven, motion, start=_state_of(driven, start))
     q, v, gamma, own = tree.q[0], tree.v[0], tree.gamma[0], follower(robot)
-    closing_margin = own.margin(q, None)
+    closed = own.state_at(q)
+    closing_margin = 0.0 if closed is None else closed.margin
     own.chain.update(q, v)
     by_motors = own.chain.platform_jacobian() @ gamma
     sizes = np.linalg.svd(by_motors * row_scale(robot)[:, None] / column_scale(robot), compute_uv=False)
@@ -161,10 +166,9 @@ def branch_ends(robot: Robot, q: Array, x0: Array, x: Array) -> bool:
 
     Only a branch that is a follower's step away at most is followed; others are not known to end.
     """
-    own, configuration = follower(robot), q.copy()
+    own = follower(robot)
     if not np.linalg.norm(difference(robot, x[None], x0[None]) / coordinate_unit(robot)) <= LONGEST_STEP:
         return False
-    configuration[robot.carrier_position] = np.array(robot.q_reference)[robot.carrier_position]
-    here = own.close(configuration, x0)
+    here = own.state_at(q, x0)
     reached = None if here is None else own.advance(here, x)
     return isinstance(reached, BranchEnd) and reached.is_final

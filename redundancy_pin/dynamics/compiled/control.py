@@ -42,7 +42,7 @@ _STATUSES = tuple(SampleStatus)
 """By code: an index takes a fifth of the time of ``SampleStatus(code)``."""
 
 _FOR_KINEMATICS = len(_STATUSES)
-"""Code of ``rp_joint_state``: K is next to singular where the C ends, and kinematics may go on."""
+"""Code of ``rp_joint_state``: kinematics say why the C does not get to a sample, or go on across a rank loss."""
 
 _WITHOUT_RESULT = frozenset(
     {
@@ -376,6 +376,7 @@ class JointStateCall:
         branch = self._branch = _Branch(robot, code)
         branch.known = True  # that of the reference
         self._robot, self._follow, self._ranges = robot, follow, range_table(robot)
+        self._own_coordinates = robot.platform is None and set(robot.independent_joints) == set(robot.actuated)
         given = branch.numbers, branch.state, branch.reached, self._arguments.memory, self._results
         self._call = _caller(code, "rp_joint_state", *given, self._ranges, len(self._ranges))
 
@@ -415,7 +416,7 @@ class JointStateCall:
         )
 
     def _by_kinematics(self) -> int:
-        """Solve a sample where K is singular, or beyond such a pose, by kinematics; returns its status."""
+        """Solve a sample that the C does not get to by kinematics; returns its status."""
         robot, branch = self._robot, self._branch
         position, velocity, s, sd = self._arguments.parts
         given = position, velocity
@@ -424,8 +425,9 @@ class JointStateCall:
         found = branch.by_kinematics(given, lambda start: self._follow(start, position.copy(), velocity.copy()))
         if isinstance(found, Refusal):
             self._results[-1] = found.residual
-            of_motors = found.status is SampleStatus.TYPE_I  # of the motors as coordinates
-            return int(SampleStatus.TYPE_II if of_motors else found.status)
+            # K of the actuators as coordinates is singular: they do not determine the platform's
+            of_actuators = found.status is SampleStatus.TYPE_I and not self._own_coordinates
+            return int(SampleStatus.TYPE_II if of_actuators else found.status)
         if found.serial_margin < SINGULAR_MARGIN:
             return int(SampleStatus.TYPE_I)
         branch.move(found.q, found.state, found.closing_margin)
