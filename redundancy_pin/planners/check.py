@@ -7,7 +7,7 @@ motion, and the status that follows. ``check_plan`` has it judge a plan anew and
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,14 +24,7 @@ from redundancy_pin.planners.intersample_check import (
     imbalance,
     intersample_check,
 )
-from redundancy_pin.planners.limits import (
-    LIMIT_TOLERANCE,
-    QUANTITIES,
-    LimitEvent,
-    Limits,
-    check_limits,
-    limit_events,
-)
+from redundancy_pin.planners.limits import LIMIT_TOLERANCE, QUANTITIES, LimitEvent, LimitReport, Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import record_difference, robot_record
 from redundancy_pin.robot import Robot
@@ -42,8 +35,6 @@ SAME = 1e-6
 
 SAME_PEAK = 1e-3
 """Relative deviation of a peak between the samples: near a singularity W⁻¹ magnifies the rounding of the plan."""
-
-Events = tuple[LimitEvent, ...]
 
 
 def finish_plan(planned: PlannedMotion, check: IntersampleCheck | None = None) -> Plan:
@@ -59,13 +50,10 @@ def finish_plan(planned: PlannedMotion, check: IntersampleCheck | None = None) -
     robot, along, samples, limits = planned.dynamics.robot, planned.along, planned.samples, planned.limits
     motion, carriers, reduced = planned.motion, planned.carriers, samples.reduced
     check = intersample_check(planned) if check is None else check
-    at_samples = check_limits(limits, motion.t, carriers, reduced.carrier_force)
-    efforts, _ = limit_events("effort", robot.actuated, motion.t, samples.tau, limits.effort)
-    violated = merged_events((*at_samples.violated, *efforts), check.violated)
-    status = ResultStatus.OK if planned.diagnostics.get("optimal", True) else ResultStatus.NOT_CONVERGED
-    if not check.peaks.passed:
-        status = ResultStatus.UNRESOLVED
-    if violated:
+    status = ResultStatus.OK if check.peaks.passed else ResultStatus.UNRESOLVED
+    if not planned.diagnostics.get("optimal", True):
+        status = ResultStatus.NOT_CONVERGED
+    if check.violated:
         status = ResultStatus.LIMIT_VIOLATED
     known = np.isfinite(samples.tau).all() and solved_status(samples.status).all()
     if not known or not np.isfinite(check.peaks.peak).all():
@@ -83,7 +71,7 @@ def finish_plan(planned: PlannedMotion, check: IntersampleCheck | None = None) -
         condition=samples.condition,
         phase=read_only(np.array(phase, dtype=np.intp)),
         phases=planned.phases,
-        limits=replace(at_samples, violated=violated, binding=_touched(at_samples.binding, check.touched, violated)),
+        limits=LimitReport(check.violated, check.touched, limits),
         status=status,
         planner=planned.planner,
         backend=type(along).__name__.replace("AlongMotion", "").replace("Along", ""),
@@ -99,13 +87,6 @@ def finish_plan(planned: PlannedMotion, check: IntersampleCheck | None = None) -
     )
 
 
-def _touched(at_samples: Events, between: Events, violated: Events) -> Events:
-    """Return limits that are touched: those of carriers at samples, and of others unless they are exceeded."""
-    known = {(event.carrier, event.quantity) for event in (*at_samples, *violated)}
-    others = (event for event in between if (event.carrier, event.quantity) not in known)
-    return tuple(sorted((*at_samples, *others), key=lambda event: event.start))
-
-
 def _summary(check: IntersamplePeaks, tau: Array) -> dict[str, object]:
     """Return the peaks as plain data."""
     worst = int(np.argmax(check.peak))
@@ -118,27 +99,6 @@ def _summary(check: IntersamplePeaks, tau: Array) -> dict[str, object]:
         "ratio": check.ratio,
         "passed": check.passed,
     }
-
-
-def merged_events(at_samples: tuple[LimitEvent, ...], between: tuple[LimitEvent, ...]) -> tuple[LimitEvent, ...]:
-    """Return the events, an event at samples replaced by one that overlaps it and exceeds the limit by more.
-
-    An effort that is exceeded has one event from first to last, whatever its sign.
-    """
-    kept = list(at_samples)
-    for event in between:
-        same = [
-            one
-            for one in kept
-            if (one.carrier, one.quantity) == (event.carrier, event.quantity)
-            and (
-                event.quantity == "effort"
-                or (one.limit == event.limit and one.start <= event.end and event.start <= one.end)
-            )
-        ]
-        if all(event.amount > other.amount for other in same):
-            kept = [other for other in kept if other not in same] + [event]
-    return tuple(sorted(kept, key=lambda event: event.start))
 
 
 # --- a plan judged anew ---

@@ -32,11 +32,12 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import SINGULAR_SAMPLE, PlanFunctions, apart
 from redundancy_pin.planners.limits import (
     LIMIT_TOLERANCE,
+    LimitedQuantity,
     LimitEvent,
     ResolvedLimits,
     limit_events,
-    motion_events,
-    range_events,
+    motion_quantities,
+    range_quantities,
 )
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import joint_ranges
@@ -44,7 +45,7 @@ from redundancy_pin.robot.scales import velocity_scale
 from redundancy_pin.singularities.roots import zeros
 from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory.continuous_motion import Motion
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_points, chebyshev_series
+from redundancy_pin.trajectory.functions_of_time import chebyshev_points, chebyshev_series
 
 BALANCE_TOLERANCE = 1e-6
 """Largest imbalance W τ − f, relative to the size of f along the motion, of efforts that a planner prescribes."""
@@ -220,7 +221,7 @@ class IntersampleCheck:
     Attributes:
         peaks: the largest efforts and forces.
         violated: limits that are exceeded, of every quantity.
-        touched: limits that are met, of efforts, forces, rates and jerks.
+        touched: limits that are met, of every quantity.
         middle: (P,) middles of the pieces, s.
         ratio: (P,) largest effort over the largest at the samples.
         use: (P, c) used fractions of the limits of efforts, forces and rates.
@@ -293,15 +294,16 @@ def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
         planned.singular_instants,
         limits.actuator_speed,
     )
-    size = np.abs(pieces.value)
+    time, value = _with_samples(pieces, t, np.concatenate([samples.tau, samples.reduced.carrier_force], axis=1))
+    size = np.abs(value)
     at_samples = np.abs(samples.tau[np.isfinite(samples.tau).all(axis=1)])
-    largest = max(float(at_samples.max(initial=0.0)), least_effort(samples.reduced))
+    largest = max(float(at_samples.max(initial=0.0)), least_effort(samples.reduced)) or 1.0
     worst = size.argmax(axis=0)
     peaks = IntersamplePeaks(
-        peak=frozen(np.maximum(size.max(axis=0)[:m], at_samples.max(axis=0, initial=0.0))),
-        time=frozen(pieces.time[worst, range(len(worst))][:m]),
+        peak=frozen(size.max(axis=0)[:m]),
+        time=frozen(time[worst, range(len(worst))][:m]),
         force_peak=frozen(size.max(axis=0)[m : m + k]),
-        ratio=max(float(size[:, :m].max(initial=0.0) / (largest or 1.0)), 1.0),
+        ratio=max(float(size[:, :m].max(initial=0.0) / largest), 1.0),
         points=pieces.points,
     )
     limited = np.flatnonzero(np.isfinite(limits.actuator_speed))
@@ -310,23 +312,41 @@ def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
         ("force", robot.carriers, limits.carrier_force),
         ("speed", tuple(robot.actuated[j] for j in limited), limits.actuator_speed[limited]),
     )
-    found, first = [], 0
+    rows, first = [], 0
     for quantity, names, limit in columns:
         own = slice(first, first + len(names))
-        found.append(limit_events(quantity, names, pieces.time[:, own], pieces.value[:, own], limit))
+        rows.append(LimitedQuantity(quantity, names, time[:, own], value[:, own], -limit, limit))
         first += len(names)
-    found.append(jerk_events(planned.functions.carriers, limits))
-    violated, touched = (tuple(event for events in found for event in events[i]) for i in range(2))
+    rows += [*motion_quantities(limits, planned.functions.carriers), *joint_ranges_of(planned)]
+    violated, touched = limit_events(rows)
     with np.errstate(invalid="ignore"):  # infinite efforts without a limit
         use = np.nan_to_num(size / np.concatenate([limit for *_, limit in columns]), nan=0.0, posinf=np.inf)
     return IntersampleCheck(
         peaks=peaks,
-        violated=(*violated, *motion_events(limits, planned.functions.carriers), *joint_range_events(planned)),
+        violated=violated,
         touched=touched,
         middle=pieces.ends.mean(axis=1),
-        ratio=size[:, :m].max(axis=1, initial=0.0) / (largest or 1.0),
+        ratio=size[:, :m].max(axis=1, initial=0.0) / largest,
         use=use,
     )
+
+
+def _with_samples(pieces: PieceExtremes, t: Array, loads: Array) -> tuple[Array, Array]:
+    """Return (P, c) times and values of the extremes of pieces, those of the samples among them.
+
+    ``t`` (N,) times of the samples, s; ``loads`` (N, m + k) their efforts and forces, which polynomials of the pieces
+    do not hold at singular instants.
+    """
+    time, value = np.array(pieces.time), np.array(pieces.value)
+    inside = np.searchsorted(pieces.ends[1:, 0], t, side="right")
+    size = np.where(np.isfinite(loads), np.abs(loads), 0.0)
+    for j in range(loads.shape[1]):
+        order = np.argsort(size[:, j], kind="stable")
+        top = np.zeros(len(value), dtype=np.intp)
+        top[inside[order]] = order  # of several samples in a piece the largest is written last
+        larger = np.isin(np.arange(len(value)), inside) & (size[top, j] > np.abs(value[:, j]))
+        value[larger, j], time[larger, j] = loads[top[larger], j], t[top[larger]]
+    return time, value
 
 
 def imbalance(reduced: ReducedDynamics, tau: Array) -> tuple[Array, float]:
@@ -513,26 +533,8 @@ def _extremes(ends: Array, series: Array, values: Array, finite: BoolArray) -> t
 # --- motions of carriers and joints ---
 
 
-def jerk_events(
-    position: PiecewisePolynomial, limits: ResolvedLimits
-) -> tuple[tuple[LimitEvent, ...], tuple[LimitEvent, ...]]:
-    """Return where jerks of carriers exceed their limit, and where they touch it.
-
-    ``position``: (k,) of the carriers, m, as a function of time. Where s̈ jumps it is changed within the shorter of the
-    pieces that meet there.
-    """
-    if not np.isfinite(limits.jerk).any():
-        return (), ()
-    edges, (least, largest) = position.edges, position.derivative(3).ranges()
-    sdd, step = position.derivative(2), np.diff(edges)
-    jump = (sdd(edges[1:-1]) - sdd(edges[1:-1], "left")) / np.minimum(step[:-1], step[1:])[:, None]
-    inside = np.where(-least > largest, least, largest)
-    t, jerk = np.append(edges[:-1], edges[1:-1]), np.append(inside, jump, axis=0)
-    return limit_events("jerk", limits.names, t, jerk, limits.jerk)
-
-
-def joint_range_events(planned: PlannedMotion) -> tuple[LimitEvent, ...]:
-    """Return where joints, passive ones too, leave their ranges, at the samples and between them."""
+def joint_ranges_of(planned: PlannedMotion) -> tuple[LimitedQuantity, ...]:
+    """Return the positions of joints that have a range, passive ones too, at the samples and between them."""
     along, platform, robot = planned.along, planned.functions.platform, planned.dynamics.robot
     joints = joint_ranges(robot)
     if not joints:
@@ -562,7 +564,7 @@ def joint_range_events(planned: PlannedMotion) -> tuple[LimitEvent, ...]:
             t, q = np.append(t, times[new]), np.append(q, between.q[new], axis=0)
         order = np.argsort(t, kind="stable")
         t, q = t[order], q[order]
-    return range_events(robot, t, q)
+    return range_quantities(robot, t, q)
 
 
 def closure_rank_losses(dynamics: Dynamics, along: DynamicsAlongMotion, platform: Motion) -> list[dict[str, object]]:
