@@ -7,7 +7,7 @@ motion, and the status that follows. ``check_plan`` has it judge a plan anew and
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,9 +16,7 @@ from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.intersample_check import (
     BALANCE_TOLERANCE,
-    PIECE_DEGREE,
     IntersampleCheck,
-    IntersamplePeaks,
     PlannedMotion,
     closure_rank_losses,
     imbalance,
@@ -51,7 +49,7 @@ def finish_plan(planned: PlannedMotion, check: IntersampleCheck | None = None) -
     motion, carriers, reduced = planned.motion, planned.carriers, samples.reduced
     check = intersample_check(planned) if check is None else check
     status = ResultStatus.OK if check.peaks.passed else ResultStatus.UNRESOLVED
-    if not planned.diagnostics.get("optimal", True):
+    if not planned.findings.optimal:
         status = ResultStatus.NOT_CONVERGED
     if check.violated:
         status = ResultStatus.LIMIT_VIOLATED
@@ -77,28 +75,14 @@ def finish_plan(planned: PlannedMotion, check: IntersampleCheck | None = None) -
         backend=type(along).__name__.replace("AlongMotion", "").replace("Along", ""),
         robot=robot_record(robot),
         parameters=dict(planned.parameters),
-        diagnostics={
-            **planned.diagnostics,
-            "closure_rank": closure_rank_losses(planned.dynamics, along, planned.functions.platform),
-            "dense_check": _summary(check.peaks, samples.tau),
-        },
+        findings=replace(
+            planned.findings,
+            closure_rank=closure_rank_losses(planned.dynamics, along, planned.functions.platform),
+        ),
+        diagnostics=dict(planned.diagnostics),
         functions=planned.functions,
         between=check.peaks,
     )
-
-
-def _summary(check: IntersamplePeaks, tau: Array) -> dict[str, object]:
-    """Return the peaks as plain data."""
-    worst = int(np.argmax(check.peak))
-    return {
-        "finer": PIECE_DEGREE + 1,
-        "points": check.points,
-        "peak_effort": float(check.peak[worst]),
-        "time_of_peak": float(check.time[worst]),
-        "peak_effort_at_nodes": float(np.nanmax(np.abs(tau), initial=0.0)),
-        "ratio": check.ratio,
-        "passed": check.passed,
-    }
 
 
 # --- a plan judged anew ---
@@ -196,7 +180,7 @@ def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
             phase=plan.phase,
             phases=plan.phases,
             parameters=plan.parameters,
-            diagnostics={"optimal": plan.diagnostics.get("optimal", True)},
+            findings=plan.findings,
         )
     )
     return PlanCheck(
@@ -206,7 +190,7 @@ def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
         imbalance=float(np.nanmax(unbalanced, initial=0.0)),
         deviations=_deviations(plan, again, unbalanced),
         wider_limits=_wider_limits(plan, again, dynamics.robot),
-        closure_rank=tuple(again.diagnostics.get("closure_rank", ())),  # type: ignore[arg-type]
+        closure_rank=again.findings.closure_rank,
     )
 
 

@@ -124,6 +124,27 @@ class EvaluatedSamples:
     condition: Array
 
 
+@dataclass(frozen=True)
+class Findings:
+    """What a planner found and others read: ``Plan.status``, figures and the command line.
+
+    What one planner alone reports is ``Plan.diagnostics``.
+
+    Attributes:
+        optimal: whether the optimiser reached an optimum; true where nothing was optimised.
+        solver: what the optimiser says of its end; empty where nothing was optimised.
+        singular_instants: times at which the motion is on a type II singularity, s.
+        least_cost: least weighted objective that was found, in its unit; None where none was minimised.
+        closure_rank: "time", s, and pose "x" of each rank loss of the closures along the motion.
+    """
+
+    optimal: bool = True
+    solver: str = ""
+    singular_instants: tuple[float, ...] = ()
+    least_cost: float | None = None
+    closure_rank: tuple[Mapping[str, object], ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class PlannedMotion:
     """What a planner planned, by which dynamics and within which limits. N samples, m main actuators, k carriers.
@@ -141,7 +162,8 @@ class PlannedMotion:
         phase: (N,) index into ``phases`` of each sample; None where there is one phase only.
         phases: names of the phases.
         parameters: the planner's parameters, in plain data.
-        diagnostics: the planner's findings, in plain data; "optimal" says whether it reached an optimum.
+        findings: what the planner found that others read.
+        diagnostics: what else it found, in plain data.
     """
 
     dynamics: Dynamics
@@ -155,6 +177,7 @@ class PlannedMotion:
     phase: IntArray | None = None
     phases: tuple[str, ...] = ("all",)
     parameters: Mapping[str, object] = field(default_factory=dict)
+    findings: Findings = field(default_factory=Findings)
     diagnostics: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -567,7 +590,9 @@ def joint_ranges_of(planned: PlannedMotion) -> tuple[LimitedQuantity, ...]:
     return range_quantities(robot, t, q)
 
 
-def closure_rank_losses(dynamics: Dynamics, along: DynamicsAlongMotion, platform: Motion) -> list[dict[str, object]]:
+def closure_rank_losses(
+    dynamics: Dynamics, along: DynamicsAlongMotion, platform: Motion
+) -> tuple[Mapping[str, object], ...]:
     """Return "time", s, and pose "x" of each rank loss of the closures on the way: the branch is carried across it.
 
     ``along``: dynamics along samples of the platform's motion. Only where these show a rank loss are more needed.
@@ -583,4 +608,4 @@ def closure_rank_losses(dynamics: Dynamics, along: DynamicsAlongMotion, platform
         return there[np.searchsorted(every, times)]
 
     roots = [zero.t for zero in zeros(margin, t, RANK_LOST)] if len(t) > 1 else []
-    return [{"time": time, "x": platform.sample_at(np.array([time])).x[0].tolist()} for time in roots]
+    return tuple({"time": time, "x": platform.sample_at(np.array([time])).x[0].tolist()} for time in roots)
