@@ -39,6 +39,7 @@ from redundancy_pin.planners.limits import (
     motion_quantities,
     range_quantities,
 )
+from redundancy_pin.planners.singular_instant import SingularInstant
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.scales import velocity_scale
@@ -158,7 +159,8 @@ class PlannedMotion:
         planner: name of the planner.
         prescribed: (N, m) main efforts the planner decided on, N or N·m; NaN where W τ = f decides. Their imbalance is
             reported, never corrected. None for none.
-        singular: indices of samples at which the efforts are the limits from both sides of a type II singularity.
+        singular: indices of samples at which the efforts are the limits from both sides of a type II singularity;
+            ``SingularInstant`` has those that are not prescribed.
         phase: (N,) index into ``phases`` of each sample; None where there is one phase only.
         phases: names of the phases.
         parameters: the planner's parameters, in plain data.
@@ -191,9 +193,13 @@ class PlannedMotion:
         reduced = self.along.reduce(self.carriers)
         solved = distribute(reduced)
         tau, status, residual = np.array(solved.tau), np.array(solved.status), np.array(solved.residual)
-        if self.prescribed is not None:
-            given = np.isfinite(self.prescribed).all(axis=1)
-            tau[given] = self.prescribed[given]
+        prescribed = np.full(tau.shape, np.nan) if self.prescribed is None else np.array(self.prescribed)
+        for i in () if self.singular is None else self.singular.tolist():
+            if not np.isfinite(prescribed[i]).all():
+                prescribed[i] = self._limit_efforts(i)
+        given = np.isfinite(prescribed).all(axis=1)
+        if given.any():
+            tau[given] = prescribed[given]
             left, size = imbalance(reduced, tau)
             residual[given] = left[given]
             balanced = left[given] <= BALANCE_TOLERANCE * size
@@ -203,6 +209,17 @@ class PlannedMotion:
             regular = self.singular[status[self.singular] == SampleStatus.OK]
             status[regular] = SampleStatus.SINGULAR_CONSISTENT
         return EvaluatedSamples(reduced, tau, status, residual, solved.margin, solved.condition)
+
+    def _limit_efforts(self, i: int) -> Array:
+        """Return the efforts (m,) that W⁻¹ f tends to at a sample on a singularity; of a jump from its own side."""
+        t, functions = self.motion.t, self.functions
+
+        def evaluate(times: Array) -> ReducedDynamics:
+            return self.dynamics.along(functions.platform.sample_at(times)).reduce(functions.carriers_at(times))
+
+        before = i + 1 < len(t) and t[i + 1] == t[i]
+        instant = SingularInstant.along(evaluate, functions.pieces(t), float(t[i]), "left" if before else "right")
+        return instant.efforts(None if functions.preferred is None else functions.preferred.at(float(t[i])))
 
     @property
     def singular_instants(self) -> Array:
