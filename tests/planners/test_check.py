@@ -289,6 +289,26 @@ def test_an_effort_exceeded_at_samples_and_between_them_is_one_broken_limit(whol
         assert event.amount == pytest.approx(tight[j], rel=1e-3)
 
 
+def test_a_plan_that_is_no_optimum_and_unresolved_is_not_converged() -> None:
+    """No sample of a corner shows its jump from both sides; the step that does not end at a minimum is graver."""
+    dynamics = rp.VirtualWork(zoo.robot_of("3rrr"))
+    plan = rp.plan_stepwise(dynamics, reference.corner().sample(0.02, two_sided=False))
+    assert (plan.status, plan.between.passed) == (ResultStatus.UNRESOLVED, False)
+    worse = replace(plan, findings=replace(plan.findings, optimal=False))
+    assert rp.check_plan(worse, dynamics).status is ResultStatus.NOT_CONVERGED
+
+
+def test_the_first_sample_of_a_stepwise_plan_is_judged() -> None:
+    """It has the acceleration of the first step, as its function of time."""
+    dynamics = rp.VirtualWork(zoo.robot_of("3rrr"))
+    plan = rp.plan_stepwise(dynamics, reference.corner(), dt=0.02)
+    np.testing.assert_allclose(plan.carriers.sdd[0], plan.carriers_at(plan.t[:1]).sdd[0], atol=1e-9)
+    sdd = np.array(plan.carriers.sdd)
+    sdd[0] += 0.1
+    check = rp.check_plan(replace(plan, carriers=replace(plan.carriers, sdd=sdd)), dynamics)
+    assert ("carrier motion sdd", 0.0) in {(one.quantity, one.time) for one in check.deviations}
+
+
 def test_speed_and_acceleration_between_the_samples_are_judged() -> None:
     """A carrier that swings between two samples at rest on the same place: no sample shows it."""
     one = np.ones((1, 2))
