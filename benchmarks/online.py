@@ -156,7 +156,7 @@ def judged(name, dynamics, number, trajectory, least):
         **record,
         "status": plan.status.value,
         "ticks": run.counts,
-        "crossings": len(plan.diagnostics["singular_instants"]),
+        "crossings": len(plan.findings.singular_instants),
         "peak": float(plan.peak_effort.max()),
         "ratio": None if best is None else float(plan.peak_effort.max()) / best,
         "off_line": best is not None if least or failed else None,

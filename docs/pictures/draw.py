@@ -135,7 +135,7 @@ def delta_crossing() -> Figure:
     line = rp.trajectory.Line((-0.04, 0.02, -0.25), (0.05, 0.0, -0.05))
     motion = rp.trajectory.Trajectory(line, rp.trajectory.RestToRest(line.length, 0.5, "4-5-6-7"))
     plan = rp.plan_whole_trajectory(robot, motion, objective="peak", dt=0.01)
-    (singular,) = plan.diagnostics["singular_instants"]
+    (singular,) = plan.findings.singular_instants
     with figure(9.0, 2.2) as drawn:
         for panel, t in enumerate((singular - 0.1, singular, singular + 0.1), 1):
             k = int(np.abs(plan.t - t).argmin())
@@ -160,7 +160,7 @@ def on_line() -> Figure:
         "switched off near the line": rp.plan_switch_off(dynamics, motion, threshold=4.0, return_time="shortest"),
         "on line, half a second ahead": run_online(rp.RecedingHorizon(dynamics), motion).plan,
     }
-    instants = plans["off line, least peak"].diagnostics["singular_instants"]
+    instants = plans["off line, least peak"].findings.singular_instants
     return plot_side_by_side("The 2-RPR over its singular line", plans, "N", instants=instants)
 
 

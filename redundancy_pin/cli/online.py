@@ -103,7 +103,7 @@ def _table(facts: Mapping[str, Any], unit: str) -> output.TextTable:
         ("ticks", ", ".join(f"{count} {status}" for status, count in facts["ticks"].items() if count)),
         ("time of a tick, p50 and p99 [ms]", output.row(facts["milliseconds"].values())),
         ("later at the end [s]", output.number(diagnostics["delay"])),
-        ("singular instants [s]", output.row(diagnostics["singular_instants"]) or "none"),
+        ("singular instants [s]", output.row(facts["findings"]["singular_instants"]) or "none"),
         ("force missing there [N]", output.number(diagnostics["missing_force"])),
         (f"peak main effort [{unit}]", output.row(facts["peak_effort"])),
         *((name, facts[key]) for name, key in (("plan written to", "out"), ("page written to", "html")) if facts[key]),

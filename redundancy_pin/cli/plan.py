@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import click
@@ -61,12 +61,12 @@ def warn(plan: Plan, *, ranges: bool = True) -> None:
         else:
             where = f" between the samples, at t = {check.time[int(check.peak.argmax())]:.6g} s"
         output.warning(f"no finite main efforts:{where}, where W is singular.")
-    if plan.diagnostics.get("optimal") is False:
+    if not plan.findings.optimal:
         kept = plan.status in (ResultStatus.NOT_CONVERGED, ResultStatus.UNRESOLVED)
         there = "The plan keeps every limit, but there" if kept else "There"
         help_ = "use a shorter --step" if plan.planner == "stepwise" else "allow more --seconds"
         output.warning(
-            f"this is no optimum: the optimiser stopped early ({plan.diagnostics.get('solver')}). "
+            f"this is no optimum: the optimiser stopped early ({plan.findings.solver}). "
             f"{there} may be a better one; {help_}."
         )
     if not check.passed and np.isfinite(check.ratio):
@@ -89,7 +89,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "planner": plan.planner,
         "backend": _BACKENDS.get(plan.backend, plan.backend),
         "status": plan.status.value,
-        "optimal": plan.diagnostics.get("optimal"),
+        "optimal": plan.findings.optimal if plan.findings.solver else None,
         "samples": len(plan.t),
         "start": float(plan.t[0]),
         "end": float(plan.t[-1]),
@@ -97,6 +97,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "peak_carrier_force": np.abs(plan.carrier_force).max(axis=0, initial=0.0),
         "smallest_margin": _smallest_margin(plan),
         "phases": _phase_times(plan),
+        "findings": asdict(plan.findings),
         "limits": {kind: [vars(event) for event in getattr(plan.limits, kind)] for kind in ("violated", "binding")},
         **{name: getattr(plan, name) for name in _AS_IT_IS},
     }
@@ -109,7 +110,7 @@ def _of_the_optimum(plan: Plan) -> Iterator[tuple[str, str]]:
     weights: Any = plan.parameters.get("objective", {"time": 1.0})
     yield "minimised", ", ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights.items())
     facts: Any = plan.diagnostics
-    reached = "local optimum" if facts["optimal"] else "NOT an optimum"
+    reached = "local optimum" if plan.findings.optimal else "NOT an optimum"
     yield "reached", f"{reached} in {facts['iterations']} iterations, {facts['seconds']:.3g} s"
     if plan.least_cost is not None:
         calmer = f"; this plan costs up to {plan.parameters['calm']:g} of it more, to be calm"
@@ -136,8 +137,7 @@ def _advice(plan: Plan) -> str | None:
 
 def _smallest_margin(plan: Plan) -> float:
     """Return the smallest margin of the plan: zero where it crosses a singularity, though no sample may lie on it."""
-    crossed = plan.diagnostics.get("singular_instants")
-    return 0.0 if crossed else float(np.fmin.reduce(plan.margin))
+    return 0.0 if plan.findings.singular_instants else float(np.fmin.reduce(plan.margin))
 
 
 def _phase_times(plan: Plan) -> list[dict[str, Any]]:
@@ -150,8 +150,8 @@ def _phase_times(plan: Plan) -> list[dict[str, Any]]:
 
 def _table(plan: Plan, facts: Mapping[str, Any]) -> output.TextTable:
     status = plan.status.value.replace("_", " ")
-    if not plan.diagnostics.get("optimal", True):
-        status = f"{status}: no optimum, the solver says {plan.diagnostics.get('solver')}"
+    if not plan.findings.optimal:
+        status = f"{status}: no optimum, the solver says {plan.findings.solver}"
     # of the joints' kinds: a robot may have motors that turn and carriers that slide
     main, moved = plan.robot.effort_units
     rows = [

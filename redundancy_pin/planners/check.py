@@ -16,22 +16,13 @@ from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.intersample_check import (
     BALANCE_TOLERANCE,
-    PIECE_DEGREE,
     IntersampleCheck,
-    IntersamplePeaks,
     PlannedMotion,
     closure_rank_losses,
     imbalance,
     intersample_check,
 )
-from redundancy_pin.planners.limits import (
-    LIMIT_TOLERANCE,
-    QUANTITIES,
-    LimitEvent,
-    Limits,
-    check_limits,
-    limit_events,
-)
+from redundancy_pin.planners.limits import LIMIT_TOLERANCE, QUANTITIES, LimitEvent, LimitReport, Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import record_difference, robot_record
 from redundancy_pin.robot import Robot
@@ -42,8 +33,6 @@ SAME = 1e-6
 
 SAME_PEAK = 1e-3
 """Relative deviation of a peak between the samples: near a singularity W⁻¹ magnifies the rounding of the plan."""
-
-Events = tuple[LimitEvent, ...]
 
 
 def finish_plan(planned: PlannedMotion, check: IntersampleCheck | None = None) -> Plan:
@@ -59,13 +48,10 @@ def finish_plan(planned: PlannedMotion, check: IntersampleCheck | None = None) -
     robot, along, samples, limits = planned.dynamics.robot, planned.along, planned.samples, planned.limits
     motion, carriers, reduced = planned.motion, planned.carriers, samples.reduced
     check = intersample_check(planned) if check is None else check
-    at_samples = check_limits(limits, motion.t, carriers, reduced.carrier_force)
-    efforts, _ = limit_events("effort", robot.actuated, motion.t, samples.tau, limits.effort)
-    violated = merged_events((*at_samples.violated, *efforts), check.violated)
-    status = ResultStatus.OK if planned.diagnostics.get("optimal", True) else ResultStatus.NOT_CONVERGED
-    if not check.peaks.passed:
-        status = ResultStatus.UNRESOLVED
-    if violated:
+    status = ResultStatus.OK if check.peaks.passed else ResultStatus.UNRESOLVED
+    if not planned.findings.optimal:
+        status = ResultStatus.NOT_CONVERGED
+    if check.violated:
         status = ResultStatus.LIMIT_VIOLATED
     known = np.isfinite(samples.tau).all() and solved_status(samples.status).all()
     if not known or not np.isfinite(check.peaks.peak).all():
@@ -83,62 +69,20 @@ def finish_plan(planned: PlannedMotion, check: IntersampleCheck | None = None) -
         condition=samples.condition,
         phase=read_only(np.array(phase, dtype=np.intp)),
         phases=planned.phases,
-        limits=replace(at_samples, violated=violated, binding=_touched(at_samples.binding, check.touched, violated)),
+        limits=LimitReport(check.violated, check.touched, limits),
         status=status,
         planner=planned.planner,
         backend=type(along).__name__.replace("AlongMotion", "").replace("Along", ""),
         robot=robot_record(robot),
         parameters=dict(planned.parameters),
-        diagnostics={
-            **planned.diagnostics,
-            "closure_rank": closure_rank_losses(planned.dynamics, along, planned.functions.platform),
-            "dense_check": _summary(check.peaks, samples.tau),
-        },
+        findings=replace(
+            planned.findings,
+            closure_rank=closure_rank_losses(planned.dynamics, along, planned.functions.platform),
+        ),
+        diagnostics=dict(planned.diagnostics),
         functions=planned.functions,
         between=check.peaks,
     )
-
-
-def _touched(at_samples: Events, between: Events, violated: Events) -> Events:
-    """Return limits that are touched: those of carriers at samples, and of others unless they are exceeded."""
-    known = {(event.carrier, event.quantity) for event in (*at_samples, *violated)}
-    others = (event for event in between if (event.carrier, event.quantity) not in known)
-    return tuple(sorted((*at_samples, *others), key=lambda event: event.start))
-
-
-def _summary(check: IntersamplePeaks, tau: Array) -> dict[str, object]:
-    """Return the peaks as plain data."""
-    worst = int(np.argmax(check.peak))
-    return {
-        "finer": PIECE_DEGREE + 1,
-        "points": check.points,
-        "peak_effort": float(check.peak[worst]),
-        "time_of_peak": float(check.time[worst]),
-        "peak_effort_at_nodes": float(np.nanmax(np.abs(tau), initial=0.0)),
-        "ratio": check.ratio,
-        "passed": check.passed,
-    }
-
-
-def merged_events(at_samples: tuple[LimitEvent, ...], between: tuple[LimitEvent, ...]) -> tuple[LimitEvent, ...]:
-    """Return the events, an event at samples replaced by one that overlaps it and exceeds the limit by more.
-
-    An effort that is exceeded has one event from first to last, whatever its sign.
-    """
-    kept = list(at_samples)
-    for event in between:
-        same = [
-            one
-            for one in kept
-            if (one.carrier, one.quantity) == (event.carrier, event.quantity)
-            and (
-                event.quantity == "effort"
-                or (one.limit == event.limit and one.start <= event.end and event.start <= one.end)
-            )
-        ]
-        if all(event.amount > other.amount for other in same):
-            kept = [other for other in kept if other not in same] + [event]
-    return tuple(sorted(kept, key=lambda event: event.start))
 
 
 # --- a plan judged anew ---
@@ -223,6 +167,8 @@ def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
     left, size = imbalance(along.reduce(plan.carriers), plan.tau)
     unbalanced = left / (size or 1.0)
     balanced = unbalanced <= BALANCE_TOLERANCE
+    # W τ = f leaves efforts open there: what they tend to is found anew
+    on_singularity = plan.sample_status == SampleStatus.SINGULAR_CONSISTENT
     again = finish_plan(
         PlannedMotion(
             dynamics,
@@ -231,12 +177,12 @@ def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
             plan.carriers,
             plan.limits.judged_by,
             plan.planner,
-            prescribed=np.where(balanced[:, None], plan.tau, np.nan),
-            singular=np.flatnonzero(plan.sample_status == SampleStatus.SINGULAR_CONSISTENT),
+            prescribed=np.where((balanced & ~on_singularity)[:, None], plan.tau, np.nan),
+            singular=np.flatnonzero(on_singularity),
             phase=plan.phase,
             phases=plan.phases,
             parameters=plan.parameters,
-            diagnostics={"optimal": plan.diagnostics.get("optimal", True)},
+            findings=plan.findings,
         )
     )
     return PlanCheck(
@@ -246,7 +192,7 @@ def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
         imbalance=float(np.nanmax(unbalanced, initial=0.0)),
         deviations=_deviations(plan, again, unbalanced),
         wider_limits=_wider_limits(plan, again, dynamics.robot),
-        closure_rank=tuple(again.diagnostics.get("closure_rank", ())),  # type: ignore[arg-type]
+        closure_rank=again.findings.closure_rank,
     )
 
 
@@ -279,8 +225,8 @@ def _deviations(plan: Plan, again: Plan, unbalanced: Array) -> tuple[Deviation, 
     motion, carriers, platform = plan.motion, plan.carriers, plan.functions.platform.sample_at(plan.t)
     left, right = plan.functions.carriers_at(plan.t, "left"), plan.functions.carriers_at(plan.t, "right")
     sdd = np.where(np.abs(carriers.sdd - left.sdd) < np.abs(carriers.sdd - right.sdd), left.sdd, right.sdd)
-    sdd[0] = carriers.sdd[0]  # a sample belongs to the step that it ends, the first to none
-    # backward differences move a carrier by its new speed, the motion by the mean of both: half a step apart
+    # Backward differences (Parsa 2014, eqs. 4.3 and 4.4) move a carrier by its new speed, a motion by the mean of both
+    # speeds: positions differ by half a step. The samples keep the thesis's positions, which its efforts belong to.
     step = float(np.diff(plan.t).max(initial=0.0)) if plan.planner == "stepwise" else 0.0
     slack = step * float(np.abs(carriers.sd).max(initial=0.0))
     table = (
@@ -295,7 +241,13 @@ def _deviations(plan: Plan, again: Plan, unbalanced: Array) -> tuple[Deviation, 
         ("carrier motion sdd", carriers.sdd, sdd, 1e3 * SAME, 0.0),
     )
     compared = (_compared(what, plan.t, ours, theirs, part, room) for what, ours, theirs, part, room in table)
-    found = (_unbalanced(plan, unbalanced), *compared, _other_peak(plan, again), *_other_limits(plan, again))
+    found = (
+        _unbalanced(plan, unbalanced),
+        _other_limit_efforts(plan, again),
+        *compared,
+        _other_peak(plan, again),
+        *_other_limits(plan, again),
+    )
     status = None
     if plan.status is not again.status:
         message = f"The status is {again.status.value}, not {plan.status.value}."
@@ -325,6 +277,19 @@ def _unbalanced(plan: Plan, unbalanced: Array) -> Deviation | None:
     amount, t = float(unbalanced[worst]), float(plan.t[worst])
     much = f"W τ − f is {amount:.3g} of the largest f" if np.isfinite(amount) else "they are not finite"
     message = f"The main efforts of {int(wrong.sum())} samples do not balance the motion: at t = {t:.6g} s {much}."
+    return Deviation("main efforts", t, amount, message)
+
+
+def _other_limit_efforts(plan: Plan, again: Plan) -> Deviation | None:
+    """Return where efforts on a type II singularity are not those that W⁻¹ f tends to (``SingularInstant``)."""
+    at = np.flatnonzero(plan.sample_status == SampleStatus.SINGULAR_CONSISTENT)
+    distance = np.abs(plan.tau[at] - again.tau[at]).max(axis=1, initial=0.0)
+    size = float(np.abs(again.tau[np.isfinite(again.tau)]).max(initial=1e-9))
+    if not (distance > SAME_PEAK * size).any():
+        return None
+    worst = int(distance.argmax())
+    amount, t = float(distance[worst]), float(plan.t[at[worst]])
+    message = f"The main efforts at the singular instant t = {t:.6g} s are off by {amount:.3g} from their limits."
     return Deviation("main efforts", t, amount, message)
 
 

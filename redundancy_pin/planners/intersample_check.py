@@ -32,19 +32,21 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import SINGULAR_SAMPLE, PlanFunctions, apart
 from redundancy_pin.planners.limits import (
     LIMIT_TOLERANCE,
+    LimitedQuantity,
     LimitEvent,
     ResolvedLimits,
     limit_events,
-    motion_events,
-    range_events,
+    motion_quantities,
+    range_quantities,
 )
+from redundancy_pin.planners.singular_instant import SingularInstant
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.scales import velocity_scale
 from redundancy_pin.singularities.roots import zeros
 from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory.continuous_motion import Motion
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_points, chebyshev_series
+from redundancy_pin.trajectory.functions_of_time import chebyshev_points, chebyshev_series
 
 BALANCE_TOLERANCE = 1e-6
 """Largest imbalance W τ − f, relative to the size of f along the motion, of efforts that a planner prescribes."""
@@ -123,6 +125,27 @@ class EvaluatedSamples:
     condition: Array
 
 
+@dataclass(frozen=True)
+class Findings:
+    """What a planner found and others read: ``Plan.status``, figures and the command line.
+
+    What one planner alone reports is ``Plan.diagnostics``.
+
+    Attributes:
+        optimal: whether the optimiser reached an optimum; true where nothing was optimised.
+        solver: what the optimiser says of its end; empty where nothing was optimised.
+        singular_instants: times at which the motion is on a type II singularity, s.
+        least_cost: least weighted objective that was found, in its unit; None where none was minimised.
+        closure_rank: "time", s, and pose "x" of each rank loss of the closures along the motion.
+    """
+
+    optimal: bool = True
+    solver: str = ""
+    singular_instants: tuple[float, ...] = ()
+    least_cost: float | None = None
+    closure_rank: tuple[Mapping[str, object], ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class PlannedMotion:
     """What a planner planned, by which dynamics and within which limits. N samples, m main actuators, k carriers.
@@ -136,11 +159,13 @@ class PlannedMotion:
         planner: name of the planner.
         prescribed: (N, m) main efforts the planner decided on, N or N·m; NaN where W τ = f decides. Their imbalance is
             reported, never corrected. None for none.
-        singular: indices of samples at which the efforts are the limits from both sides of a type II singularity.
+        singular: indices of samples at which the efforts are the limits from both sides of a type II singularity;
+            ``SingularInstant`` has those that are not prescribed.
         phase: (N,) index into ``phases`` of each sample; None where there is one phase only.
         phases: names of the phases.
         parameters: the planner's parameters, in plain data.
-        diagnostics: the planner's findings, in plain data; "optimal" says whether it reached an optimum.
+        findings: what the planner found that others read.
+        diagnostics: what else it found, in plain data.
     """
 
     dynamics: Dynamics
@@ -154,6 +179,7 @@ class PlannedMotion:
     phase: IntArray | None = None
     phases: tuple[str, ...] = ("all",)
     parameters: Mapping[str, object] = field(default_factory=dict)
+    findings: Findings = field(default_factory=Findings)
     diagnostics: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -167,9 +193,13 @@ class PlannedMotion:
         reduced = self.along.reduce(self.carriers)
         solved = distribute(reduced)
         tau, status, residual = np.array(solved.tau), np.array(solved.status), np.array(solved.residual)
-        if self.prescribed is not None:
-            given = np.isfinite(self.prescribed).all(axis=1)
-            tau[given] = self.prescribed[given]
+        prescribed = np.full(tau.shape, np.nan) if self.prescribed is None else np.array(self.prescribed)
+        for i in () if self.singular is None else self.singular.tolist():
+            if not np.isfinite(prescribed[i]).all():
+                prescribed[i] = self._limit_efforts(i)
+        given = np.isfinite(prescribed).all(axis=1)
+        if given.any():
+            tau[given] = prescribed[given]
             left, size = imbalance(reduced, tau)
             residual[given] = left[given]
             balanced = left[given] <= BALANCE_TOLERANCE * size
@@ -179,6 +209,17 @@ class PlannedMotion:
             regular = self.singular[status[self.singular] == SampleStatus.OK]
             status[regular] = SampleStatus.SINGULAR_CONSISTENT
         return EvaluatedSamples(reduced, tau, status, residual, solved.margin, solved.condition)
+
+    def _limit_efforts(self, i: int) -> Array:
+        """Return the efforts (m,) that W⁻¹ f tends to at a sample on a singularity; of a jump from its own side."""
+        t, functions = self.motion.t, self.functions
+
+        def evaluate(times: Array) -> ReducedDynamics:
+            return self.dynamics.along(functions.platform.sample_at(times)).reduce(functions.carriers_at(times))
+
+        before = i + 1 < len(t) and t[i + 1] == t[i]
+        instant = SingularInstant.along(evaluate, functions.pieces(t), float(t[i]), "left" if before else "right")
+        return instant.efforts(None if functions.preferred is None else functions.preferred.at(float(t[i])))
 
     @property
     def singular_instants(self) -> Array:
@@ -198,14 +239,12 @@ class IntersamplePeaks(Frozen):
         force_peak: (k,) largest force of each carrier's actuator, N or N·m.
         ratio: largest |τ| of the motion over the largest at the samples, at least 1. Efforts that are negligible
             against those that f takes count as equal.
-        points: number of points at which the dynamics were evaluated.
     """
 
     peak: Array
     time: Array
     force_peak: Array
     ratio: float
-    points: int
 
     @property
     def passed(self) -> bool:
@@ -220,7 +259,7 @@ class IntersampleCheck:
     Attributes:
         peaks: the largest efforts and forces.
         violated: limits that are exceeded, of every quantity.
-        touched: limits that are met, of efforts, forces, rates and jerks.
+        touched: limits that are met, of every quantity.
         middle: (P,) middles of the pieces, s.
         ratio: (P,) largest effort over the largest at the samples.
         use: (P, c) used fractions of the limits of efforts, forces and rates.
@@ -293,16 +332,16 @@ def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
         planned.singular_instants,
         limits.actuator_speed,
     )
-    size = np.abs(pieces.value)
+    time, value = _with_samples(pieces, t, np.concatenate([samples.tau, samples.reduced.carrier_force], axis=1))
+    size = np.abs(value)
     at_samples = np.abs(samples.tau[np.isfinite(samples.tau).all(axis=1)])
-    largest = max(float(at_samples.max(initial=0.0)), least_effort(samples.reduced))
+    largest = max(float(at_samples.max(initial=0.0)), least_effort(samples.reduced)) or 1.0
     worst = size.argmax(axis=0)
     peaks = IntersamplePeaks(
-        peak=frozen(np.maximum(size.max(axis=0)[:m], at_samples.max(axis=0, initial=0.0))),
-        time=frozen(pieces.time[worst, range(len(worst))][:m]),
+        peak=frozen(size.max(axis=0)[:m]),
+        time=frozen(time[worst, range(len(worst))][:m]),
         force_peak=frozen(size.max(axis=0)[m : m + k]),
-        ratio=max(float(size[:, :m].max(initial=0.0) / (largest or 1.0)), 1.0),
-        points=pieces.points,
+        ratio=max(float(size[:, :m].max(initial=0.0) / largest), 1.0),
     )
     limited = np.flatnonzero(np.isfinite(limits.actuator_speed))
     columns = (
@@ -310,23 +349,41 @@ def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
         ("force", robot.carriers, limits.carrier_force),
         ("speed", tuple(robot.actuated[j] for j in limited), limits.actuator_speed[limited]),
     )
-    found, first = [], 0
+    rows, first = [], 0
     for quantity, names, limit in columns:
         own = slice(first, first + len(names))
-        found.append(limit_events(quantity, names, pieces.time[:, own], pieces.value[:, own], limit))
+        rows.append(LimitedQuantity(quantity, names, time[:, own], value[:, own], -limit, limit))
         first += len(names)
-    found.append(jerk_events(planned.functions.carriers, limits))
-    violated, touched = (tuple(event for events in found for event in events[i]) for i in range(2))
+    rows += [*motion_quantities(limits, planned.functions.carriers), *joint_ranges_of(planned)]
+    violated, touched = limit_events(rows)
     with np.errstate(invalid="ignore"):  # infinite efforts without a limit
         use = np.nan_to_num(size / np.concatenate([limit for *_, limit in columns]), nan=0.0, posinf=np.inf)
     return IntersampleCheck(
         peaks=peaks,
-        violated=(*violated, *motion_events(limits, planned.functions.carriers), *joint_range_events(planned)),
+        violated=violated,
         touched=touched,
         middle=pieces.ends.mean(axis=1),
-        ratio=size[:, :m].max(axis=1, initial=0.0) / (largest or 1.0),
+        ratio=size[:, :m].max(axis=1, initial=0.0) / largest,
         use=use,
     )
+
+
+def _with_samples(pieces: PieceExtremes, t: Array, loads: Array) -> tuple[Array, Array]:
+    """Return (P, c) times and values of the extremes of pieces, those of the samples among them.
+
+    ``t`` (N,) times of the samples, s; ``loads`` (N, m + k) their efforts and forces, which polynomials of the pieces
+    do not hold at singular instants.
+    """
+    time, value = np.array(pieces.time), np.array(pieces.value)
+    inside = np.searchsorted(pieces.ends[1:, 0], t, side="right")
+    size = np.where(np.isfinite(loads), np.abs(loads), 0.0)
+    for j in range(loads.shape[1]):
+        order = np.argsort(size[:, j], kind="stable")
+        top = np.zeros(len(value), dtype=np.intp)
+        top[inside[order]] = order  # of several samples in a piece the largest is written last
+        larger = np.isin(np.arange(len(value)), inside) & (size[top, j] > np.abs(value[:, j]))
+        value[larger, j], time[larger, j] = loads[top[larger], j], t[top[larger]]
+    return time, value
 
 
 def imbalance(reduced: ReducedDynamics, tau: Array) -> tuple[Array, float]:
@@ -350,13 +407,12 @@ class PieceExtremes:
     """The extremes of main efforts, carrier forces and limited rates in each of P pieces; c columns of these.
 
     ``ends`` (P, 2) of the pieces, s; ``time`` (P, c) of the extremes, s; ``value`` (P, c) their signed
-    values, N or N·m, m/s or rad/s, infinite where there is none; ``points``: number of points evaluated.
+    values, N or N·m, m/s or rad/s, infinite where there is none.
     """
 
     ends: Array
     time: Array
     value: Array
-    points: int
 
 
 def extremes_between(
@@ -378,11 +434,10 @@ def extremes_between(
     edges = _edges(functions, start, end, fixed)
     ends = np.stack([edges[:-1], edges[1:]], axis=1)
     at_singularity = np.isin(ends, fixed).any(axis=1)
-    scale, points = None, 0
+    scale = None
     found: list[tuple[Array, ...]] = []
     for halving in range(HALVINGS + 1):
         reduced, values = _values(dynamics, functions, ends, limit)
-        points += len(reduced.t)
         scale = _Scale.of(dynamics.robot, reduced, values, limit) if scale is None else scale
         finite = np.asarray(np.isfinite(values).all(axis=(1, 2)))
         series = chebyshev_series(np.where(finite[:, None, None], values, 0.0))
@@ -403,7 +458,7 @@ def extremes_between(
     parts = [np.concatenate(part) for part in zip(*found, strict=True)]
     order = np.argsort(parts[0][:, 0])
     pieces, time, value = (part[order] for part in parts)
-    return PieceExtremes(pieces, time, value, points)
+    return PieceExtremes(pieces, time, value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -513,26 +568,8 @@ def _extremes(ends: Array, series: Array, values: Array, finite: BoolArray) -> t
 # --- motions of carriers and joints ---
 
 
-def jerk_events(
-    position: PiecewisePolynomial, limits: ResolvedLimits
-) -> tuple[tuple[LimitEvent, ...], tuple[LimitEvent, ...]]:
-    """Return where jerks of carriers exceed their limit, and where they touch it.
-
-    ``position``: (k,) of the carriers, m, as a function of time. Where s̈ jumps it is changed within the shorter of the
-    pieces that meet there.
-    """
-    if not np.isfinite(limits.jerk).any():
-        return (), ()
-    edges, (least, largest) = position.edges, position.derivative(3).ranges()
-    sdd, step = position.derivative(2), np.diff(edges)
-    jump = (sdd(edges[1:-1]) - sdd(edges[1:-1], "left")) / np.minimum(step[:-1], step[1:])[:, None]
-    inside = np.where(-least > largest, least, largest)
-    t, jerk = np.append(edges[:-1], edges[1:-1]), np.append(inside, jump, axis=0)
-    return limit_events("jerk", limits.names, t, jerk, limits.jerk)
-
-
-def joint_range_events(planned: PlannedMotion) -> tuple[LimitEvent, ...]:
-    """Return where joints, passive ones too, leave their ranges, at the samples and between them."""
+def joint_ranges_of(planned: PlannedMotion) -> tuple[LimitedQuantity, ...]:
+    """Return the positions of joints that have a range, passive ones too, at the samples and between them."""
     along, platform, robot = planned.along, planned.functions.platform, planned.dynamics.robot
     joints = joint_ranges(robot)
     if not joints:
@@ -563,10 +600,12 @@ def joint_range_events(planned: PlannedMotion) -> tuple[LimitEvent, ...]:
             t, q = np.append(t, times[new]), np.append(q, between.q[new], axis=0)
         order = np.argsort(t, kind="stable")
         t, q = t[order], q[order]
-    return range_events(robot, t, q)
+    return range_quantities(robot, t, q)
 
 
-def closure_rank_losses(dynamics: Dynamics, along: DynamicsAlongMotion, platform: Motion) -> list[dict[str, object]]:
+def closure_rank_losses(
+    dynamics: Dynamics, along: DynamicsAlongMotion, platform: Motion
+) -> tuple[Mapping[str, object], ...]:
     """Return "time", s, and pose "x" of each rank loss of the closures on the way: the branch is carried across it.
 
     ``along``: dynamics along samples of the platform's motion. Only where these show a rank loss are more needed.
@@ -582,4 +621,4 @@ def closure_rank_losses(dynamics: Dynamics, along: DynamicsAlongMotion, platform
         return there[np.searchsorted(every, times)]
 
     roots = [zero.t for zero in zeros(margin, t, RANK_LOST)] if len(t) > 1 else []
-    return [{"time": time, "x": platform.sample_at(np.array([time])).x[0].tolist()} for time in roots]
+    return tuple({"time": time, "x": platform.sample_at(np.array([time])).x[0].tolist()} for time in roots)

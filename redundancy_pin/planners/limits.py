@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, each, frozen, positive, runs
+from redundancy_pin.arrays import Array, Frozen, each, frozen, positive, runs
 from redundancy_pin.errors import InfeasiblePlanError, InputError, shown
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
+from redundancy_pin.motion import PlatformMotion, require_consistent
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
@@ -188,13 +189,13 @@ def grouped(name: str, group: Group | None, kind: type[Group], **keywords: Any) 
 
 @dataclass(frozen=True)
 class LimitEvent:
-    """A stretch of time over which one limit of one carrier is touched or broken.
+    """A stretch of time over which one joint touches or exceeds one limit.
 
     Attributes:
         carrier: name of the carrier joint; of the main actuator for "effort" and its "speed", of any joint for "range".
         quantity: "track", "speed", "acceleration", "jerk" or "force"; "effort", N or N·m; or "range", of a joint's
             position.
-        start, end: first and last sample of the stretch, s.
+        start, end: first and last evaluated instant of the stretch, s.
         worst: time of the largest value, s.
         value: the value there, with its sign: m, m/s, m/s² or N.
         limit: the limit it meets, with its sign.
@@ -230,89 +231,108 @@ QUANTITIES = ("track", "speed", "acceleration", "force")
 """Of a carrier, in the order of its position, its rates and its force."""
 
 
-def check_limits(limits: ResolvedLimits, t: Array, carriers: CarrierMotion, carrier_force: Array) -> LimitReport:
-    """Compare a carrier motion and its forces with the limits of the carriers.
+@dataclass(frozen=True, eq=False)
+class LimitedQuantity:
+    """One quantity of j joints at N instants, with its limits: a row of the table that ``limit_events`` evaluates.
 
-    ``t`` (N,) time, s; ``carriers``: carrier motion, N samples; ``carrier_force`` (N, k) forces of the carriers'
-    actuators, N.
+    Attributes:
+        name: as in ``LimitEvent.quantity``.
+        joints: (j,) names.
+        t: (N,) times, or (N, j) times of each joint, increasing, s.
+        values: (N, j) in the unit of the quantity; values that are not finite count as zero: they decide a status.
+        lower: (j,) lower limits; infinite for none.
+        upper: (j,) upper limits.
+        exceeding: excess up to which a limit is kept, in ``unit``.
+        touching: distance from a limit up to which it is touched, in ``unit``.
+        unit: (j,); when left out, for each limit the larger of its magnitude and half the distance of both limits.
     """
-    violated: list[LimitEvent] = []
-    binding: list[LimitEvent] = []
-    lowest, highest = limits.bounds
-    values = (carriers.s, carriers.sd, carriers.sdd, carrier_force)
-    for i, name in enumerate(limits.names):
-        for quantity, series, lower, upper in zip(QUANTITIES, values, lowest[:, i], highest[:, i], strict=True):
-            value = series[:, i]
-            for limit, excess in ((upper, value - upper), (lower, lower - value)):
-                if not np.isfinite(limit):
-                    continue
-                size = max(abs(limit), abs(upper - lower) / 2.0)
-                broken = excess > EXCEEDING * size
-                touched = (excess > -BINDING * size) & ~broken
-                violated += _events(name, quantity, t, value, limit, excess, broken)
-                binding += _events(name, quantity, t, value, limit, excess, touched)
-    violated, binding = (sorted(events, key=lambda event: event.start) for events in (violated, binding))
-    return LimitReport(tuple(violated), tuple(binding), limits)
+
+    name: str
+    joints: tuple[str, ...]
+    t: Array
+    values: Array
+    lower: Array
+    upper: Array
+    exceeding: float = LIMIT_TOLERANCE
+    touching: float = LIMIT_TOLERANCE
+    unit: Array | None = None
 
 
-def motion_events(limits: ResolvedLimits, position: PiecewisePolynomial) -> tuple[LimitEvent, ...]:
-    """Return where carriers whose positions (k,), m, are a function of time leave track, speed or acceleration.
-
-    Of an acceleration that jumps the value after the jump counts.
-    """
-    inside = np.linspace(0.0, 1.0, 5)[:-1]  # that an event has a start and an end; the extremes decide
-    even = position.edges[:-1, None] + np.diff(position.edges)[:, None] * inside
-    extremes = [position.derivative(order).extremes() for order in range(3)]
-    times = np.unique(np.concatenate([even.ravel(), position.edges[-1:], *extremes]))
-    carriers = carriers_at(position, times)
-    return check_limits(limits, times, carriers, np.zeros_like(carriers.s)).violated
+Events = tuple[LimitEvent, ...]
 
 
-def _events(
-    carrier: str, quantity: str, t: Array, value: Array, limit: float, excess: Array, where: BoolArray
-) -> list[LimitEvent]:
-    events = []
-    for start, stop in runs(where):
-        worst = start + int(np.argmax(excess[start:stop]))
-        span = float(t[start]), float(t[stop - 1]), float(t[worst])
-        amount = max(0.0, float(excess[worst]))
-        events.append(LimitEvent(carrier, quantity, *span, float(value[worst]), float(limit), amount))
-    return events
+def limit_events(quantities: Iterable[LimitedQuantity]) -> tuple[Events, Events]:
+    """Return the limits that are exceeded, and those that are touched, both by time.
 
+    Each run of consecutive instants at which a joint exceeds, or touches, one limit is one event.
 
-def range_events(robot: Robot, t: Array, q: Array) -> tuple[LimitEvent, ...]:
-    """Return where joints, passive ones too, are beyond their ranges: times (N,), s, configurations (N, nq) or NaN."""
-    events, known = [], np.isfinite(q).all(axis=1)
-    for joint in joint_ranges(robot):
-        value = joint.counted(q[known, joint.at], True)
-        for limit, excess in ((joint.lower, joint.lower - value), (joint.upper, value - joint.upper)):
-            events += _events(joint.name, "range", t[known], value, limit, excess, excess > joint.slack)
-    return tuple(events)
-
-
-def limit_events(
-    quantity: str, names: tuple[str, ...], t: Array, values: Array, limit: Array
-) -> tuple[tuple[LimitEvent, ...], tuple[LimitEvent, ...]]:
-    """Return the limits that |values| exceed, and those that they touch, by more or less than ``LIMIT_TOLERANCE``.
-
-    Each actuator has one event of one kind at most, from the first to the last such time.
-
-    ``names`` (j,) of the actuators; ``t`` (N,) times or (N, j) times of each, s; ``values`` (N, j) efforts, forces,
-    rates or jerks; those that are not finite are judged elsewhere; ``limit`` (j,) the largest allowed.
+    Args:
+        quantities: rows of the table, such as ``motion_quantities``.
     """
     violated: list[LimitEvent] = []
     touched: list[LimitEvent] = []
-    times = np.broadcast_to(np.asarray(t).reshape(len(t), -1), values.shape)
-    for name, own, when, most in zip(names, np.where(np.isfinite(values), values, 0.0).T, times.T, limit, strict=True):
-        use = np.abs(own) / most
-        exceeded = bool(use.max(initial=0.0) > 1.0 + LIMIT_TOLERANCE)
-        at = np.flatnonzero(use > (1.0 + LIMIT_TOLERANCE if exceeded else 1.0 - LIMIT_TOLERANCE))
-        if len(at):
-            worst = int(at[use[at].argmax()])
-            value = float(own[worst])
-            excess = max(abs(value) - float(most), 0.0)
-            span = float(when[at].min()), float(when[at].max()), float(when[worst])
-            meets = float(np.copysign(most, value))
-            event = LimitEvent(name, quantity, *span, value, meets, excess)
-            (violated if exceeded else touched).append(event)
+    for row in quantities:
+        times = np.broadcast_to(row.t.reshape(len(row.t), -1), row.values.shape)
+        values = np.where(np.isfinite(row.values), row.values, 0.0)
+        for j, joint in enumerate(row.joints):
+            t, value, ends = times[:, j], values[:, j], (float(row.upper[j]), float(row.lower[j]))
+            for limit, excess in zip(ends, (value - ends[0], ends[1] - value), strict=True):
+                if not np.isfinite(limit):
+                    continue
+                size = max(abs(limit), 0.5 * (ends[0] - ends[1])) if row.unit is None else row.unit[j]
+                broken = excess > row.exceeding * size
+                near = (excess > -row.touching * size) & ~broken
+                for found, where in ((violated, broken), (touched, near)):
+                    for first, stop in runs(where):
+                        worst = first + int(np.argmax(excess[first:stop]))
+                        span = float(t[first]), float(t[stop - 1]), float(t[worst])
+                        amount = max(0.0, float(excess[worst]))
+                        found.append(LimitEvent(joint, row.name, *span, float(value[worst]), limit, amount))
+    violated, touched = (sorted(events, key=lambda event: event.start) for events in (violated, touched))
     return tuple(violated), tuple(touched)
+
+
+def motion_quantities(limits: ResolvedLimits, position: PiecewisePolynomial) -> tuple[LimitedQuantity, ...]:
+    """Return track, speed, acceleration and jerk of carriers whose positions (k,), m, are a function of time.
+
+    Evaluated at all extremes, from both sides where s̈ jumps. A jump of s̈ is a jerk within the shorter of the pieces
+    that meet there.
+    """
+    inside = np.linspace(0.0, 1.0, 5)[:-1]  # that an event has a start and an end; the extremes decide
+    edges, step = position.edges, np.diff(position.edges)
+    even = edges[:-1, None] + step[:, None] * inside
+    extremes = [position.derivative(order).extremes() for order in range(3)]
+    times = np.unique(np.concatenate([even.ravel(), edges[-1:], *extremes]))
+    sides = [carriers_at(position, times, side) for side in ("left", "right")]
+    t, (lower, upper) = np.repeat(times, 2), limits.bounds
+    rows = [
+        LimitedQuantity(
+            name,
+            limits.names,
+            t,
+            np.stack([getattr(side, part) for side in sides], axis=1).reshape(len(t), -1),
+            lower[i],
+            upper[i],
+            EXCEEDING,
+            BINDING,
+        )
+        for i, (name, part) in enumerate(zip(QUANTITIES, ("s", "sd", "sdd"), strict=False))
+    ]
+    if np.isfinite(limits.jerk).any():
+        sdd, (least, largest) = position.derivative(2), position.derivative(3).ranges()
+        jump = (sdd(edges[1:-1]) - sdd(edges[1:-1], "left")) / np.minimum(step[:-1], step[1:])[:, None]
+        jerk = np.concatenate([np.where(-least > largest, least, largest), jump])
+        t = np.append(edges[:-1], edges[1:-1])
+        order = np.argsort(t, kind="stable")
+        rows.append(LimitedQuantity("jerk", limits.names, t[order], jerk[order], -limits.jerk, limits.jerk))
+    return tuple(rows)
+
+
+def range_quantities(robot: Robot, t: Array, q: Array) -> tuple[LimitedQuantity, ...]:
+    """Return positions of the joints that have a range, passive ones too, at (N,) times, s, of q (N, nq) or NaN."""
+    known = np.isfinite(q).all(axis=1)
+    rows = []
+    for joint in joint_ranges(robot):
+        value, ends = joint.counted(q[known, joint.at], True)[:, None], (frozen([joint.lower]), frozen([joint.upper]))
+        rows.append(LimitedQuantity("range", (joint.name,), t[known], value, *ends, 1.0, 1.0, frozen([joint.slack])))
+    return tuple(rows)

@@ -19,7 +19,7 @@ from redundancy_pin.io.schema import record_of
 from redundancy_pin.loading import RobotLike
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.intersample_check import IntersamplePeaks
+from redundancy_pin.planners.intersample_check import Findings, IntersamplePeaks
 from redundancy_pin.planners.limits import LimitEvent, LimitReport, ResolvedLimits
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot
 from redundancy_pin.robot import Robot
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 PLAN_FORMAT = "redundancy_pin plan"
 """What a saved plan calls itself."""
 
-PLAN_VERSION = 3
-"""Version of the file format: counts up whenever the fields of the file change. 3: the limits it was judged by."""
+PLAN_VERSION = 4
+"""Version of the file format: counts up whenever the fields of the file change. 4: ``Findings``."""
 
 REVERSAL = 0.05
 """Change after a turning point, as a fraction of the peak effort, from which the turning point is a reversal."""
@@ -65,7 +65,8 @@ class Plan(Frozen):
         backend: name of the backend.
         robot: the robot, in plain data.
         parameters: the planner's parameters, in plain data.
-        diagnostics: the planner's findings (instants, counts, …), in plain data.
+        findings: what the planner found that others read.
+        diagnostics: what else it found (windows, counts, …), in plain data.
         functions: platform, carriers and efforts as functions of time, between the samples too: what ``simulate``,
             controllers and engines play. Whoever replaces ``motion`` or ``carriers`` replaces it too.
         between: largest efforts and forces of the continuous motion.
@@ -90,6 +91,7 @@ class Plan(Frozen):
     functions: PlanFunctions
     between: IntersamplePeaks
     parameters: Mapping[str, object] = field(default_factory=dict)
+    findings: Findings = field(default_factory=Findings)
     diagnostics: Mapping[str, object] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -203,8 +205,7 @@ class Plan(Frozen):
 
         Optima are compared by it. The plan itself may cost more, by the fraction ``calm``.
         """
-        cost = self.diagnostics.get("least_cost")
-        return None if cost is None else float(cost)  # type: ignore[arg-type]
+        return self.findings.least_cost
 
     @property
     def rms_effort(self) -> Array:
@@ -342,6 +343,7 @@ def _plan(record: Mapping[str, Any], path: str | Path) -> Plan:
         "robot": read_robot(values["robot"], path),
         "functions": _functions(values["functions"]),
         "between": IntersamplePeaks(**values["between"]),
+        "findings": record_of(Findings, values["findings"]),
     }
     plan = Plan(**values)
     _check(plan)

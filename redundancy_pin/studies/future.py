@@ -174,5 +174,5 @@ def task_record(task: str, method: str, case: Case, outcome: Plan | InfeasiblePl
         "base_force": float(np.linalg.norm(push[:, :3], axis=1).max()),
         "replay": replay(outcome, backend=as_dynamics).largest,
         "base_moment": float(np.linalg.norm(push[:, 3:], axis=1).max()),
-        "singular_instants": list(outcome.diagnostics.get("singular_instants", ())),  # type: ignore[call-overload]
+        "singular_instants": list(outcome.findings.singular_instants),
     }

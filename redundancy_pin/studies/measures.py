@@ -437,7 +437,7 @@ def numbers(plan: Plan) -> dict[str, Any]:
         "speed_limit": max(limits.speed, default=math.nan),
         "acceleration_limit": max(limits.acceleration, default=math.nan),
         "broken": broken_limits(plan),
-        "solver": str(plan.diagnostics.get("solver", "")),
+        "solver": plan.findings.solver,
     }
 
 

@@ -140,7 +140,7 @@ def judge(cell: Cell, plan: Plan, limits: Mapping[str, float]) -> Cell:
         message = f"Between the samples the efforts reach {between:.4g}, at the samples {peak:.4g}: {limit}."
         return replace(cell, message=message)
     if plan.status is ResultStatus.NOT_CONVERGED:
-        message = f"The solver says {plan.diagnostics.get('solver')}."
+        message = f"The solver says {plan.findings.solver}."
         return replace(cell, verdict=ResultStatus.NOT_CONVERGED, message=message)
     return cell
 

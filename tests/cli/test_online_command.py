@@ -22,7 +22,7 @@ def test_a_motion_is_planned_tick_by_tick(tmp_path):
     plan = rp.load_plan(out)
     assert result.exit_code in (0, 4), result.stderr
     assert facts["ticks"]["ok"] == sum(facts["ticks"].values()) == 30
-    assert len(facts["diagnostics"]["singular_instants"]) == 1
+    assert len(facts["findings"]["singular_instants"]) == 1
     np.testing.assert_allclose(facts["peak_effort"], plan.peak_effort)
     assert facts["html"] == str(page)
     assert "path known ahead" in page.read_text(encoding="utf-8")

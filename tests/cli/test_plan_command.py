@@ -204,9 +204,9 @@ def test_efforts_without_bound_between_the_samples_are_one_warning(capsys: pytes
 
 def test_no_optimum_is_warned_of_whatever_the_status(capsys: pytest.CaptureFixture[str]) -> None:
     plan = plan_stepwise(rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(), dt=0.02)
-    facts = {**plan.diagnostics, "optimal": False, "solver": "Time_Exceeded"}
+    findings = replace(plan.findings, optimal=False, solver="Time_Exceeded")
     for status in (ResultStatus.NOT_CONVERGED, ResultStatus.UNRESOLVED, ResultStatus.UNBOUNDED):
-        warn(replace(plan, status=status, diagnostics=facts))
+        warn(replace(plan, status=status, findings=findings))
         assert "this is no optimum: the optimiser stopped early (Time_Exceeded)" in capsys.readouterr().err
     warn(plan)
     assert capsys.readouterr().err == ""

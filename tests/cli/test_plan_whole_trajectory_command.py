@@ -98,8 +98,8 @@ def test_a_plan_through_a_singularity_is_saved_and_told(tmp_path: Path) -> None:
     assert told["optimal"] is True
     assert told["smallest_margin"] == 0.0
     assert told["peak_effort"] == plan.peak_effort.tolist()
-    assert told["diagnostics"]["singular_instants"] == list(plan.diagnostics["singular_instants"])
-    assert len(told["diagnostics"]["singular_instants"]) == 2
+    assert told["findings"]["singular_instants"] == list(plan.findings.singular_instants)
+    assert len(told["findings"]["singular_instants"]) == 2
 
 
 @pytest.mark.long
@@ -144,7 +144,7 @@ def test_a_plan_that_stopped_early_is_never_an_optimum(tmp_path: Path) -> None:
     assert "local optimum" not in result.stdout
     plan = rp.load_plan(out)
     assert plan.status is ResultStatus.NOT_CONVERGED
-    assert plan.diagnostics["optimal"] is False
+    assert plan.findings.optimal is False
     # every limit holds all the same: that is what separates exit code 4 from 3
     assert not plan.limits.violated
     told = json.loads(call(*coarse, "--json").stdout)

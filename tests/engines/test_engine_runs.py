@@ -90,7 +90,7 @@ def on_line(request):
     robot, motion = rp.load_robot(case.robot, **case.arguments), case.trajectory(None)
     run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot)), motion)
     assert run.counts["ok"] == len(run.commands)
-    assert len(run.plan.diagnostics["singular_instants"]) == case.crossings
+    assert len(run.plan.findings.singular_instants) == case.crossings
     return run, robot, motion, drive_of_plan(rp.RneaDynamics(robot), run.plan, motion)
 
 
@@ -124,7 +124,7 @@ def test_commands_are_the_plan_next_to_a_singular_instant_too(tick):
     robot, motion = rp.load_robot("3rrr"), MOVING_TURN.trajectory(None)
     run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot)), motion, tick=tick)
     drive = drive_of_plan(rp.RneaDynamics(robot), run.plan, motion)
-    (root,) = run.plan.diagnostics["singular_instants"]
+    (root,) = run.plan.findings.singular_instants
     t = np.linspace(root - 0.02, root + 0.02, 400)
     efforts = drive.task.efforts(t)
     atol = 5e-3 * np.abs(efforts).max()  # linear over 2.5 ms where they turn; with another first piece 0.84 of it

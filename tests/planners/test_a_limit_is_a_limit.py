@@ -58,7 +58,7 @@ def instants(plan: Plan) -> Array:
     t = np.unique(np.concatenate([plan.t, plan.functions.pieces(plan.t)]))
     fractions = np.concatenate([[1e-6], (np.arange(FINER) + 0.5) / FINER, [1.0 - 1e-6]])
     times = (t[:-1, None] + fractions * np.diff(t)[:, None]).ravel()
-    rank = np.array(plan.diagnostics.get("singular_instants", []), dtype=float)
+    rank = np.array(plan.findings.singular_instants, dtype=float)
     return times[(np.abs(times[:, None] - rank) > SINGULAR).all(axis=1)]
 
 

@@ -18,7 +18,7 @@ from redundancy_pin.planners.carrier_return import (
     return_polynomial,
     shortest_return,
 )
-from redundancy_pin.planners.limits import Limits, motion_events
+from redundancy_pin.planners.limits import Limits, limit_events, motion_quantities
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.trajectory.functions_of_time import carriers_at
 
@@ -85,7 +85,7 @@ def test_durations_between_two_candidates_are_found(wanted):
     limits = Limits().resolved(robot)
     duration = shortest(state, limits=limits)
     assert duration == pytest.approx(wanted, rel=2e-3)
-    assert not motion_events(limits, return_polynomial(state, duration, datum))
+    assert not limit_events(motion_quantities(limits, return_polynomial(state, duration, datum)))[0]
 
 
 def test_boundary_conditions_and_path():
@@ -168,7 +168,7 @@ def test_a_limit_that_a_return_exceeds_only_at_its_extreme_is_found(order, quant
     most = peak * (1.0 - 1e-6)
     wide = {"track": (-9.0, 9.0), "speed": 1e3, "acceleration": 1e6}
     limits = Limits(**{**wide, quantity: (-most, most) if order == 0 else most}).resolved(ROBOT)
-    (event,) = motion_events(limits, path)
+    (event,), _ = limit_events(motion_quantities(limits, path))
     assert event.quantity == quantity
     assert event.amount == pytest.approx(peak - most, rel=1e-2)
 

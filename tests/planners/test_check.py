@@ -13,8 +13,7 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, PlanFileError, UnsupportedRobotError
-from redundancy_pin.planners.check import merged_events
-from redundancy_pin.planners.limits import LimitEvent, Limits, motion_events
+from redundancy_pin.planners.limits import LimitEvent, Limits, limit_events, motion_quantities
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.status import ResultStatus
@@ -282,20 +281,32 @@ def test_an_effort_exceeded_at_samples_and_between_them_is_one_broken_limit(whol
     tight = [0.5 * float(peak) for peak in whole.peak_effort]
     result = rp.check_plan(with_limit(whole, effort=tight), other(whole))
     efforts = [event for event in result.violated if event.quantity == "effort"]
-    assert sorted(event.carrier for event in efforts) == sorted(whole.robot.actuated)
-    for event in efforts:
+    assert {event.carrier for event in efforts} == set(whole.robot.actuated)
+    for event in (
+        max((e for e in efforts if e.carrier == name), key=lambda e: e.amount) for name in whole.robot.actuated
+    ):
         j = whole.robot.actuated.index(event.carrier)
         assert event.amount == pytest.approx(tight[j], rel=1e-3)
 
 
-def test_an_effort_exceeded_with_either_sign_is_one_broken_limit() -> None:
-    at_samples = LimitEvent("motor", "effort", 0.1, 0.2, 0.1, -6.0, -5.0, 1.0)
-    between = LimitEvent("motor", "effort", 0.7, 0.8, 0.7, 7.0, 5.0, 2.0)
-    another = replace(between, carrier="other motor")
-    assert merged_events((at_samples,), (between, another)) == (between, another)
-    assert merged_events((replace(at_samples, amount=3.0),), (between,)) == (replace(at_samples, amount=3.0),)
-    speeds = tuple(replace(event, quantity="speed") for event in (at_samples, between))
-    assert merged_events(speeds[:1], speeds[1:]) == speeds
+def test_a_plan_that_is_no_optimum_and_unresolved_is_not_converged() -> None:
+    """No sample of a corner shows its jump from both sides; the step that does not end at a minimum is graver."""
+    dynamics = rp.VirtualWork(zoo.robot_of("3rrr"))
+    plan = rp.plan_stepwise(dynamics, reference.corner().sample(0.02, two_sided=False))
+    assert (plan.status, plan.between.passed) == (ResultStatus.UNRESOLVED, False)
+    worse = replace(plan, findings=replace(plan.findings, optimal=False))
+    assert rp.check_plan(worse, dynamics).status is ResultStatus.NOT_CONVERGED
+
+
+def test_the_first_sample_of_a_stepwise_plan_is_judged() -> None:
+    """It has the acceleration of the first step, as its function of time."""
+    dynamics = rp.VirtualWork(zoo.robot_of("3rrr"))
+    plan = rp.plan_stepwise(dynamics, reference.corner(), dt=0.02)
+    np.testing.assert_allclose(plan.carriers.sdd[0], plan.carriers_at(plan.t[:1]).sdd[0], atol=1e-9)
+    sdd = np.array(plan.carriers.sdd)
+    sdd[0] += 0.1
+    check = rp.check_plan(replace(plan, carriers=replace(plan.carriers, sdd=sdd)), dynamics)
+    assert ("carrier motion sdd", 0.0) in {(one.quantity, one.time) for one in check.deviations}
 
 
 def test_speed_and_acceleration_between_the_samples_are_judged() -> None:
@@ -312,5 +323,6 @@ def test_speed_and_acceleration_between_the_samples_are_judged() -> None:
         own = {"lower": -9.0, "upper": 9.0, "speed": 9.0, "acceleration": 99.0, "force": np.inf}
         for factor, broken in ((0.999, True), (1.001, False)):
             limits = (CarrierLimits(**{**own, name: factor * peak}),) * robot.k
-            events = motion_events(Limits().resolved(replace(robot, carrier_limits=limits)), position)
+            resolved = Limits().resolved(replace(robot, carrier_limits=limits))
+            events, _ = limit_events(motion_quantities(resolved, position))
             assert {event.quantity for event in events} == ({{"upper": "track"}.get(name, name)} if broken else set())

@@ -68,7 +68,7 @@ def test_a_linkage_that_is_never_flat_has_none() -> None:
 def test_plans_and_their_check_name_it() -> None:
     dynamics, motion = rp.RneaDynamics(parallelogram("carrier")), swing(1.2, -0.9)
     plan = rp.plan_stepwise(dynamics, motion, acceleration=50.0, brake_time=0.1)
-    (loss,) = plan.diagnostics["closure_rank"]  # type: ignore[misc]
+    (loss,) = plan.findings.closure_rank  # type: ignore[misc]
     assert loss["time"] == pytest.approx(when(1.2, -0.9, 0.0), abs=EXACT)
     assert loss["x"] == pytest.approx([0.0], abs=EXACT)
     result = rp.check_plan(plan, dynamics)
@@ -78,7 +78,7 @@ def test_plans_and_their_check_name_it() -> None:
 
 def test_the_shipped_robots_have_none_and_the_command_says_so(tmp_path) -> None:  # type: ignore[no-untyped-def]
     plan = rp.plan_stepwise(rp.RneaDynamics(zoo.robot_of("3rrr")), reference.corner(), dt=0.02)
-    assert plan.diagnostics["closure_rank"] == []
+    assert plan.findings.closure_rank == ()
     assert plan.status is ResultStatus.OK
     plan.save(tmp_path / "plan.npz")
     out = CliRunner().invoke(main, ["check", str(tmp_path / "plan.npz"), "--json"])
@@ -88,4 +88,4 @@ def test_the_shipped_robots_have_none_and_the_command_says_so(tmp_path) -> None:
 def test_a_backend_that_does_not_know_says_nothing() -> None:
     dynamics = rp.CompiledDynamics(zoo.robot_of("3rrr"))
     assert np.isnan(dynamics.along(reference.corner().sample(0.1)).closure_margin()).all()
-    assert rp.plan_stepwise(dynamics, reference.corner(), dt=0.1).diagnostics["closure_rank"] == []
+    assert rp.plan_stepwise(dynamics, reference.corner(), dt=0.1).findings.closure_rank == ()

@@ -13,18 +13,19 @@ from scipy.interpolate import BPoly, CubicSpline
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.planners.check import SAME, SAME_PEAK, merged_events
+from redundancy_pin.planners.check import SAME, SAME_PEAK
 from redundancy_pin.planners.intersample_check import BALANCE_TOLERANCE
 from redundancy_pin.planners.limits import (
     BINDING,
     EXCEEDING,
+    LIMIT_TOLERANCE,
+    LimitedQuantity,
     LimitEvent,
     Limits,
     ResolvedLimits,
-    check_limits,
     limit_events,
-    motion_events,
-    range_events,
+    motion_quantities,
+    range_quantities,
 )
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import CarrierLimits
@@ -44,39 +45,25 @@ def stretches(t: Array, flags: list[bool]) -> Iterator[list[int]]:
             run = []
 
 
-def by_a_loop(limits: list[CarrierLimits], t: Array, values: list[Array]) -> tuple[set, set]:
+def by_a_loop(rows: list[LimitedQuantity]) -> tuple[set, set]:
     """Broken and touched limits, one sample after the other."""
     broken, touched = set(), set()
-    for i, limit in enumerate(limits):
-        ends = {
-            "track": (limit.lower, limit.upper),
-            "speed": (-limit.speed, limit.speed),
-            "acceleration": (-limit.acceleration, limit.acceleration),
-            "force": (-limit.force, limit.force),
-        }
-        for (quantity, (low, high)), series in zip(ends.items(), values, strict=True):
+    for row in rows:
+        for i, joint in enumerate(row.joints):
+            low, high = float(row.lower[i]), float(row.upper[i])
             for edge, sign in ((high, 1.0), (low, -1.0)):
                 if not np.isfinite(edge):
                     continue
                 size = max(abs(edge), (high - low) / 2.0)
-                excess = [sign * (x - edge) for x in series[:, i]]
-                over = [x > EXCEEDING * size for x in excess]
-                near = [x > -BINDING * size and not far for x, far in zip(excess, over, strict=True)]
+                values = [x if np.isfinite(x) else 0.0 for x in row.values[:, i]]
+                excess = [sign * (x - edge) for x in values]
+                over = [x > row.exceeding * size for x in excess]
+                near = [x > -row.touching * size and not far for x, far in zip(excess, over, strict=True)]
                 for into, flags in ((broken, over), (touched, near)):
-                    for run in stretches(t, flags):
+                    for run in stretches(row.t, flags):
                         worst = max(run, key=lambda k: excess[k])
-                        into.add(
-                            LimitEvent(
-                                f"c{i}",
-                                quantity,
-                                t[run[0]],
-                                t[run[-1]],
-                                t[worst],
-                                series[worst, i],
-                                edge,
-                                max(excess[worst], 0.0),
-                            )
-                        )
+                        times = row.t[run[0]], row.t[run[-1]], row.t[worst]
+                        into.add(LimitEvent(joint, row.name, *times, values[worst], edge, max(excess[worst], 0.0)))
     return broken, touched
 
 
@@ -90,65 +77,43 @@ def resolved(carriers: list[CarrierLimits]) -> ResolvedLimits:
 
 
 @pytest.mark.parametrize("size", [1.0, 2.0**20, 2.0**-20])
-def test_events_are_those_of_a_loop_over_the_samples(size):
+@pytest.mark.parametrize(("most", "nearest"), [(EXCEEDING, BINDING), (LIMIT_TOLERANCE, LIMIT_TOLERANCE)])
+def test_events_are_those_of_a_loop_over_the_samples(size: float, most: float, nearest: float) -> None:
+    """Of carriers with all limits, with some and with one; values in runs of four, some of them unknown."""
     rng = np.random.default_rng(7)
-    limits = [
-        CarrierLimits(-0.3 * size, 0.5 * size, 2.0 * size, 7.0 * size, 30.0 * size),
-        CarrierLimits(0.2 * size, 0.9 * size, 3.0 * size, np.inf, 40.0 * size),
-        CarrierLimits(-np.inf, np.inf, np.inf, 5.0 * size, np.inf),
-    ]
-    t = np.sort(rng.uniform(0.0, 9.0, 400))
-    ends = [[(one.lower, one.upper) for one in limits]]
-    ends += [
-        [(-getattr(one, name), getattr(one, name)) for one in limits] for name in ("speed", "acceleration", "force")
-    ]
-    beside = [-3.0 * BINDING, -1.5 * BINDING, -0.7 * BINDING, 0.0, 0.7 * EXCEEDING, 1.5 * EXCEEDING, 3e-9, 0.4]
-    values = []
-    for sides in ends:
-        columns = []
-        for low, high in sides:
-            at = np.where(rng.random(400) < 0.5, low, high) if np.isfinite(low) else np.full(400, size)
-            half = np.maximum(np.abs(at), (high - low) / 2.0) if np.isfinite(low) else size
-            # runs of samples, so that an event has a start and an end
-            step = np.repeat(rng.choice(beside, 100), 4)
-            columns.append(at + np.where(at == low, -1.0, 1.0) * step * half)
-        values.append(np.array(columns).T)
-    report = check_limits(resolved(limits), t, rp.CarrierMotion(*values[:3], check_rates=False), values[3])
-    broken, touched = by_a_loop(limits, t, values)
-    assert len(broken) > 100
-    assert len(touched) > 100
-    assert set(report.violated) == broken
-    assert set(report.binding) == touched
-    for events in (report.violated, report.binding):
+    t, names = np.sort(rng.uniform(0.0, 9.0, 400)), ("a", "b", "c")
+    ends = {"track": [(-0.3, 0.5), (0.2, 0.9), (-np.inf, np.inf)], "speed": [(-2.0, 2.0), (-3.0, 3.0), (-5.0, 5.0)]}
+    beside = [-3.0 * nearest, -1.5 * nearest, -0.7 * nearest, 0.0, 0.7 * most, 1.5 * most, 3.0 * most, 0.4]
+    rows = []
+    for quantity, sides in ends.items():
+        lower, upper = size * np.array(sides).T
+        at = np.where(np.isfinite(lower), np.where(rng.random((400, 3)) < 0.5, lower, upper), size)
+        half = np.where(np.isfinite(lower), np.maximum(np.abs(at), (upper - lower) / 2.0), size)
+        step = np.repeat(rng.choice(beside, (100, 3)), 4, axis=0)
+        values = at + np.where(at == lower, -1.0, 1.0) * step * half
+        values[rng.integers(400, size=5), 1] = np.nan
+        rows.append(LimitedQuantity(quantity, names, t, values, lower, upper, most, nearest))
+    violated, binding = limit_events(rows)
+    broken, touched = by_a_loop(rows)
+    assert len(broken) > 50
+    assert len(touched) > 50
+    assert set(violated) == broken
+    assert set(binding) == touched
+    for events in (violated, binding):
         starts = [event.start for event in events]
         assert starts == sorted(starts)
 
 
-def test_efforts_beyond_their_limits_or_at_them_are_one_event_each():
-    """By a loop, with 0.1 % written out: two actuators are beyond, two at their limit, one has none, one is below."""
-    rng = np.random.default_rng(2)
-    for _ in range(20):
-        t, names = np.sort(rng.uniform(0.0, 3.0, 60)), ("a", "b", "c", "d", "e", "f")
-        limit = np.array([2.0, 50.0, np.inf, 0.3, 7.0, 7.0])
-        values = rng.normal(size=(60, 6)) * np.where(np.isfinite(limit), limit, 1.0)
-        values[rng.integers(60, size=5), 1] = np.nan
-        values[:, 3] = 0.3 * 1.0009 * np.where(np.arange(60) == 20, -1.0, 0.9)
-        values[:, 4] = 7.0 * 0.9991 * np.where(np.arange(60) % 30 == 20, 1.0, -0.9)
-        values[:, 5] = 7.0 * 0.9989
-        violated, touched = limit_events("effort", names, t, values, limit)
-        assert [event.carrier for event in violated] == ["a", "b"]
-        assert [event.carrier for event in touched] == ["d", "e"]
-        for event in (*violated, *touched):
-            column, most = values[:, names.index(event.carrier)], limit[names.index(event.carrier)]
-            size = np.where(np.isnan(column), 0.0, np.abs(column))
-            over = np.flatnonzero(size > most * (1.001 if event in violated else 0.999))
-            worst = max(over, key=lambda k: size[k])
-            assert (event.start, event.end, event.worst) == (t[over[0]], t[over[-1]], t[worst])
-            assert event.value == column[worst]
-            assert event.limit == np.sign(column[worst]) * most
-            assert event.amount == pytest.approx(max(size[worst] - most, 0.0), rel=1e-9)
-        values[20, 3] *= 1.0 + 2e-4
-        assert limit_events("effort", names, t, values, limit)[0][-1].carrier == "d"
+def test_each_joint_may_have_times_of_its_own() -> None:
+    t, values = np.array([[0.0, 0.5], [1.0, 1.5]]), np.array([[1.0, -3.0], [2.5, 0.0]])
+    violated, touched = limit_events(
+        [LimitedQuantity("effort", ("a", "b"), t, values, -np.full(2, 2.0), np.full(2, 2.0))]
+    )
+    assert [(one.carrier, one.worst, one.limit, one.amount) for one in violated] == [
+        ("b", 0.5, -2.0, 1.0),
+        ("a", 1.0, 2.0, 0.5),
+    ]
+    assert touched == ()
 
 
 def test_between_samples_the_largest_values_decide():
@@ -169,7 +134,7 @@ def test_between_samples_the_largest_values_decide():
         values = [spline(dense, order).ravel() for order in range(3)]
         peaks = [np.abs(value).max() for value in values]
         limits = [CarrierLimits(-0.8 * peaks[0], 0.8 * peaks[0], 0.9 * peaks[1], 0.95 * peaks[2], np.inf)]
-        events = motion_events(resolved(limits), position)
+        events, _ = limit_events(motion_quantities(resolved(limits), position))
         for quantity, value, part in (
             ("speed", values[1], 0.9),
             ("acceleration", values[2], 0.95),
@@ -194,33 +159,14 @@ def test_joints_beyond_their_ranges_are_named_with_what_is_too_much():
         q[3, joint.at] = joint.upper + 0.5
         q[5, joint.at] = joint.lower - 0.125
         q[6] = np.nan
-        events = {event.limit: event for event in range_events(robot, t, q) if event.carrier == joint.name}
+        violated, _ = limit_events(range_quantities(robot, t, q))
+        events = {event.limit: event for event in violated if event.carrier == joint.name}
         over, under = events[joint.upper], events[joint.lower]
         assert (over.start, over.end, over.worst) == (2.0, 3.0, 3.0)
         assert over.amount == pytest.approx(0.5)
         assert over.value == pytest.approx(joint.upper + 0.5)
         assert (under.start, under.end, under.worst) == (5.0, 5.0, 5.0)
         assert under.amount == pytest.approx(0.125)
-
-
-def test_an_event_replaces_one_that_it_overlaps_where_it_exceeds_by_more():
-    at = LimitEvent("a", "speed", 1.0, 2.0, 1.5, 3.0, 2.5, 0.5)
-    for start, end, overlaps in (
-        (2.0, 3.0, True),
-        (2.1, 3.0, False),
-        (0.0, 1.0, True),
-        (0.0, 0.9, False),
-        (1.2, 1.4, True),
-    ):
-        for amount in (0.4, 0.6):
-            other = replace(at, start=start, end=end, amount=amount)
-            merged = merged_events((at,), (other,))
-            if not overlaps:
-                assert set(merged) == {at, other}
-            else:
-                assert merged == ((other,) if amount > 0.5 else (at,))
-    below = replace(at, limit=-2.5, amount=0.9)
-    assert set(merged_events((at,), (below,))) == {at, below}
 
 
 @cache
@@ -274,14 +220,13 @@ def test_a_check_lets_pass_what_two_backends_may_show_and_no_more(name, beyond):
             assert named[what].time == plan.t[i]
 
 
-@pytest.mark.parametrize("name", ["track", "speed", "acceleration", "force"])
+@pytest.mark.parametrize("name", ["track", "speed", "acceleration"])
 def test_a_plan_on_its_limit_is_within_it_and_one_beside_it_is_not(name):
     """The largest of each quantity as a limit, a little wider and a little narrower."""
     plan = planned()
     robot = zoo.robot_of("3rrr", carrier_mass=3.0)
-    values = {"track": plan.carriers.s, "speed": plan.carriers.sd, "acceleration": plan.carriers.sdd,
-              "force": plan.carrier_force}[name]  # fmt: skip
-    most = float(np.abs(values[:, 0]).max())
+    position = plan.functions.carriers.derivative(["track", "speed", "acceleration"].index(name))
+    most = float(np.abs(position.ranges()).max(axis=(0, 1))[0])
     for factor, broken in ((1.0 + 1e-8, False), (1.0 - 1e-8, True)):
         edge = most * factor
         change = {"lower": -edge, "upper": edge} if name == "track" else {name: edge}
@@ -291,14 +236,13 @@ def test_a_plan_on_its_limit_is_within_it_and_one_beside_it_is_not(name):
             ),
         )
         limits += tuple(CarrierLimits(-9.0, 9.0, np.inf, np.inf, np.inf) for _ in range(2))
-        report = check_limits(
-            Limits().resolved(replace(robot, carrier_limits=limits)), plan.t, plan.carriers, plan.carrier_force
-        )
-        assert bool(report.violated) == broken
-        assert all(event.carrier == robot.carriers[0] for event in (*report.violated, *report.binding))
-        assert report.binding or broken
+        own = Limits().resolved(replace(robot, carrier_limits=limits))
+        violated, touched = limit_events(motion_quantities(own, plan.functions.carriers))
+        assert bool(violated) == broken
+        assert all(event.carrier == robot.carriers[0] for event in (*violated, *touched))
+        assert touched or broken
         if broken:
-            worst = max(report.violated, key=lambda event: event.amount)
+            worst = max(violated, key=lambda event: event.amount)
             assert worst.amount == pytest.approx(1e-8 * most, rel=1e-3)
     assert plan.status is ResultStatus.OK
 
@@ -316,11 +260,11 @@ def test_places_are_on_a_track_up_to_its_ends(size):
         assert caught.value.details["amount"] == pytest.approx(amount * size)
 
 
-@pytest.mark.parametrize("name", ["jerk", "effort"])
+@pytest.mark.parametrize("name", ["jerk", "effort", "carrier_force"])
 def test_a_limit_that_a_plan_was_made_with_is_broken_by_more_than_a_thousandth(name: str) -> None:
     plan = planned(1e4 if name == "jerk" else None)  # without a limit of the jerk s̈ jumps
-    if name == "effort":
-        values = plan.peak_effort[None]
+    if name != "jerk":
+        values = (plan.peak_effort if name == "effort" else plan.between.force_peak)[None]
     else:
         step = np.diff(plan.t)
         values = np.abs(np.diff(plan.carriers.sdd, axis=0)[step > 0.0] / step[step > 0.0, None])
@@ -331,9 +275,9 @@ def test_a_limit_that_a_plan_was_made_with_is_broken_by_more_than_a_thousandth(n
             limit = np.where(np.arange(3) == column, part, 2.0) * most
             limits = replace(plan.limits, judged_by=replace(plan.limits.judged_by, **{name: limit}))
             judged = rp.check_plan(replace(plan, limits=limits), dynamics)
-            events = [event for event in judged.violated if event.quantity == name]
+            events = [event for event in judged.violated if event.quantity == name.removeprefix("carrier_")]
             assert bool(events) == broken
             for event in events:
-                owner = dynamics.robot.carriers if name == "jerk" else dynamics.robot.actuated
+                owner = dynamics.robot.actuated if name == "effort" else dynamics.robot.carriers
                 assert event.carrier == owner[column]
                 assert event.amount == pytest.approx(0.0011 * part * most[column], rel=1e-2)

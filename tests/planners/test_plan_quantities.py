@@ -9,7 +9,7 @@ import redundancy_pin as rp
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import PlannedMotion
-from redundancy_pin.planners.limits import Limits, check_limits
+from redundancy_pin.planners.limits import Limits
 from redundancy_pin.status import SampleStatus
 
 
@@ -103,21 +103,3 @@ def test_efforts_that_do_not_balance_are_said_to(crossing):
     assert plan.sample_status[100] == SampleStatus.SINGULAR_INCONSISTENT
     assert plan.status is not crossing.status
     assert (np.delete(plan.sample_status, 100) == SampleStatus.OK).all()
-
-
-@pytest.mark.parametrize("carrier", [0, 1])
-def test_a_force_beyond_its_limit_is_an_event(crossing, carrier):
-    robot = rp.load_robot("2rpr")
-    force = np.abs(crossing.carrier_force[:, carrier])
-    limits = list(robot.carrier_limits)
-    limits[carrier] = replace(limits[carrier], force=0.99 * force.max())
-    report = check_limits(
-        Limits().resolved(replace(robot, carrier_limits=tuple(limits))),
-        crossing.t,
-        crossing.carriers,
-        crossing.carrier_force,
-    )
-    events = [event for event in report.violated if event.quantity == "force"]
-    assert {event.carrier for event in events} == {robot.carriers[carrier]}
-    assert max(event.amount for event in events) == pytest.approx(0.01 * force.max(), rel=1e-9)
-    assert max(events, key=lambda event: event.amount).worst == pytest.approx(crossing.t[force.argmax()])

@@ -163,6 +163,7 @@ def require_same(plan: Plan, expected: Plan, units: Units, share: float) -> None
     assert plan.phase.tolist() == expected.phase.tolist()
     counts = {name: value for name, value in expected.diagnostics.items() if isinstance(value, (int, str))}
     assert {name: plan.diagnostics[name] for name in counts} == counts
+    assert (plan.findings.optimal, plan.findings.solver) == (expected.findings.optimal, expected.findings.solver)
 
 
 @functools.cache

@@ -193,7 +193,7 @@ def test_the_force_that_is_missing_by_hand() -> None:
     """Mass of the end-effector times its acceleration along the force; the legs' own masses have no part in it."""
     heavy = plan_record(plans_of(), SINGULAR[2], SWITCH_OFF, COARSER)
     whole = plans_of().plan(by_method(SINGULAR[2], EFFORT, COARSER))
-    instant = whole.diagnostics["singular_instants"][0]  # type: ignore[index]
+    instant = whole.findings.singular_instants[0]  # type: ignore[index]
     acceleration = SINGULAR[2].trajectory().sample_at(np.array([instant])).xdd[0, 0]
     assert heavy["missing"] == pytest.approx(0.5 * abs(acceleration), rel=1e-9)
     assert f"t = {instant:.6g} s" in heavy["why"]

@@ -248,8 +248,8 @@ def _judged(plan: Plan, effort: float = 5.0, planner: str = WHOLE) -> Cell:
 
 
 def test_a_plan_that_stopped_early_is_told_apart(planned: Plan) -> None:
-    diagnostics = {**planned.diagnostics, "solver": "Out_Of_Time"}
-    cell = _judged(replace(planned, status=ResultStatus.NOT_CONVERGED, diagnostics=diagnostics))
+    findings = replace(planned.findings, solver="Out_Of_Time")
+    cell = _judged(replace(planned, status=ResultStatus.NOT_CONVERGED, findings=findings))
     assert cell.verdict is ResultStatus.NOT_CONVERGED
     assert cell.possible
     assert "Out_Of_Time" in cell.message

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from redundancy_pin.arrays import read_only
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.intersample_check import IntersamplePeaks
+from redundancy_pin.planners.intersample_check import Findings, IntersamplePeaks
 from redundancy_pin.planners.limits import LimitEvent, LimitReport, ResolvedLimits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import RobotRecord
@@ -115,6 +115,13 @@ def plans(draw: st.DrawFn) -> Plan:
         backend=draw(TEXT),
         robot=record,
         parameters=draw(st.dictionaries(KEYS, PLAIN, max_size=3)),
+        findings=Findings(
+            draw(st.booleans()),
+            draw(TEXT),
+            tuple(draw(st.lists(FINITE, max_size=2))),
+            draw(st.none() | FINITE),
+            tuple({"time": draw(FINITE), "x": [draw(FINITE)]} for _ in range(draw(st.integers(0, 1)))),
+        ),
         diagnostics=draw(st.dictionaries(KEYS, PLAIN, max_size=3)),
         functions=PlanFunctions(
             Motion(pieces((16 if pose else n) + 2 * n), 0.0, 2.0, 2.0, floats(1), floats(2), True),
@@ -122,7 +129,7 @@ def plans(draw: st.DrawFn) -> Plan:
             prescribed=tuple(pieces(m) for _ in range(draw(st.integers(0, 2)))),
             preferred=draw(st.sampled_from([None, pieces(m)])),
         ),
-        between=IntersamplePeaks(floats(m), floats(m), floats(k), draw(FINITE), 3),
+        between=IntersamplePeaks(floats(m), floats(m), floats(k), draw(FINITE)),
     )
 
 

@@ -39,7 +39,7 @@ def largest_error(run, reference):
 @pytest.mark.parametrize("with_trajectory", [True, False])
 def test_a_whole_trajectory_plan_through_two_singular_poses(with_trajectory):
     robot, circle, plan = crossing()
-    singular = plan.diagnostics["singular_instants"]
+    singular = plan.findings.singular_instants
     assert len(singular) == 2
     drive = FeedForward(plan, motion=circle if with_trajectory else None)
     # the nodes next to the singular instants are where W⁻¹ f magnifies what samples and solver leave, to 4e-7
@@ -107,7 +107,7 @@ def test_a_massless_crossing_follows_its_plan_up_to_the_singular_pose_and_says_w
     run = rp.simulate(robot, drive, dt=0.01, carriers="motion", stop_at=())
     assert run.status.value == "not_converged"
     assert "end_effector_mass" in run.reason
-    first = plan.diagnostics["singular_instants"][0]
+    first = plan.findings.singular_instants[0]
     assert first - 1e-3 < run.t[-1] < first
     assert largest_error(run, drive.reference)[0] < FOLLOWED
 

@@ -60,7 +60,7 @@ def test_what_is_drawn_is_what_was_planned() -> None:
         np.testing.assert_allclose(own, [command.motion_at(t)[0][1] for t in times.tolist()], atol=1e-12)
         np.testing.assert_allclose(other[:5], command.efforts(times[:5])[:, 0], atol=1e-9)
     (root,) = shown.singular
-    assert root == pytest.approx(run.plan.diagnostics["singular_instants"][0], abs=1e-4)
+    assert root == pytest.approx(run.plan.findings.singular_instants[0], abs=1e-4)
 
 
 def test_commands_of_another_time_are_refused() -> None:

@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.intersample_check import IntersamplePeaks
+from redundancy_pin.planners.intersample_check import Findings, IntersamplePeaks
 from redundancy_pin.planners.limits import LimitEvent, LimitReport, ResolvedLimits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import RobotRecord
@@ -86,9 +86,9 @@ def _plan(**changes: Any) -> Plan:
         backend="Rnea",
         robot=record,
         functions=PlanFunctions(as_motion(motion), PiecewisePolynomial.constant(np.zeros(2), T[0], T[-1])),
-        between=IntersamplePeaks(np.nanmax(np.abs(tau), axis=0), np.zeros(2), np.zeros(2), 1.0, 0),
+        between=IntersamplePeaks(np.nanmax(np.abs(tau), axis=0), np.zeros(2), np.zeros(2), 1.0),
         parameters={"threshold": 7.0, "measure": "condition"},
-        diagnostics={"singular_instants": [0.5]},
+        findings=Findings(singular_instants=(0.5,)),
     )
     return replace(plan, **changes)
 
@@ -139,7 +139,7 @@ def test_the_threshold_and_the_singular_instants_are_drawn() -> None:
 
 @pytest.mark.parametrize("parameters", [{}, {"threshold": 0.1, "measure": "margin"}, {"lam": 0.5}])
 def test_a_threshold_on_something_else_is_not_drawn(parameters: dict[str, object]) -> None:
-    drawn = plot_plan(_plan(parameters=parameters, diagnostics={}))
+    drawn = plot_plan(_plan(parameters=parameters, findings=Findings()))
     assert _horizontals(_panel(drawn, "condition")) == set()
     assert "singular instant" not in _texts(drawn)
 

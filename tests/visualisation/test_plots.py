@@ -137,7 +137,7 @@ def test_singular_instants_are_where_the_circle_meets_the_line_of_the_base() -> 
 
 
 def test_a_plan_marks_the_instants_its_planner_found() -> None:
-    instants = plan().diagnostics["singular_instants"]
+    instants = plan().findings.singular_instants
     assert len(instants) == 2
     np.testing.assert_array_equal(_verticals(rp.plot.condition(plan()).axes[0]), instants)
 

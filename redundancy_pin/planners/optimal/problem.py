@@ -41,6 +41,7 @@ from redundancy_pin.planners.carrier_model import (
 )
 from redundancy_pin.planners.optimal.mesh import Grid, resample
 from redundancy_pin.planners.optimal.objectives import Scales, Settings
+from redundancy_pin.planners.singular_instant import CROSSED, LOST
 from redundancy_pin.spectrum import scaled
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import Motion
@@ -48,16 +49,6 @@ from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, che
 
 SDD = 4
 """Place of s̈ among the terms of a ``CarrierModel``."""
-
-LOST = 1e-6
-"""Singular values below this fraction of the largest are lost at a singular instant; one that is only touched is known
-to the square root of rounding."""
-
-CROSSED = 1e-3
-"""Change of the vanishing singular value over the whole motion, at its rate at the singular instant and relative to the
-largest, from which the singularity is crossed. A touch leaves what rounding makes of it, 1e-6; on the circle of the
-2-RPR it is 4."""
-
 
 Reader = Callable[[DynamicsAlongMotion], CarrierModel]
 """Reads the coefficients off a backend along a platform motion."""

@@ -12,7 +12,13 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.intersample_check import LOWERED, IntersampleCheck, PlannedMotion, intersample_check
+from redundancy_pin.planners.intersample_check import (
+    LOWERED,
+    Findings,
+    IntersampleCheck,
+    PlannedMotion,
+    intersample_check,
+)
 from redundancy_pin.planners.optimal.nlp import Solution
 from redundancy_pin.planners.optimal.problem import Problem, Task
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, with_seconds
@@ -89,16 +95,20 @@ class Planned:
         return self.solutions.best
 
     @property
+    def findings(self) -> Findings:
+        """What others read of the plan."""
+        solution, t = self.best.solution, self.motion.motion.t
+        instants = np.unique(t[self.best.problem.grid.singular]).tolist()
+        return Findings(solution.optimal, solution.message, tuple(instants))
+
+    @property
     def diagnostics(self) -> dict[str, object]:
-        """What both planners report."""
+        """What both planners report beside that."""
         nodes, solution, t = self.best.problem.grid, self.best.solution, self.motion.motion.t
         return {
-            "optimal": solution.optimal,
-            "solver": solution.message,
             "iterations": solution.iterations,
             "violation": solution.violation,
             "nodes": len(t),
-            "singular_instants": np.unique(t[nodes.singular]).tolist(),
             "singular_nodes": nodes.singular.tolist(),
             "smooth_nodes": np.flatnonzero(nodes.smooth).tolist(),
             "solver_seconds": solution.seconds,

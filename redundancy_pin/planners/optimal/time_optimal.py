@@ -170,7 +170,8 @@ def plan_time_optimal(
         "duration": float(planned.motion.motion.t[-1]),
         "seconds": time.perf_counter() - began,
     }
-    return finish_plan(replace(planned.motion, parameters=parameters, diagnostics=found), planned.check)
+    motion = replace(planned.motion, parameters=parameters, findings=planned.findings, diagnostics=found)
+    return finish_plan(motion, planned.check)
 
 
 def _solve(

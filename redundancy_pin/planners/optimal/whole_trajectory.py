@@ -86,7 +86,7 @@ def plan_whole_trajectory(
     The plan is then judged by the backend between the nodes, right beside the singularities included. Where efforts
     there exceed the peak at the nodes by more than 5 %, or efforts or carrier forces their limits by more than 2 %, the
     steps get a node in the middle across which the jerk is continuous, and the plan is made again (``refinements``).
-    What exceeds a limit by less is met by lower limits at the nodes beside it. ``diagnostics["dense_check"]`` has what
+    What exceeds a limit by less is met by lower limits at the nodes beside it. ``between`` has what
     is left of it; limits left exceeded by more than 0.1 % make the status violates_limits, and ``limits.violated`` has
     them.
 
@@ -243,11 +243,15 @@ def _plan(task: Task, planned: Planned, chosen: Chosen) -> Plan:
         "singular_nodes": nodes.singular.tolist(),
         "smooth_nodes": np.flatnonzero(nodes.smooth).tolist(),
         "cost": least.solution.cost,
-        "least_cost": sum(weight * costs[name] for name, weight in task.settings.objective.items()),
         "starts": starts,
         "costs": starts["costs"],
         "solver_messages": starts["messages"],
         "objective": objective_values(chosen.problem, chosen.solution.values),
         "objective_size": objective_sizes(chosen.problem),
     }
-    return finish_plan(replace(chosen.motion, parameters=task.settings.parameters, diagnostics=found), chosen.check)
+    least_cost = sum(weight * costs[name] for name, weight in task.settings.objective.items())
+    findings = replace(planned.findings, least_cost=least_cost)
+    parameters = task.settings.parameters
+    return finish_plan(
+        replace(chosen.motion, parameters=parameters, findings=findings, diagnostics=found), chosen.check
+    )

@@ -16,7 +16,7 @@ from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions, apart
-from redundancy_pin.planners.intersample_check import PlannedMotion
+from redundancy_pin.planners.intersample_check import Findings, PlannedMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon.command import Command
 from redundancy_pin.planners.receding_horizon.planner import RecedingHorizon
@@ -143,9 +143,9 @@ def run_online(
                 "step": planner.step,
                 "tick": tick,
             },
+            findings=Findings(singular_instants=tuple(singular_instants_met(commands).tolist())),
             diagnostics={
                 "ticks": {status.value: counts[status.value] for status in UpdateStatus},
-                "singular_instants": singular_instants_met(commands).tolist(),
                 "missing_force": max((missing for _, missing in decided), default=0.0),
                 "seconds": [command.seconds for command in commands],
                 "delay": source.end - motion_end,

@@ -22,7 +22,7 @@ from redundancy_pin.planners.carrier_model import (
 )
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.intersample_check import PlannedMotion
+from redundancy_pin.planners.intersample_check import Findings, PlannedMotion
 from redundancy_pin.planners.limits import Limits, ResolvedLimits, grouped, require_motion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.course import (
@@ -179,6 +179,7 @@ def plan_stepwise(
     aimed_at = None
     if baseline is not None:
         aimed_at = repr(baseline.robot) if is_dynamics(baseline) else "efforts"
+    gradient = max((float(steps.gradient.max()) for _, steps in course.optimised), default=0.0)
     planned = PlannedMotion(
         dynamics,
         PlanFunctions(platform.prolonged_until(position.end), position),
@@ -189,7 +190,8 @@ def plan_stepwise(
         phase=phase,
         phases=PHASES,
         parameters={**settings.parameters, "baseline": aimed_at},
-        diagnostics=_diagnostics(missing, course, settings.limits),
+        findings=Findings(gradient <= gradient_tolerance(missing), "Gauss-Newton by DAQP"),
+        diagnostics=_diagnostics(course, gradient, settings.limits),
     )
     return finish_plan(planned)
 
@@ -203,14 +205,15 @@ def _above_rounding(rate: Array) -> BoolArray:
 def _samples(motion: PlatformMotion, course: Course, planned: int) -> tuple[CarrierMotion, IntArray]:
     """Return the carriers and phases at the samples of the motion, and at those added to it.
 
-    The second sample of a jump shows the acceleration of the step that follows. ``planned``: number of instants of the
-    course that are samples of the motion.
+    The first sample, and the second one of a jump, show the acceleration of the step that follows. ``planned``: number
+    of instants of the course that are samples of the motion.
     """
     follows = np.minimum(np.arange(len(course.t)) + 1, len(course.t) - 1)
     after = np.where((course.phase[follows] == RETURN)[:, None], course.sdd, course.sdd[follows])
     added = np.arange(planned, len(course.t))
     which = np.concatenate([np.cumsum(~motion.jumps) - 1, added])
     second = np.pad(motion.jumps, (0, len(added)))
+    second[0] = True
     acceleration: Array = np.where(second[:, None], after[which], course.sdd[which])
     return (
         CarrierMotion(course.s[which], course.sd[which], acceleration, check_rates=False),
@@ -225,20 +228,17 @@ def _prolonged(motion: PlatformMotion, added: Array) -> PlatformMotion:
     return PlatformMotion(np.append(motion.t, added), x, xd, xdd, check_rates=False)
 
 
-def _diagnostics(missing: EffortModel, course: Course, limits: ResolvedLimits) -> dict[str, object]:
+def _diagnostics(course: Course, gradient: float, limits: ResolvedLimits) -> dict[str, object]:
     """Return what the planner found, as plain data.
 
-    - ``solver``, ``optimal``: whether every step meets the first-order conditions of a minimum.
-    - ``largest_gradient``: the largest deviation from them, N or N·m: the gradient of ½ ‖r‖² over the largest slope.
+    - ``largest_gradient``: the largest deviation of a step from the first-order conditions of a minimum, N or N·m: the
+      gradient of ½ ‖r‖² over the largest slope.
     - ``bounds``: mappings with carrier, bound (``speed``, ``acceleration``, ``track``, or ``stop``: the carrier is kept
       able to stop), side, start and end, s.
     - ``returns``: start and end of each, s; ``braking``: start and end, NaN where nothing moved.
     """
-    gradient = max((float(steps.gradient.max()) for _, steps in course.optimised), default=0.0)
     events = [event for first, steps in course.optimised for event in _bounds_met(course.t[first + 1 :], steps, limits)]
     return {
-        "solver": "Gauss-Newton by DAQP",
-        "optimal": gradient <= gradient_tolerance(missing),
         "largest_gradient": gradient,
         "bounds": tuple(sorted(events, key=lambda event: (event["start"], event["carrier"]))),
         "returns": tuple(course.returns),

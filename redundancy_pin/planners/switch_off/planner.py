@@ -18,7 +18,7 @@ from redundancy_pin.planners.carrier_model import Actuation, Measure, TimedModel
 from redundancy_pin.planners.carrier_return import CarrierState, return_polynomial, shortest_return
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.intersample_check import PlannedMotion
+from redundancy_pin.planners.intersample_check import Findings, PlannedMotion
 from redundancy_pin.planners.limits import Limits, require_motion, return_duration
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off.crossing import Crossing, cross
@@ -221,7 +221,7 @@ def _assemble_plan(
         prescribed[driven] = crossing.ramp(times[driven])
     zero = np.zeros(dynamics.robot.m)
     off = [PiecewisePolynomial.constant(zero, crossing.window.start, crossing.end) for crossing, _ in crossings]
-    singular = list(actuation.singular_instants)
+    singular = actuation.singular_instants
     planned = PlannedMotion(
         dynamics,
         PlanFunctions(source, position.made_continuous(), tuple(off)),
@@ -233,10 +233,10 @@ def _assemble_plan(
         phase=phase,
         phases=PHASES,
         parameters={**asdict(settings), "datum": settings.datum.tolist()},
+        findings=Findings(singular_instants=singular),
         diagnostics={
             "windows": [_window(dynamics, source, *each, singular) for each in crossings],
             "worst_measure": actuation.worst(settings.measure),
-            "singular_instants": singular,
         },
     )
     return finish_plan(planned)
@@ -275,7 +275,7 @@ def _sample_times(source: Motion, crossings: list[Returned], settings: SwitchOff
 
 
 def _window(
-    dynamics: Dynamics, source: Motion, crossing: Crossing, back: PiecewisePolynomial, singular: list[float]
+    dynamics: Dynamics, source: Motion, crossing: Crossing, back: PiecewisePolynomial, singular: tuple[float, ...]
 ) -> dict[str, object]:
     """Return times, efforts and carriers of a crossing, as plain data."""
     start, end, state = crossing.start, crossing.end, crossing.exit

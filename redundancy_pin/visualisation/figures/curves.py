@@ -80,7 +80,7 @@ def curves_of_plan(plan: Plan) -> Curves:
         f"{plan.robot.name}: {plan.planner.replace('_', ' ')}, {plan.status.value.replace('_', ' ')}",
         limits=plan.limits.judged_by.of_carriers,
         regular=plan.sample_status == SampleStatus.OK,
-        instants=numbers(plan.diagnostics.get("singular_instants")),
+        instants=plan.findings.singular_instants,
         thresholds=numbers([threshold]),
         **_drawn(plan, ("t", "tau", "carrier_force", "carriers", "condition", "margin")),
         **_joints(plan.robot),
@@ -186,7 +186,7 @@ def _joints(record: RobotRecord) -> dict[str, Any]:
 
 
 def numbers(values: object) -> tuple[float, ...]:
-    """Return the numbers of a list in a plan's diagnostics or parameters; none where it is something else."""
+    """Return the numbers of a list in a plan's parameters; none where it is something else."""
     listed = values if isinstance(values, (list, tuple)) else ()
     return tuple(float(value) for value in listed if isinstance(value, (int, float)))
 
@@ -194,7 +194,7 @@ def numbers(values: object) -> tuple[float, ...]:
 def plan_title(plan: Plan) -> str:
     """Return one line: robot, planner, status, and which limits of which joints are broken."""
     title = curves_of_plan(plan).title
-    if not plan.diagnostics.get("optimal", True):
+    if not plan.findings.optimal:
         title = f"{title}, NOT an optimum"
     if plan.status is not ResultStatus.LIMIT_VIOLATED:
         return title

@@ -196,7 +196,7 @@ def plan(
     Left: main efforts, carrier forces, condition number. Right: position, speed and acceleration of the carriers, with
     what their limits forbid hatched and every broken limit marked. Grey shades tell the phases of the planner. Drawn if
     the planner has them: its threshold (parameters ``threshold`` and ``measure``) and the singular instants
-    (diagnostics ``singular_instants``).
+    (``Plan.findings``).
 
     Args:
         plan: the plan.

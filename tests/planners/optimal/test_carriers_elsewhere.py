@@ -77,7 +77,7 @@ def test_carriers_on_the_end_effector_cross_and_are_replayed(mass):
     robot, circle = on_the_end_effector(mass), rp.trajectory.reference.circle(speed=0.5)
     plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), circle, dt=0.01)
     assert plan.status.value == "ok"
-    assert len(plan.diagnostics["singular_instants"]) == 2
+    assert len(plan.findings.singular_instants) == 2
     if mass:  # the replay of the other one takes ten seconds
         run = rp.simulate(robot, plan, dt=0.01, stop_at=())
         assert np.abs(run.x - circle.evaluate(np.minimum(run.t, circle.duration)).x).max() < FOLLOWED
@@ -112,7 +112,7 @@ def test_gough_crosses_90_degrees_of_yaw_under_gravity():
     the work is what the machine's energy has become, from rest to rest."""
     robot, _, plan = crossing(0.05)
     assert plan.status.value == "ok"
-    np.testing.assert_allclose(plan.diagnostics["singular_instants"], [0.5], atol=1e-9)
+    np.testing.assert_allclose(plan.findings.singular_instants, [0.5], atol=1e-9)
     tree, model, data = (
         inverse_kinematics(robot, plan.motion).with_carriers(plan.carriers),
         robot.model,
@@ -221,7 +221,7 @@ def test_a_delta_with_carriers_across_its_rods_goes_through_the_plane_of_its_elb
     robot, motion = raised(rod_carriers=True)
     plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), motion, dt=0.02)
     assert plan.status.value == "ok"
-    (instant,) = plan.diagnostics["singular_instants"]
+    (instant,) = plan.findings.singular_instants
     points = delta_points(motion.evaluate(np.array([instant])).x[0], np.zeros(3), "rods")[1:].reshape(3, 7, 3)
     assert abs(np.linalg.det((points[:, 5] - points[:, 3]) / 0.35)) < 1e-9  # the rods lie in a plane
     run = rp.simulate(robot, plan, dt=0.02, stop_at=())

@@ -128,7 +128,7 @@ def require_least(plan, theirs, name, objective):
 def test_plan_through_singularities_balances_and_is_as_good_between_the_nodes(robot, exact):
     plan = exact("circle", "effort")  # refinements would change nothing
     assert plan.status is ResultStatus.OK
-    assert plan.diagnostics["dense_check"]["passed"]
+    assert plan.between.passed
     reduced = RneaDynamics(robot).reduce(plan.motion, plan.carriers)
     left = np.einsum("nim,nm->ni", reduced.W, plan.tau) - reduced.f
     assert np.abs(left).max() <= 1e-6 * np.abs(reduced.f).max()
@@ -191,7 +191,7 @@ def exact(robot):
 
 
 def require_balanced(robot, plan):
-    assert plan.diagnostics["optimal"]
+    assert plan.findings.optimal
     reduced = RneaDynamics(robot).reduce(plan.motion, plan.carriers)
     left = np.einsum("nim,nm->ni", reduced.W, plan.tau) - reduced.f
     assert np.abs(left).max() <= 1e-8 * np.abs(reduced.f).max()
@@ -204,7 +204,7 @@ def test_with_expressions_one_solution_finds_the_optimum_of_the_full_model(robot
     require_balanced(robot, plan)
     if objective == "effort":  # a peak comes to lie between nodes so far apart
         assert plan.status is ResultStatus.OK
-        assert plan.diagnostics["dense_check"]["passed"]
+        assert plan.between.passed
     machine = symbolic_mechanisms.two_rpr(arm=ARM, **MASSES)
     theirs, _ = symbolic_plans.solve(machine, TRAJECTORIES[name], plan, objective, LIMITS)
     require_least(plan, theirs, name, objective)

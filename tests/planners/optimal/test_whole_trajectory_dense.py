@@ -66,7 +66,7 @@ def require_as_good_between(seed):
     efforts = distribute(dynamics.reduce(trajectory.sample_at(times), carriers_at(plan, times))).tau
     assert np.isfinite(efforts).all()
     assert np.abs(efforts).max() <= DENSE * np.abs(plan.tau).max()
-    assert plan.diagnostics["dense_check"]["passed"]
+    assert plan.between.passed
 
 
 @pytest.mark.long_for("3", "0", "2")

@@ -50,7 +50,7 @@ def test_a_start_on_a_limit_has_a_plan(settings, near):
     """It is on the track, so it is allowed; the plan is that of a start just inside."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.5, 0.2, 0.05)
     on, inside = (plan_whole_trajectory(dynamics, trajectory, dt=0.03, refinements=0, **s) for s in (settings, near))
-    assert on.diagnostics["optimal"]  # on nodes so few it may be unresolved between them
+    assert on.findings.optimal  # on nodes so few it may be unresolved between them
     assert not on.limits.violated
     assert on.diagnostics["objective"]["effort"] == pytest.approx(inside.diagnostics["objective"]["effort"], rel=1e-2)
 
@@ -169,7 +169,7 @@ def test_more_actuators_than_freedoms_are_judged_by_their_own_efforts(tmp_path):
     dynamics = RneaDynamics(robot)
     plan = plan_whole_trajectory(dynamics, trajectory, objective="peak", dt=0.05)
     assert plan.status is ResultStatus.OK
-    assert plan.diagnostics["dense_check"]["passed"]
+    assert plan.between.passed
     reduced = dynamics.reduce(plan.motion, plan.carriers)
     assert np.abs(distribute(reduced).tau).max() > 1.05 * np.abs(plan.tau).max()
     np.testing.assert_allclose(np.einsum("nim,nm->ni", reduced.W, plan.tau), reduced.f, atol=1e-7)

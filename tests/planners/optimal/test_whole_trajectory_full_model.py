@@ -30,7 +30,7 @@ def straight(start, end, speed, ramp_time=0.2):
 
 def compare(dynamics, machine, trajectory, objective, limits, dt, **settings):
     plan = plan_whole_trajectory(dynamics, trajectory, objective=objective, calm=0.0, dt=dt, refinements=0, **settings)
-    assert plan.diagnostics["optimal"]
+    assert plan.findings.optimal
     theirs, _ = symbolic_plans.solve(machine, trajectory, plan, objective, limits)
     np.testing.assert_allclose(plan.diagnostics["objective"][objective], theirs, rtol=SAME)
     return plan

@@ -107,11 +107,11 @@ def test_what_is_said_to_suffice_suffices_and_less_does_not(seed):
     enough = relaxed(dynamics, limits, details, WIDER)
     plan = plan_whole_trajectory(dynamics, trajectory, **settings_of(enough), **settings)
     # a statement about the nodes; without refinements efforts may exceed their limit between them, as the status says
-    assert plan.diagnostics["optimal"]
+    assert plan.findings.optimal
     assert np.abs(plan.tau).max() <= enough.get("effort", np.inf) * (1.0 + ROUNDING)
     if plan.status is not ResultStatus.OK:
         assert {event.quantity for event in plan.limits.violated} == {"effort"}
-        assert not plan.diagnostics["dense_check"]["passed"]
+        assert not plan.between.passed
     too_little = relaxed(dynamics, limits, details, NARROWER)
     with nullcontext() if seed in ROOM else pytest.raises(InfeasiblePlanError):
         plan_whole_trajectory(dynamics, trajectory, **settings_of(too_little), **settings)

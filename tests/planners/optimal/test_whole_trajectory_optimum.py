@@ -54,7 +54,7 @@ def test_random_lines_with_random_limits(seed):
         acceleration=limits["acceleration"],
         track=(-limits["track"], limits["track"]),
     )
-    assert plan.diagnostics["optimal"]
+    assert plan.findings.optimal
     theirs = solve_2rpr(trajectory, plan, objective, limits)
     np.testing.assert_allclose(objective_of(plan, objective), theirs, rtol=SAME)
 

@@ -85,7 +85,7 @@ def test_an_objective_is_added_by_its_formula(monkeypatch):
         "fastest_carrier": lambda plan: np.abs(plan.carriers.sd).max(),
     }
     for name, measure in measures.items():
-        assert plans[name].diagnostics["optimal"]
+        assert plans[name].findings.optimal
         assert plans[name].diagnostics["objective"][name] == pytest.approx(measure(plans[name]), rel=1e-9)
         assert all(measure(plans[name]) <= (1.0 + 1e-3) * measure(other) for other in plans.values())
     assert measures["fastest_carrier"](plans["fastest_carrier"]) < 0.9 * measures["fastest_carrier"](plans["effort"])
@@ -112,7 +112,7 @@ def test_nodes_have_every_event_and_are_integrated_exactly(trajectory):
     h = np.diff(plan.t)
     assert h.max() <= 0.03 * (1.0 + 1e-9)
     np.testing.assert_array_equal(plan.t[1:][h == 0.0], trajectory.breaks)
-    assert np.isin(plan.diagnostics["singular_instants"], plan.t).all()
+    assert np.isin(plan.findings.singular_instants, plan.t).all()
     # s̈ is linear in a step, and s and ṡ are its integrals
     c, step = plan.carriers, h[:, None]
     sd = c.sd[:-1] + step * (c.sdd[:-1] + c.sdd[1:]) / 2.0
@@ -120,7 +120,7 @@ def test_nodes_have_every_event_and_are_integrated_exactly(trajectory):
     s = c.s[:-1] + step * c.sd[:-1] + step**2 * (2.0 * c.sdd[:-1] + c.sdd[1:]) / 6.0
     np.testing.assert_allclose(c.s[1:], s, atol=1e-9 * np.abs(c.s).max())
     smooth = np.array(plan.diagnostics["smooth_nodes"], dtype=int)
-    assert len(plan.diagnostics["singular_instants"]) == (0 if corner else 2)
+    assert len(plan.findings.singular_instants) == (0 if corner else 2)
     assert np.isin(plan.diagnostics["singular_nodes"], smooth).all()
     jerk = np.diff(plan.carriers.sdd, axis=0) / np.where(h > 0.0, h, np.inf)[:, None]
     np.testing.assert_allclose(jerk[smooth - 1], jerk[smooth], atol=1e-6 * np.abs(jerk).max())

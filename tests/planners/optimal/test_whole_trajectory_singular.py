@@ -65,9 +65,9 @@ def test_two_crossings_in_a_moment_are_both_on_nodes(depth):
     plan = plan_of(trajectory, dt=0.04)
     half = np.arccos(1.0 - depth / RADIUS) * RADIUS / SPEED
     middle = trajectory.duration / 2
-    np.testing.assert_allclose(plan.diagnostics["singular_instants"], [middle - half, middle + half], atol=1e-6)
+    np.testing.assert_allclose(plan.findings.singular_instants, [middle - half, middle + half], atol=1e-6)
     assert plan.status is ResultStatus.OK
-    assert plan.diagnostics["dense_check"]["passed"]
+    assert plan.between.passed
 
 
 @pytest.mark.long_for("peak-1e-06")
@@ -82,11 +82,11 @@ def test_two_crossings_in_a_moment_are_both_on_nodes(depth):
 )
 def test_passing_close_by_is_planned_as_carefully(objective, height):
     plan = plan_of(over_the_line(height), objective=objective)
-    assert plan.diagnostics["singular_instants"] == []
+    assert plan.findings.singular_instants == ()
     # the first plan is near already (7.4 for the peak at 1e-6, else 2.9 at most); 100 and more without middle nodes
     assert plan.diagnostics["dense_ratios"][0] <= 10.0
     assert plan.status is ResultStatus.OK
-    assert plan.diagnostics["dense_check"]["passed"]
+    assert plan.between.passed
 
 
 @pytest.mark.long

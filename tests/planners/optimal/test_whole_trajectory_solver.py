@@ -111,8 +111,8 @@ def test_limits_hold_between_the_nodes_where_they_are_met(quantity, limit, toler
     monkeypatch.setattr(solver, "TOLERANCE", tolerance)
     setting = {"speed": limit} if quantity == "speed" else {"track": (-limit, limit)}
     plan = plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.6, 0.2), **COARSE, **setting)
-    assert plan.diagnostics["optimal"] is (tolerance == 1e-9)
-    assert plan.status is (ResultStatus.OK if plan.diagnostics["optimal"] else ResultStatus.NOT_CONVERGED)
+    assert plan.findings.optimal is (tolerance == 1e-9)
+    assert plan.status is (ResultStatus.OK if plan.findings.optimal else ResultStatus.NOT_CONVERGED)
     c = plan.carriers
     position = PiecewisePolynomial.linear(plan.t, c.s, c.sd, c.sdd)
     least, most = (position if quantity == "track" else position.derivative()).ranges()
@@ -215,7 +215,7 @@ def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monke
     usual = plan_whole_trajectory(dynamics, trajectory, **settings)
     monkeypatch.setitem(solver.FIRST, "ipopt.max_iter", 3)
     other = plan_whole_trajectory(dynamics, trajectory, **settings)
-    assert other.diagnostics["optimal"]
+    assert other.findings.optimal
     assert other.diagnostics["iterations"] > usual.diagnostics["iterations"]
     assert other.diagnostics["cost"] == pytest.approx(usual.diagnostics["cost"], rel=SAME_COST)
     np.testing.assert_allclose(usual.tau, other.tau, atol=BOTH_BACKENDS * np.abs(other.tau).max())

@@ -59,7 +59,7 @@ def test_every_tick_is_planned_and_the_machine_follows(name):
     assert run.plan.status.value == ("unresolved" if name == "arms, corner" else "ok")
     known = [crossing.t for crossing in rp.find_crossings(robot, motion)]
     assert len(known) == CROSSINGS[name]
-    np.testing.assert_allclose(run.plan.diagnostics["singular_instants"], known, atol=1e-8)
+    np.testing.assert_allclose(run.plan.findings.singular_instants, known, atol=1e-8)
     t = np.linspace(run.plan.t[0], run.plan.t[-1], 4001)
     carriers = run.plan.carriers_at(t)
     assert np.ptp(carriers.s, axis=0).min() > 0.01

@@ -64,7 +64,7 @@ def test_a_singular_instant_is_crossed_as_the_other_backend_sees_it():
     assert run.plan.status.value == "ok"
     assert_limits_between_nodes(run.plan, dynamics.robot)
     t = np.array([crossing.t for crossing in rp.find_crossings(dynamics.robot, ACROSS)])
-    np.testing.assert_allclose(run.plan.diagnostics["singular_instants"], t, atol=1e-8)
+    np.testing.assert_allclose(run.plan.findings.singular_instants, t, atol=1e-8)
     # what W loses there f does not ask for, by the other backend; with parked carriers it would
     reduced, parked = (other.reduce(ACROSS.sample_at(t), carriers) for carriers in (run.plan.carriers_at(t), None))
     u = np.linalg.svd(reduced.W)[0][:, :, -1]
@@ -80,7 +80,7 @@ def test_a_slow_crossing_with_samples_next_to_it_is_within_limits_too():
     path = circle_path((0.25, 0.0), 0.09, start_angle=-0.3, sweep=0.6)
     slow = Trajectory(path, SpeedProfile(path.length, 0.12, 0.1))
     run = run_online(RecedingHorizon(machine()[0]), slow)
-    (root,) = run.plan.diagnostics["singular_instants"]
+    (root,) = run.plan.findings.singular_instants
     inside = np.abs(run.plan.t - root) < 6e-3
     assert inside.sum() >= 4
     t = run.plan.t[inside]
@@ -92,7 +92,7 @@ def test_a_slow_crossing_with_samples_next_to_it_is_within_limits_too():
 
 def test_efforts_are_continuous_through_the_singular_instant_and_those_of_the_other_backend():
     run, (dynamics, other) = across(), machine()
-    for root in run.plan.diagnostics["singular_instants"]:
+    for root in run.plan.findings.singular_instants:
         t = root + np.array([-2e-3, -1.2e-3, 1.2e-3, 2e-3])
         reduced = other.reduce(ACROSS.sample_at(t), run.plan.carriers_at(t))
         tau = np.linalg.solve(reduced.W, reduced.f[..., None])[..., 0]
@@ -495,9 +495,7 @@ def test_random_paths_are_planned_at_every_tick_and_keep_the_limits(name, number
     assert run.counts["ok"] == len(run.commands)
     assert run.plan.diagnostics["missing_force"] < 0.01 * np.abs(run.plan.tau).max()
     assert_limits_between_nodes(run.plan, dynamics.robot)
-    away = (
-        np.abs(np.subtract.outer(run.plan.t, run.plan.diagnostics["singular_instants"])).min(axis=1, initial=1.0) > 0.01
-    )
+    away = np.abs(np.subtract.outer(run.plan.t, run.plan.findings.singular_instants)).min(axis=1, initial=1.0) > 0.01
     t = run.plan.t[away]
     reduced = other.reduce(trajectory.sample_at(t), run.plan.carriers_at(t), check_track=False)
     tau = np.linalg.solve(reduced.W, reduced.f[..., None])[..., 0]

@@ -70,7 +70,7 @@ def assert_same_path(plan, trajectory, delay: float) -> None:
 
 def assert_balanced(plan, other) -> None:
     """Check W τ = f by the other backend, away from singular instants, from the platform's motion itself."""
-    instants = plan.diagnostics["singular_instants"]
+    instants = plan.findings.singular_instants
     t = plan.t[np.abs(np.subtract.outer(plan.t, instants)).min(axis=1, initial=1.0) > 0.01]
     moved = plan.functions.platform
     h = 1e-4
@@ -130,7 +130,7 @@ def test_singular_instants_are_told_when_they_are_met_and_not_when_they_were_tho
     W = machine()[1].reduce(plan.functions.platform.sample_at(plan.t)).W
     side = np.sign(np.linalg.det(W))
     crossed = plan.t[1:][side[1:] != side[:-1]]
-    instants = np.array(plan.diagnostics["singular_instants"])
+    instants = np.array(plan.findings.singular_instants)
     assert len(instants) == len(crossed)
     assert (np.abs(instants - crossed) < 1.1 * np.diff(plan.t).max()).all()
 

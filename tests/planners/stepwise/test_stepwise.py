@@ -157,7 +157,7 @@ def test_a_step_in_which_no_carrier_has_an_effect_is_a_minimum(tmp_path):
     robot, path = load_robot(tmp_path), Line((0.0,), (1.0,))
     plan = plan_stepwise(RneaDynamics(robot), Trajectory(path, RestToRest(path.length, 1.0)), dt=0.02)
     assert plan.status is ResultStatus.OK
-    assert plan.diagnostics["optimal"]
+    assert plan.findings.optimal
     require_limits(plan, robot.carrier_limits)
 
 
@@ -184,7 +184,7 @@ def test_random_plans_are_minimal_within_limits_and_end_at_rest(lam, mode, mass,
     assert plan.status is ResultStatus.UNRESOLVED or ratio <= ALLOWED * (1.0 + BETWEEN)
     assert plan.status is ResultStatus.OK or ratio > ALLOWED * (1.0 - BETWEEN)
     assert (plan.carriers.sd[-1] == 0.0).all()
-    assert plan.diagnostics["optimal"]
+    assert plan.findings.optimal
     assert plan.diagnostics["largest_gradient"] < 1e-6
     narrowed = {event["carrier"] for event in plan.diagnostics["bounds"] if event["bound"] == "stop"}
     if not narrowed:
@@ -380,7 +380,7 @@ def test_steps_that_do_not_reach_their_minimum_are_a_status():
     motion = reference.corner().sample(times=np.linspace(0.0, reference.corner().duration, 10), two_sided=False)
     far = {"track": (-np.inf, np.inf), "speed": np.inf, "acceleration": np.inf}
     plan = plan_stepwise(dynamics_of(), motion, lam=1.0, baseline=np.full((10, 3), 100.0), **far)
-    assert plan.diagnostics["optimal"] is False
+    assert plan.findings.optimal is False
     assert plan.diagnostics["largest_gradient"] > 1.0
     assert plan.status is not ResultStatus.OK
     assert np.isfinite(plan.carriers.s).all()
@@ -395,7 +395,7 @@ def test_steps_beside_a_singularity_are_true_minima_too():
     dynamics = RneaDynamics(load_robot("gough", carriers=True))
     motion = reference.pose(*poses, 1.0).sample(0.05, two_sided=False)
     plan = plan_stepwise(dynamics, motion)
-    assert plan.diagnostics["optimal"]
+    assert plan.findings.optimal
     own = steps_of(plan)
     own = own[own < len(motion)]
     h, c = np.diff(plan.t)[own - 1, None, None], plan.carriers

@@ -87,7 +87,7 @@ def test_circles_that_graze_the_line_of_the_hinges(dip, crossings):
     trajectory = grazing_circle(0.625, 0.0, 0.375, dip, 0.5)
     plan = plan_switch_off(virtual_work(base_distance=0.625), trajectory, threshold=6.0, ramp_down=0.03, dt=2e-3)
     require_exact(plan, trajectory, base_distance=0.625, momentum_tolerance=GRAZING_MOMENTUM)
-    instants = plan.diagnostics["singular_instants"]
+    instants = plan.findings.singular_instants
     assert len(instants) in crossings  # W, interpolated to 1e-12, cannot tell a touch from two crossings within 20 us
     for t in instants:
         assert abs(trajectory.sample_at(np.array([t])).x[0, 1]) < 1e-9
@@ -116,7 +116,7 @@ def test_balance_right_beside_the_singular_instants():
     trajectory = reference.circle()
     plan = plan_switch_off(virtual_work(), trajectory, dt=5e-5)
     require_exact(plan, trajectory)
-    for t in plan.diagnostics["singular_instants"]:
+    for t in plan.findings.singular_instants:
         beside = np.abs(plan.t - t) < 1e-4
         assert beside.sum() >= 3
         assert np.abs(plan.carriers.sdd[beside]).max() < 20.0
