@@ -10,7 +10,7 @@ import pytest
 import zoo
 
 from redundancy_pin import PlatformMotion, RneaDynamics, VirtualWork, plan_whole_trajectory
-from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
+from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.loading import robot_from_model
 from redundancy_pin.planners.base_wrench import base_wrench
@@ -150,18 +150,6 @@ def test_a_bound_counts_what_no_carrier_changes() -> None:
     np.testing.assert_allclose(np.trapezoid(made.base_wrench(gantry)[:, 1] ** 2, t), least, rtol=1e-8)
     with pytest.raises(InfeasiblePlanError, match="base_force at most"):
         plan_whole_trajectory(gantry, line, at_most={"base_force": 0.9 * least}, end="free", dt=0.02)
-
-
-def test_what_is_no_objective_is_named() -> None:
-    corner = reference.corner().sample(0.02)
-    for options, word in (
-        ({"objective": "weight"}, "weight"),
-        ({"objective": {"base_force": -1.0}}, "weight"),
-        ({"objective": "base_force", "base_point": (0.0, 1.0)}, "base_point"),
-        ({"objective": "base_force", "base_point": (0.0, np.nan, 0.0)}, "base_point"),
-    ):
-        with pytest.raises(InputError, match=word):
-            plan_whole_trajectory(dynamics(), corner, **options)  # type: ignore[arg-type]
 
 
 def test_other_terms_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

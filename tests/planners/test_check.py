@@ -12,7 +12,7 @@ import pytest
 import zoo
 
 import redundancy_pin as rp
-from redundancy_pin.errors import InputError, PlanFileError, UnsupportedRobotError
+from redundancy_pin.errors import InputError, PlanFileError
 from redundancy_pin.planners.check import merged_events
 from redundancy_pin.planners.limits import LimitEvent, Limits, motion_events
 from redundancy_pin.planners.plan import Plan
@@ -199,16 +199,6 @@ PLANNERS = {
         dynamics, motion, dt=0.1, objective="peak", end="free", refinements=0
     ),
 }
-
-
-@pytest.mark.parametrize("name", PLANNERS)
-@pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.VirtualWork])
-def test_carriers_without_mass_are_one_clear_error(name: str, backend: type) -> None:
-    for robot, motion in (("3rrr", reference.corner()), ("2rpr", reference.circle())):
-        massless = backend(rp.load_robot(robot, carrier_mass=0.0))
-        with pytest.raises(UnsupportedRobotError, match="no mass") as caught:
-            PLANNERS[name](massless, motion)
-        assert caught.value.details["carriers"] == massless.robot.carriers
 
 
 @pytest.mark.long_for("shortest return", "peak")

@@ -8,8 +8,6 @@ import pytest
 import zoo
 
 from redundancy_pin import RneaDynamics, VirtualWork, check_plan, load_plan, plan_whole_trajectory
-from redundancy_pin.errors import InputError
-from redundancy_pin.planners.optimal import Objective
 from redundancy_pin.planners.optimal import calm as calm_plans
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
@@ -112,9 +110,3 @@ def test_the_least_cost_is_saved_and_exported(tmp_path):
     assert load_plan(tmp_path / "plan.npz").least_cost == plan.least_cost
     plan.table(robot=zoo.robot_of("2rpr")).to_json(tmp_path / "plan.json")
     assert json.loads((tmp_path / "plan.json").read_text())["least_cost"] == plan.least_cost
-
-
-@pytest.mark.parametrize("calm", [-0.01, 1.5, float("nan")])
-def test_calm_is_a_fraction(calm):
-    with pytest.raises(InputError, match="calm"):
-        planned(Objective("effort", calm=calm), 0.01)

@@ -12,11 +12,9 @@ import zoo
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin import (
-    JointForces,
     PlatformMotion,
     RneaDynamics,
     VirtualWork,
-    Wrench,
     check_plan,
     distribute,
     load_plan,
@@ -24,7 +22,6 @@ from redundancy_pin import (
     plan_time_optimal,
     simulate,
 )
-from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus
@@ -236,41 +233,3 @@ def test_a_singularity_is_crossed_at_the_limit_of_the_efforts() -> None:
     assert check_plan(plan, RneaDynamics(dynamics.robot)).passed
     run = simulate(dynamics.robot, plan)
     np.testing.assert_allclose(run.x, plan.platform_at(run.t).x, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        ({}, "effort"),
-        ({"effort": 3.0, "begin": "anyhow"}, "begin"),
-        ({"effort": 3.0, "lap": True}, "closed"),
-        ({"effort": -1.0}, "effort"),
-        ({"effort": 3.0, "steps": 2}, "steps"),
-        ({"effort": 3.0, "actuator_speed": 0.0}, "actuator_speed"),
-    ],
-)
-def test_bad_options_are_named(options: dict[str, Any], word: str) -> None:
-    with pytest.raises(InputError, match=word):
-        plan_time_optimal(bare(), CORNER, **options)
-
-
-def test_samples_are_no_path() -> None:
-    with pytest.raises(InputError, match="path"):
-        plan_time_optimal(bare(), reference.corner().sample(0.1), effort=1.0)  # type: ignore[arg-type]
-
-
-def test_what_is_not_covered_is_refused() -> None:
-    def gust(t: np.ndarray, x: np.ndarray, xd: np.ndarray) -> np.ndarray:
-        return np.outer(np.sin(8.0 * t), np.eye(6)[0])
-
-    robot = bare().robot
-    for load in (JointForces("base_1", friction=1.0), Wrench(robot.platform.frame, gust)):
-        with pytest.raises(UnsupportedRobotError, match="dry friction and loads that depend on time"):
-            plan_time_optimal(RneaDynamics(robot.loaded(load)), CORNER, effort=EFFORT, steps=20)
-
-
-def test_weight_beyond_the_efforts_is_infeasible() -> None:
-    heavy = RneaDynamics(zoo.robot_of("3rrr", carriers=False, working_mode=MODE, gravity=(0.0, -9.81, 0.0)))
-    with pytest.raises(InfeasiblePlanError) as caught:
-        plan_time_optimal(heavy, CORNER, effort=EFFORT, steps=6)
-    assert caught.value.details["constraint"] == "effort"

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import redundancy_pin as rp
-from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.studies.case import load
 from redundancy_pin.trajectory import reference
@@ -43,9 +43,3 @@ def test_a_bound_that_cannot_be_kept_says_the_least_that_can() -> None:
     (event,) = (one for one in caught.value.details["relaxations"] if one["constraint"] == "at_most")
     assert event["limit"] == pytest.approx(least, rel=1e-3)
     assert event["objective"] == "carrier_force"
-
-
-@pytest.mark.parametrize("at_most", [{"efort": 1.0}, {"effort": 0.0}, {"effort": float("nan")}, "effort", [1]])
-def test_bounds_that_are_none(at_most: Any) -> None:
-    with pytest.raises(InputError, match=r"at_most|objectives to bounds"):
-        planned(at_most=at_most)

@@ -9,7 +9,6 @@ import yaml
 import zoo
 
 from redundancy_pin import RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
-from redundancy_pin.errors import InputError
 from redundancy_pin.planners.carrier_model import carrier_model
 from redundancy_pin.planners.optimal.problem import singular_node
 from redundancy_pin.status import ResultStatus
@@ -173,23 +172,6 @@ def test_more_actuators_than_freedoms_are_judged_by_their_own_efforts(tmp_path):
     reduced = dynamics.reduce(plan.motion, plan.carriers)
     assert np.abs(distribute(reduced).tau).max() > 1.05 * np.abs(plan.tau).max()
     np.testing.assert_allclose(np.einsum("nim,nm->ni", reduced.W, plan.tau), reduced.f, atol=1e-7)
-
-
-@pytest.mark.parametrize(
-    "setting",
-    [
-        {"starts": np.nan},
-        {"starts": "a"},
-        {"refinements": np.inf},
-        {"objective": None},
-        {"objective": ["effort", "peak"]},
-        {"objective": {"effort": "a"}},
-        {"lam": "a"},
-    ],
-)
-def test_settings_of_the_wrong_kind_are_named(setting):
-    with pytest.raises(InputError):
-        plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(), **setting)
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
