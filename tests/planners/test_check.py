@@ -13,13 +13,10 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, PlanFileError
-from redundancy_pin.planners.check import merged_events
-from redundancy_pin.planners.limits import LimitEvent, Limits, motion_events
+from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 
 def other(plan: Plan) -> rp.RneaDynamics | rp.VirtualWork:
@@ -122,20 +119,6 @@ def test_an_edited_plan_is_not_what_it_says(name: str, whole: Plan) -> None:
         assert np.isnan(deviation.time) or whole.t[0] <= deviation.time <= whole.t[-1]
 
 
-@pytest.mark.parametrize(
-    ("part", "name"),
-    [("motion", "x"), ("motion", "xd"), ("motion", "xdd"), ("carriers", "s"), ("carriers", "sd"), ("carriers", "sdd")],
-)
-def test_each_sampled_array_is_compared_with_its_function(part: str, name: str, whole: Plan) -> None:
-    own = getattr(whole, part)
-    names = ("t", "x", "xd", "xdd") if part == "motion" else ("s", "sd", "sdd")
-    arrays = {one: np.array(getattr(own, one)) for one in names}
-    arrays[name][30] += 1e-3 * np.abs(arrays[name]).max()
-    edited = replace(whole, **{part: type(own)(**arrays, check_rates=False)})
-    found = {deviation.quantity for deviation in rp.check_plan(edited, other(whole)).deviations}
-    assert f"{'platform' if part == 'motion' else 'carrier'} motion {name}" in found
-
-
 def test_the_imbalance_is_relative_to_the_largest_f(whole: Plan) -> None:
     """Without efforts all of f is left."""
     dynamics = other(whole)
@@ -143,20 +126,6 @@ def test_the_imbalance_is_relative_to_the_largest_f(whole: Plan) -> None:
     reduced = dynamics.reduce(whole.motion, whole.carriers)
     f = reduced.f / reduced.row_scale
     assert result.imbalance == pytest.approx(np.linalg.norm(f, axis=1).max() / np.abs(f).max(), rel=1e-9)
-
-
-def test_the_imbalance_of_a_robot_that_needs_no_effort_is_in_newtons() -> None:
-    """At rest on a horizontal plane all of f is zero, and nothing to be relative to."""
-    dynamics = rp.VirtualWork(rp.load_robot("2rpr"))
-    still = reference.circle().sample(dt=0.2, two_sided=False)
-    still = replace(still, x=0.0 * still.x + still.x[0], xd=0.0 * still.xd, xdd=0.0 * still.xdd)
-    plan = rp.plan_stepwise(dynamics, still)
-    reduced = dynamics.reduce(plan.motion, plan.carriers)
-    assert not reduced.f.any()
-    pushed = rp.check_plan(replace(plan, tau=plan.tau + 3.0), dynamics)
-    expected = np.linalg.norm(3.0 * reduced.W.sum(axis=2) / reduced.row_scale, axis=1)
-    assert pushed.imbalance == pytest.approx(expected.max(), rel=1e-9)
-    assert not pushed.passed
 
 
 def test_the_dynamics_of_another_robot_are_refused(whole: Plan) -> None:
@@ -214,13 +183,6 @@ def test_planners_work_where_numpy_raises_its_errors(name: str) -> None:
     np.testing.assert_array_equal(plan.tau, usual.tau)
 
 
-def test_limits_of_a_robot_are_no_part_of_the_check_but_those_the_plan_was_judged_by() -> None:
-    robot = zoo.robot_of("3rrr")
-    plan = rp.plan_stepwise(rp.VirtualWork(robot), reference.corner(), dt=0.02, speed=np.inf, acceleration=np.inf)
-    assert np.isinf(plan.limits.judged_by.speed).all()
-    assert rp.check_plan(plan, rp.RneaDynamics(robot)).passed
-
-
 def test_limits_wider_than_the_robots_are_noted() -> None:
     robot = zoo.robot_of("3rrr")
     plan = rp.plan_stepwise(rp.VirtualWork(robot), reference.corner(), dt=0.02)
@@ -276,31 +238,3 @@ def test_an_effort_exceeded_at_samples_and_between_them_is_one_broken_limit(whol
     for event in efforts:
         j = whole.robot.actuated.index(event.carrier)
         assert event.amount == pytest.approx(tight[j], rel=1e-3)
-
-
-def test_an_effort_exceeded_with_either_sign_is_one_broken_limit() -> None:
-    at_samples = LimitEvent("motor", "effort", 0.1, 0.2, 0.1, -6.0, -5.0, 1.0)
-    between = LimitEvent("motor", "effort", 0.7, 0.8, 0.7, 7.0, 5.0, 2.0)
-    another = replace(between, carrier="other motor")
-    assert merged_events((at_samples,), (between, another)) == (between, another)
-    assert merged_events((replace(at_samples, amount=3.0),), (between,)) == (replace(at_samples, amount=3.0),)
-    speeds = tuple(replace(event, quantity="speed") for event in (at_samples, between))
-    assert merged_events(speeds[:1], speeds[1:]) == speeds
-
-
-def test_speed_and_acceleration_between_the_samples_are_judged() -> None:
-    """A carrier that swings between two samples at rest on the same place: no sample shows it."""
-    one = np.ones((1, 2))
-    position = PiecewisePolynomial.hermite([0.0, 1.0], (0.0 * one, 0.1 * one, -0.2 * one), (0.0 * one, -0.4 * one, one))
-    looked_at = np.linspace(0.0, 1.0, 5)
-    robot = zoo.robot_of("2rpr")
-    fine = np.linspace(0.0, 1.0, 100_001)
-    s, sd, sdd = (np.abs(position.derivative(order)(fine)).max() for order in range(3))
-    for order, peak in enumerate((s, sd, sdd)):  # the extremes lie where nobody would look by chance
-        assert np.abs(position.derivative(order)(looked_at)).max() < 0.99 * peak
-    for name, peak in (("speed", sd), ("acceleration", sdd), ("upper", s)):
-        own = {"lower": -9.0, "upper": 9.0, "speed": 9.0, "acceleration": 99.0, "force": np.inf}
-        for factor, broken in ((0.999, True), (1.001, False)):
-            limits = (CarrierLimits(**{**own, name: factor * peak}),) * robot.k
-            events = motion_events(Limits().resolved(replace(robot, carrier_limits=limits)), position)
-            assert {event.quantity for event in events} == ({{"upper": "track"}.get(name, name)} if broken else set())

@@ -9,7 +9,7 @@ import redundancy_pin as rp
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import PlannedMotion
-from redundancy_pin.planners.limits import Limits, check_limits
+from redundancy_pin.planners.limits import Limits
 from redundancy_pin.status import SampleStatus
 
 
@@ -53,18 +53,6 @@ def test_all_actuators_together_do_the_work_that_becomes_kinetic_energy(crossing
     np.testing.assert_allclose(crossing.actuated_rate, rates, atol=1e-12)
 
 
-def test_a_plan_prints_what_tells_it_apart(crossing):
-    tau, force = np.array([[1.0, -2.5], [np.nan, 2.0]]), np.array([[0.0, 3.0], [-4.0, 1.0]])
-    zero = np.zeros((2, 2))
-    plan = by_hand(crossing, np.array([0.0, 0.5]), tau, zero, force, zero)
-    assert repr(plan) == (
-        f"Plan('2rpr', 'switch_off', 'VirtualWork', {crossing.status.value}; N=2, t=0..0.5 s, n=2, m=2, k=2; "
-        "peak |tau| 1, 2.5 N, peak |carrier_force| 4, 3 N)"
-    )
-    bare = replace(plan, carrier_force=zero[:, :0], robot=replace(plan.robot, carriers=()))
-    assert "k=0; peak |tau| 1, 2.5 N, no carrier_force)" in repr(bare)
-
-
 def by_hand(plan, t, tau, rate, force, sd):
     """A plan with efforts written down: uneven times, powers of both signs."""
     count = len(t)
@@ -103,21 +91,3 @@ def test_efforts_that_do_not_balance_are_said_to(crossing):
     assert plan.sample_status[100] == SampleStatus.SINGULAR_INCONSISTENT
     assert plan.status is not crossing.status
     assert (np.delete(plan.sample_status, 100) == SampleStatus.OK).all()
-
-
-@pytest.mark.parametrize("carrier", [0, 1])
-def test_a_force_beyond_its_limit_is_an_event(crossing, carrier):
-    robot = rp.load_robot("2rpr")
-    force = np.abs(crossing.carrier_force[:, carrier])
-    limits = list(robot.carrier_limits)
-    limits[carrier] = replace(limits[carrier], force=0.99 * force.max())
-    report = check_limits(
-        Limits().resolved(replace(robot, carrier_limits=tuple(limits))),
-        crossing.t,
-        crossing.carriers,
-        crossing.carrier_force,
-    )
-    events = [event for event in report.violated if event.quantity == "force"]
-    assert {event.carrier for event in events} == {robot.carriers[carrier]}
-    assert max(event.amount for event in events) == pytest.approx(0.01 * force.max(), rel=1e-9)
-    assert max(events, key=lambda event: event.amount).worst == pytest.approx(crossing.t[force.argmax()])

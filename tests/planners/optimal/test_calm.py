@@ -83,17 +83,6 @@ def test_a_plan_that_cannot_be_calmed_is_that_of_least_cost(monkeypatch):
     np.testing.assert_array_equal(plan.carriers.s, least.carriers.s)
 
 
-def test_a_plan_without_many_reversals_stays_as_it_is():
-    options = {"objective": "peak", "dt": 0.02}
-    least, plan = (
-        plan_whole_trajectory(VirtualWork(zoo.robot_of("3rrr")), reference.corner(), calm=calm, **options)
-        for calm in (0.0, 0.01)
-    )
-    assert max(reversals(least.tau)) < 10
-    assert plan.diagnostics["calm"] == {"tried": False, "kept": False}
-    np.testing.assert_array_equal(plan.tau, least.tau)
-
-
 def test_bounds_of_objectives_hold_in_a_calm_plan():
     circle = reference.circle(0.5, 0.2, 0.05)
     most = 1.001 * planned("peak", 0.0).least_cost

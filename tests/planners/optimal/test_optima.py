@@ -24,9 +24,6 @@ from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, reference
 SAME = 1e-3
 """Relative difference of the objectives; found are 1e-6 or less."""
 
-SAME_TIME = 1e-2
-"""Relative difference of the least times, of limits held at nodes alone there and everywhere here."""
-
 OF_TWO_RPR = {"speed": 2.5, "track": 0.2, "acceleration": 10.0}
 OF_THREE_RRR = {"speed": 1.0, "track": 1.0, "acceleration": 7.0}
 OF_FIVE_BAR = {"speed": 1.0, "track": 0.5, "acceleration": 7.0}
@@ -90,7 +87,13 @@ QUICK = {("circle", "effort"), ("corner", "effort"), ("five-bar", "effort"), ("t
 def test_whole_trajectories(name: str, objective: str) -> None:
     robot, machine, trajectory, limits, dt, singular = CASES[name]
     plan = rp.plan_whole_trajectory(
-        backend(robot), trajectory, objective=objective, calm=0.0, dt=dt, refinements=0, starts=3 if singular else 1
+        backend(robot),
+        trajectory,
+        objective=objective,
+        calm=0.0,
+        dt=dt,
+        refinements=0,
+        starts=4 if name == "turning circle" else 1,
     )
     assert len(plan.diagnostics["singular_instants"]) == singular
     if name == "turning circle":  # it has three optima; IPOPT ends at the second with the full model
@@ -100,19 +103,18 @@ def test_whole_trajectories(name: str, objective: str) -> None:
     require_optimal(plan, machine, trajectory, objective, limits)
 
 
-@pytest.mark.parametrize(("end", "most"), [("free", 0.6), pytest.param("datum", 1.0, marks=pytest.mark.long)])
-def test_least_time_of_a_line_with_carriers(end: Any, most: float) -> None:
-    """Nodes in time in place of nodes on the path; without carriers the line takes longer."""
-    first, last, effort = (0.1, 0.45), (0.4, 0.25), 2.0
+@pytest.mark.parametrize("end", ["free", "datum"])
+def test_least_time_of_a_line_with_carriers(end: Any) -> None:
+    """Nodes in time in place of nodes on the path."""
+    first, last = (0.1, 0.45), (0.4, 0.25)
     plan = rp.plan_time_optimal(
-        rp.VirtualWork(zoo.robot_of("2rpr", **HEAVY)), Line(first, last), effort=effort, end=end, steps=80
+        rp.VirtualWork(zoo.robot_of("2rpr", **HEAVY)), Line(first, last), effort=2.0, end=end, steps=80
     )
     theirs = symbolic_plans.least_time(
-        symbolic_mechanisms.two_rpr(**HEAVY), first, last, effort, OF_TWO_RPR, end == "datum", 80
+        symbolic_mechanisms.two_rpr(**HEAVY), first, last, 2.0, OF_TWO_RPR, end == "datum", 80
     )
     assert plan.status is ResultStatus.OK
-    np.testing.assert_allclose(plan.t[-1], theirs, rtol=SAME_TIME)
-    assert plan.t[-1] < most
+    np.testing.assert_allclose(plan.t[-1], theirs, rtol=SAME)
 
 
 def random_two_rpr(rng: np.random.Generator) -> tuple[Any, Any, Trajectory, float]:
