@@ -188,38 +188,6 @@ def test_many_random_plans_keep_what_they_say(planner: str) -> None:
     assert "ok" in verdicts
 
 
-def test_a_command_that_keeps_every_limit_keeps_them_between_its_nodes() -> None:
-    """Where ẍ jumps, the force of a carrier is larger between the nodes than at them, here by 15 %."""
-    robot, corner = zoo.robot_of("3rrr", working_mode=(1, 1, 1)), reference.corner(radius=0.0236)
-    most = 7.12
-    run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot), carrier_force=most), corner)
-    ends = [*(command.t for command in run.commands[1:]), run.plan.t[-1]]
-    planned = 0
-    for command, end in zip(run.commands, ends, strict=True):
-        t = np.linspace(command.t, end, 22)[1:-1]
-        reduced = rp.VirtualWork(robot).along(corner.sample_at(t)).reduce(run.plan.carriers_at(t))
-        if command.status.value == "ok":
-            planned += 1
-            assert np.abs(reduced.carrier_force).max() <= MORE * most, command
-    assert planned > 0.9 * len(run.commands)
-    left = run.counts["relaxed"]
-    assert (run.plan.status is ResultStatus.LIMIT_VIOLATED) == (left > 0)
-
-
-def test_the_jerk_of_a_motion_planned_on_line_is_judged() -> None:
-    robot = zoo.robot_of("3rrr", working_mode=(1, 1, 1))
-    run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot), jerk=50.0), reference.corner())
-    jerk = np.abs(run.plan.functions.carriers.derivative(3)(instants(run.plan))).max()
-    assert jerk > 49.0
-    named = {event.quantity for event in (*run.plan.limits.violated, *run.plan.limits.binding)}
-    assert "jerk" in named
-    assert (run.plan.status is ResultStatus.OK) == (jerk <= MORE * 50.0)
-    own = replace(run.plan.limits.judged_by, jerk=np.full(robot.k, jerk / 1.002))
-    tight = replace(run.plan, limits=replace(run.plan.limits, judged_by=own))
-    (event,) = [one for one in rp.check_plan(tight, rp.VirtualWork(robot)).violated if one.quantity == "jerk"][:1]
-    assert event.amount == pytest.approx(jerk * (1.0 - 1.0 / 1.002), rel=1e-3)
-
-
 @functools.cache
 def along_the_corner() -> Array:
     """Return (20001, nq) configurations of the 3-RRR along the corner, by kinematics."""

@@ -10,7 +10,7 @@ import pytest
 import zoo
 
 from redundancy_pin import PlatformMotion, RneaDynamics, VirtualWork, plan_whole_trajectory
-from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
+from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.loading import robot_from_model
 from redundancy_pin.planners.base_wrench import base_wrench
@@ -98,28 +98,6 @@ def test_objectives_are_the_integrals_they_say() -> None:
     np.testing.assert_allclose(other.diagnostics["objective"]["base_moment"], of_other[3:].sum(), rtol=1e-8)
 
 
-@pytest.mark.long
-def test_the_moment_is_that_about_the_point() -> None:
-    corner = plan("base_moment", "datum", (0.0, 0.0, 0.0))
-    assert corner.parameters["base_point"] == [0.0, 0.0, 0.0]
-    here, there = (np.trapezoid(corner.base_wrench(dynamics(), p)[:, 5] ** 2, corner.t) for p in ((0, 0, 0), CENTRE))
-    best = plan("base_moment", "datum")
-    assert here < np.trapezoid(best.base_wrench(dynamics())[:, 5] ** 2, best.t)
-    assert there > np.trapezoid(best.base_wrench(dynamics(), CENTRE)[:, 5] ** 2, best.t)
-
-
-def test_effort_is_traded_for_it() -> None:
-    both = plan_whole_trajectory(
-        dynamics(), reference.corner(), objective={"effort": 1.0, "base_wrench": 1.0}, base_point=CENTRE, end="free",
-        dt=0.02, **LIMITS,
-    )  # fmt: skip
-    made = [plan("effort"), both, plan()]
-    efforts = [np.trapezoid((each.tau**2).sum(axis=1), each.t) for each in made]
-    forces = [peaks(each.base_wrench(dynamics(), CENTRE))[0] for each in made]
-    assert efforts == sorted(efforts)
-    assert forces == sorted(forces, reverse=True)
-
-
 def test_weight_that_the_base_carries_anyway_does_not_count() -> None:
     """Gravity across the plane: its force is constant, and carriers cannot balance it."""
     heavy = VirtualWork(zoo.robot_of("3rrr", carrier_mass=3.0, working_mode=MODE, gravity=(0.0, 0.0, -9.81)))
@@ -150,18 +128,6 @@ def test_a_bound_counts_what_no_carrier_changes() -> None:
     np.testing.assert_allclose(np.trapezoid(made.base_wrench(gantry)[:, 1] ** 2, t), least, rtol=1e-8)
     with pytest.raises(InfeasiblePlanError, match="base_force at most"):
         plan_whole_trajectory(gantry, line, at_most={"base_force": 0.9 * least}, end="free", dt=0.02)
-
-
-def test_what_is_no_objective_is_named() -> None:
-    corner = reference.corner().sample(0.02)
-    for options, word in (
-        ({"objective": "weight"}, "weight"),
-        ({"objective": {"base_force": -1.0}}, "weight"),
-        ({"objective": "base_force", "base_point": (0.0, 1.0)}, "base_point"),
-        ({"objective": "base_force", "base_point": (0.0, np.nan, 0.0)}, "base_point"),
-    ):
-        with pytest.raises(InputError, match=word):
-            plan_whole_trajectory(dynamics(), corner, **options)  # type: ignore[arg-type]
 
 
 def test_other_terms_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,9 +29,6 @@ TRACK, SPEED, ACCELERATION = 0.2, 2.5, 10.0
 
 AVAILABLE = 2.0
 
-SPEEDS = np.linspace(1.118, 1.1225, 6)
-"""Of a carrier that has to turn back before the end of its track."""
-
 
 def shortest(state, datum=0.0, limits=LIMITS, force=no_force):
     """Duration of the shortest return, s, or the details of the refusal."""
@@ -88,26 +85,6 @@ def test_durations_between_two_candidates_are_found(wanted):
     assert not limit_events(motion_quantities(limits, return_polynomial(state, duration, datum)))[0]
 
 
-def test_boundary_conditions_and_path():
-    state, datum = state_of([-0.1, 0.05], [-0.4, 0.3], [-1.0, 2.0]), np.array([0.02, 0.0])
-    polynomial = return_polynomial(state, 0.3, datum)
-    for t, expected in ((1.0, (state.s, state.sd, state.sdd, 0.0)), (1.3, (datum, 0.0, 0.0, 0.0))):
-        for order, value in enumerate(expected):
-            np.testing.assert_allclose(polynomial.derivative(order)([t])[0], np.broadcast_to(value, 2), atol=1e-9)
-
-
-def test_extremes_are_found():
-    state = state_of([-0.1, 0.05], [-0.4, 0.3], [-1.0, 2.0])
-    path = return_polynomial(state, 0.3, np.zeros(2))
-    dense = carriers_at(path, np.linspace(*path.edges, 200_001))
-    extremes = [path.derivative(order).extremes() for order in range(3)]
-    at = carriers_at(path, np.concatenate([path.edges, *extremes]))
-    for name in ("s", "sd", "sdd"):
-        ours, theirs = getattr(at, name), getattr(dense, name)
-        np.testing.assert_allclose(ours.max(axis=0), theirs.max(axis=0), rtol=1e-8, atol=1e-12)
-        np.testing.assert_allclose(ours.min(axis=0), theirs.min(axis=0), rtol=1e-8, atol=1e-12)
-
-
 @examples(5)
 @given(
     s=st.tuples(*[st.floats(-0.19, 0.19)] * 2),
@@ -140,24 +117,6 @@ def test_shortest_against_brute_force(s, sd, sdd, datum):
 
 def test_carrier_at_rest_at_its_datum_returns_at_once():
     assert shortest(state_of([0, 0], [0, 0], [0, 0])) == pytest.approx(1e-3 * AVAILABLE)
-
-
-def test_narrow_interval_of_durations_is_found():
-    """Shorter returns break the acceleration limit, longer ones leave the track: between them less than a candidate.
-
-    Along a family of states of growing speed the interval shrinks to nothing; the planner finds it up to where brute
-    force on a grid many times as fine no longer does.
-    """
-    seen = []
-    for speed in SPEEDS:
-        state = state_of([0.05, 0.0], [speed, 0.0], [0.0, 0.0])
-        seen.append(not isinstance(shortest(state), dict))
-    last = int(np.flatnonzero(seen)[-1]) if any(seen) else -1
-    assert 0 <= last < len(SPEEDS) - 1
-    assert all(seen[: last + 1])
-    state = state_of([0.05, 0.0], [SPEEDS[last + 1], 0.0], [0.0, 0.0])
-    fine = np.linspace(0.55, 0.7, 1500)
-    assert largest_use(state, fine, np.zeros(2), 401).min() > 1.0 - 1e-4
 
 
 @pytest.mark.parametrize(("order", "quantity"), [(0, "track"), (1, "speed"), (2, "acceleration")])

@@ -12,13 +12,11 @@ import pytest
 import zoo
 
 import redundancy_pin as rp
-from redundancy_pin.errors import InputError, PlanFileError, UnsupportedRobotError
-from redundancy_pin.planners.limits import LimitEvent, Limits, limit_events, motion_quantities
+from redundancy_pin.errors import InputError, PlanFileError
+from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 
 def other(plan: Plan) -> rp.RneaDynamics | rp.VirtualWork:
@@ -121,20 +119,6 @@ def test_an_edited_plan_is_not_what_it_says(name: str, whole: Plan) -> None:
         assert np.isnan(deviation.time) or whole.t[0] <= deviation.time <= whole.t[-1]
 
 
-@pytest.mark.parametrize(
-    ("part", "name"),
-    [("motion", "x"), ("motion", "xd"), ("motion", "xdd"), ("carriers", "s"), ("carriers", "sd"), ("carriers", "sdd")],
-)
-def test_each_sampled_array_is_compared_with_its_function(part: str, name: str, whole: Plan) -> None:
-    own = getattr(whole, part)
-    names = ("t", "x", "xd", "xdd") if part == "motion" else ("s", "sd", "sdd")
-    arrays = {one: np.array(getattr(own, one)) for one in names}
-    arrays[name][30] += 1e-3 * np.abs(arrays[name]).max()
-    edited = replace(whole, **{part: type(own)(**arrays, check_rates=False)})
-    found = {deviation.quantity for deviation in rp.check_plan(edited, other(whole)).deviations}
-    assert f"{'platform' if part == 'motion' else 'carrier'} motion {name}" in found
-
-
 def test_the_imbalance_is_relative_to_the_largest_f(whole: Plan) -> None:
     """Without efforts all of f is left."""
     dynamics = other(whole)
@@ -142,20 +126,6 @@ def test_the_imbalance_is_relative_to_the_largest_f(whole: Plan) -> None:
     reduced = dynamics.reduce(whole.motion, whole.carriers)
     f = reduced.f / reduced.row_scale
     assert result.imbalance == pytest.approx(np.linalg.norm(f, axis=1).max() / np.abs(f).max(), rel=1e-9)
-
-
-def test_the_imbalance_of_a_robot_that_needs_no_effort_is_in_newtons() -> None:
-    """At rest on a horizontal plane all of f is zero, and nothing to be relative to."""
-    dynamics = rp.VirtualWork(rp.load_robot("2rpr"))
-    still = reference.circle().sample(dt=0.2, two_sided=False)
-    still = replace(still, x=0.0 * still.x + still.x[0], xd=0.0 * still.xd, xdd=0.0 * still.xdd)
-    plan = rp.plan_stepwise(dynamics, still)
-    reduced = dynamics.reduce(plan.motion, plan.carriers)
-    assert not reduced.f.any()
-    pushed = rp.check_plan(replace(plan, tau=plan.tau + 3.0), dynamics)
-    expected = np.linalg.norm(3.0 * reduced.W.sum(axis=2) / reduced.row_scale, axis=1)
-    assert pushed.imbalance == pytest.approx(expected.max(), rel=1e-9)
-    assert not pushed.passed
 
 
 def test_the_dynamics_of_another_robot_are_refused(whole: Plan) -> None:
@@ -200,16 +170,6 @@ PLANNERS = {
 }
 
 
-@pytest.mark.parametrize("name", PLANNERS)
-@pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.VirtualWork])
-def test_carriers_without_mass_are_one_clear_error(name: str, backend: type) -> None:
-    for robot, motion in (("3rrr", reference.corner()), ("2rpr", reference.circle())):
-        massless = backend(rp.load_robot(robot, carrier_mass=0.0))
-        with pytest.raises(UnsupportedRobotError, match="no mass") as caught:
-            PLANNERS[name](massless, motion)
-        assert caught.value.details["carriers"] == massless.robot.carriers
-
-
 @pytest.mark.long_for("shortest return", "peak")
 @pytest.mark.parametrize("name", PLANNERS)
 def test_planners_work_where_numpy_raises_its_errors(name: str) -> None:
@@ -221,13 +181,6 @@ def test_planners_work_where_numpy_raises_its_errors(name: str) -> None:
         result = rp.check_plan(plan, dynamics)
     assert result.passed
     np.testing.assert_array_equal(plan.tau, usual.tau)
-
-
-def test_limits_of_a_robot_are_no_part_of_the_check_but_those_the_plan_was_judged_by() -> None:
-    robot = zoo.robot_of("3rrr")
-    plan = rp.plan_stepwise(rp.VirtualWork(robot), reference.corner(), dt=0.02, speed=np.inf, acceleration=np.inf)
-    assert np.isinf(plan.limits.judged_by.speed).all()
-    assert rp.check_plan(plan, rp.RneaDynamics(robot)).passed
 
 
 def test_limits_wider_than_the_robots_are_noted() -> None:
@@ -287,42 +240,3 @@ def test_an_effort_exceeded_at_samples_and_between_them_is_one_broken_limit(whol
     ):
         j = whole.robot.actuated.index(event.carrier)
         assert event.amount == pytest.approx(tight[j], rel=1e-3)
-
-
-def test_a_plan_that_is_no_optimum_and_unresolved_is_not_converged() -> None:
-    """No sample of a corner shows its jump from both sides; the step that does not end at a minimum is graver."""
-    dynamics = rp.VirtualWork(zoo.robot_of("3rrr"))
-    plan = rp.plan_stepwise(dynamics, reference.corner().sample(0.02, two_sided=False))
-    assert (plan.status, plan.between.passed) == (ResultStatus.UNRESOLVED, False)
-    worse = replace(plan, findings=replace(plan.findings, optimal=False))
-    assert rp.check_plan(worse, dynamics).status is ResultStatus.NOT_CONVERGED
-
-
-def test_the_first_sample_of_a_stepwise_plan_is_judged() -> None:
-    """It has the acceleration of the first step, as its function of time."""
-    dynamics = rp.VirtualWork(zoo.robot_of("3rrr"))
-    plan = rp.plan_stepwise(dynamics, reference.corner(), dt=0.02)
-    np.testing.assert_allclose(plan.carriers.sdd[0], plan.carriers_at(plan.t[:1]).sdd[0], atol=1e-9)
-    sdd = np.array(plan.carriers.sdd)
-    sdd[0] += 0.1
-    check = rp.check_plan(replace(plan, carriers=replace(plan.carriers, sdd=sdd)), dynamics)
-    assert ("carrier motion sdd", 0.0) in {(one.quantity, one.time) for one in check.deviations}
-
-
-def test_speed_and_acceleration_between_the_samples_are_judged() -> None:
-    """A carrier that swings between two samples at rest on the same place: no sample shows it."""
-    one = np.ones((1, 2))
-    position = PiecewisePolynomial.hermite([0.0, 1.0], (0.0 * one, 0.1 * one, -0.2 * one), (0.0 * one, -0.4 * one, one))
-    looked_at = np.linspace(0.0, 1.0, 5)
-    robot = zoo.robot_of("2rpr")
-    fine = np.linspace(0.0, 1.0, 100_001)
-    s, sd, sdd = (np.abs(position.derivative(order)(fine)).max() for order in range(3))
-    for order, peak in enumerate((s, sd, sdd)):  # the extremes lie where nobody would look by chance
-        assert np.abs(position.derivative(order)(looked_at)).max() < 0.99 * peak
-    for name, peak in (("speed", sd), ("acceleration", sdd), ("upper", s)):
-        own = {"lower": -9.0, "upper": 9.0, "speed": 9.0, "acceleration": 99.0, "force": np.inf}
-        for factor, broken in ((0.999, True), (1.001, False)):
-            limits = (CarrierLimits(**{**own, name: factor * peak}),) * robot.k
-            resolved = Limits().resolved(replace(robot, carrier_limits=limits))
-            events, _ = limit_events(motion_quantities(resolved, position))
-            assert {event.quantity for event in events} == ({{"upper": "track"}.get(name, name)} if broken else set())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import zoo
 from click.testing import CliRunner
-from flat_linkages import four_bar, parallelogram, row_of_four_bars
+from flat_linkages import parallelogram
 
 import redundancy_pin as rp
 from redundancy_pin.cli import main
@@ -51,20 +51,6 @@ def test_time_and_pose_of_each_rank_loss_are_named(first: float, last: float, fl
     np.testing.assert_allclose(np.ravel([loss["x"] for loss in crossings]), flat, atol=EXACT)
 
 
-@pytest.mark.long
-def test_two_loops_that_are_flat_at_once_are_one_pose() -> None:
-    """The determinant keeps its sign there: it is a product of two that change theirs."""
-    dynamics, motion = rp.RneaDynamics(row_of_four_bars(2)), swing(1.2, -0.9)
-    crossings = closure_rank_losses(dynamics, dynamics.along(motion), as_motion(motion))
-    assert [loss["time"] for loss in crossings] == pytest.approx([when(1.2, -0.9, 0.0)], abs=1e-4)
-
-
-def test_a_linkage_that_is_never_flat_has_none() -> None:
-    """A crank that turns: the shortest and the longest side are together shorter than the other two."""
-    dynamics, motion = rp.RneaDynamics(four_bar((1.0, 3.0, 3.0, 4.0), 1.2, 1)), swing(1.2, 7.0)
-    assert closure_rank_losses(dynamics, dynamics.along(motion), as_motion(motion)) == []
-
-
 def test_plans_and_their_check_name_it() -> None:
     dynamics, motion = rp.RneaDynamics(parallelogram("carrier")), swing(1.2, -0.9)
     plan = rp.plan_stepwise(dynamics, motion, acceleration=50.0, brake_time=0.1)
@@ -83,9 +69,3 @@ def test_the_shipped_robots_have_none_and_the_command_says_so(tmp_path) -> None:
     plan.save(tmp_path / "plan.npz")
     out = CliRunner().invoke(main, ["check", str(tmp_path / "plan.npz"), "--json"])
     assert json.loads(out.stdout)["closure_rank"] == []
-
-
-def test_a_backend_that_does_not_know_says_nothing() -> None:
-    dynamics = rp.CompiledDynamics(zoo.robot_of("3rrr"))
-    assert np.isnan(dynamics.along(reference.corner().sample(0.1)).closure_margin()).all()
-    assert rp.plan_stepwise(dynamics, reference.corner(), dt=0.1).findings.closure_rank == ()

@@ -13,15 +13,13 @@ import pytest
 import yaml
 from parked_plans import parked_plan
 from scipy.io import loadmat
-from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InfeasiblePlanError, InputError, OutputError
+from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.trajectory.csv_file import motion_columns
 
 BASES = np.array([[0.0, 0.0], [0.5, 0.0]])  # of the 2-RPR's legs, m
 
@@ -132,13 +130,6 @@ def test_where_efforts_jump_there_are_two_rows_or_the_one_after(corner: Plan, tu
     np.testing.assert_array_equal(samples.effort[np.searchsorted(samples.t, corner.t[after]), :3], corner.tau[after])
 
 
-def test_a_row_on_a_jump_has_what_comes_after(corner: Plan, turning: Robot) -> None:
-    first = int(np.flatnonzero(corner.motion.jumps)[0])
-    table = corner.table(1.0 / corner.t[first], robot=turning)  # its second row is on the jump, give or take rounding
-    np.testing.assert_allclose(table.effort[1, :3], corner.tau[first], atol=0.02)
-    assert np.abs(table.effort[1, :3] - corner.tau[first - 1]).max() > 1.0
-
-
 def test_json_holds_the_same_columns_with_their_units(plan: Plan, tmp_path: Path) -> None:
     plan.table(50).to_csv(tmp_path / "plan.csv")
     plan.table(50).to_json(tmp_path / "plan.json")
@@ -227,23 +218,3 @@ def test_rates_that_are_none_are_refused(rate: Any, plan: Plan, tmp_path: Path) 
     with pytest.raises(InputError):
         plan.table(rate).to_csv(tmp_path / "plan.csv")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_message_has_the_suffix_of_its_format(corner: Plan, turning: Robot, tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"\.yaml"):
-        corner.table(robot=turning).to_ros(tmp_path / "trajectory.csv")
-
-
-def test_positions_of_a_pose_come_with_a_quaternion_that_does_not_flip() -> None:
-    turned = Rotation.from_rotvec(np.linspace(0.0, 3.0 * np.pi, 50)[:, None] * [0.0, 0.0, 1.0])
-    x = np.tile(np.eye(4), (50, 1, 1))
-    x[:, :3, :3], x[:, 0, 3] = turned.as_matrix(), np.arange(50.0)
-    still = np.zeros((50, 6))
-    motion = rp.PlatformMotion(np.arange(50.0), x, still, still)
-    columns = motion_columns(rp.load_robot("gough"), motion)
-    assert list(columns)[1:8] == ["x", "y", "z", "qx", "qy", "qz", "qw"]
-    assert [unit for unit, _ in columns.values()][1:8] == ["m", "m", "m", "1", "1", "1", "1"]
-    values = np.stack([values for _, values in columns.values()][1:8], axis=1)
-    np.testing.assert_array_equal(values[:, :3], x[:, :3, 3])
-    np.testing.assert_allclose(Rotation.from_quat(values[:, 3:]).as_matrix(), x[:, :3, :3], atol=1e-12)
-    assert np.abs(np.diff(values[:, 3:], axis=0)).max() < 0.2

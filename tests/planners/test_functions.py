@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from prescribed import reduced
 
-from redundancy_pin.planners.functions import DEGREE, PlanFunctions, apart
+from redundancy_pin.planners.functions import DEGREE, PlanFunctions
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times
@@ -47,8 +47,3 @@ def test_beside_a_singular_instant_the_efforts_are_continued_and_rounding_is_not
         ours = functions().effort_polynomials(edges, along, limits)(t)[:, 0] - tau
         assert np.abs(naive).max() > 5e-8
         assert np.abs(ours).max() < 1e-12
-
-
-def test_of_times_within_rounding_the_first_is_kept_and_both_ends_are() -> None:
-    times = np.array([0.0, 1e-13, 0.3, 0.3 + 1e-12, 0.5, 1.0 - 1e-13, 1.0])
-    assert apart(times).tolist() == [0.0, 0.3, 0.5, 1.0]

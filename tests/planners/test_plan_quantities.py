@@ -53,18 +53,6 @@ def test_all_actuators_together_do_the_work_that_becomes_kinetic_energy(crossing
     np.testing.assert_allclose(crossing.actuated_rate, rates, atol=1e-12)
 
 
-def test_a_plan_prints_what_tells_it_apart(crossing):
-    tau, force = np.array([[1.0, -2.5], [np.nan, 2.0]]), np.array([[0.0, 3.0], [-4.0, 1.0]])
-    zero = np.zeros((2, 2))
-    plan = by_hand(crossing, np.array([0.0, 0.5]), tau, zero, force, zero)
-    assert repr(plan) == (
-        f"Plan('2rpr', 'switch_off', 'VirtualWork', {crossing.status.value}; N=2, t=0..0.5 s, n=2, m=2, k=2; "
-        "peak |tau| 1, 2.5 N, peak |carrier_force| 4, 3 N)"
-    )
-    bare = replace(plan, carrier_force=zero[:, :0], robot=replace(plan.robot, carriers=()))
-    assert "k=0; peak |tau| 1, 2.5 N, no carrier_force)" in repr(bare)
-
-
 def by_hand(plan, t, tau, rate, force, sd):
     """A plan with efforts written down: uneven times, powers of both signs."""
     count = len(t)

@@ -11,10 +11,9 @@ from scipy.optimize import brentq
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InfeasiblePlanError, InputError, PlanFileError
+from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import motion_reference, plan_reference
-from redundancy_pin.trajectory.functions_of_time import carriers_at
 
 SERIES = 1e-10
 """m, m/s: ten nodes in 5 ms of a smooth motion leave rounding, magnified by differentiation to 1e-11."""
@@ -47,38 +46,6 @@ def off_plan() -> Plan:
 def inside(plan: Plan, seed: int = 0) -> Array:
     """Return random times within a plan, none of them a sample."""
     return np.sort(np.random.default_rng(seed).uniform(plan.t[0], plan.t[-1], 40))
-
-
-@pytest.mark.long_for("off_plan")
-@pytest.mark.parametrize("plan", [stepwise_plan, whole_plan, off_plan])
-def test_planned_carriers_are_one_continuous_motion(plan) -> None:
-    plan = plan()
-    position = plan.functions.carriers
-    carriers = functools.partial(carriers_at, position)
-    edges = position.edges[1:-1]
-    before, after = carriers(edges - 1e-9), carriers(edges + 1e-9)
-    np.testing.assert_allclose(after.s, before.s, atol=1e-7)  # 2 ns at the largest speeds, 5 m/s
-    np.testing.assert_allclose(after.sd, before.sd, atol=2e-6)
-    # s, ṡ and s̈ are derivatives of each other: differences inside the steps
-    times = 0.5 * (position.edges[:-1] + position.edges[1:])
-    h = 1e-4
-    at, low, high = carriers(times), carriers(times - h), carriers(times + h)
-    np.testing.assert_allclose((high.s - low.s) / (2 * h), at.sd, atol=1e-4)
-    np.testing.assert_allclose((high.sd - low.sd) / (2 * h), at.sdd, atol=1e-2 * np.abs(at.sdd).max())
-
-
-def test_carriers_of_a_whole_trajectory_plan_pass_through_its_samples_and_stepwise_ones_lag() -> None:
-    plan = whole_plan()
-    kept = np.append(np.diff(plan.t) > 0.0, True)
-    carriers = plan.functions.carriers
-    np.testing.assert_allclose(carriers(plan.t[kept]), plan.carriers.s[kept], atol=1e-10)
-    stepped = stepwise_plan()
-    lagging = stepped.functions.carriers
-    again = carriers_at(lagging, stepped.t)
-    np.testing.assert_allclose(again.sd, stepped.carriers.sd, atol=1e-10)
-    lag = stepped.carriers.s - again.s
-    # a step of backward differences gains h/2 of the new speed: half a step at the speed of the moment
-    np.testing.assert_allclose(lag, 0.5 * 0.005 * stepped.carriers.sd, atol=1e-4)
 
 
 def test_the_reference_of_a_whole_trajectory_plan_has_its_efforts() -> None:
@@ -139,22 +106,6 @@ def test_between_two_samples_at_rest_a_plan_has_its_efforts() -> None:
     np.testing.assert_allclose([reference.loads(t)[0] for t in times], expected, atol=1e-3)
 
 
-def test_parked_references_of_any_robot() -> None:
-    robot = zoo.robot_of("five_bar")
-    start = zoo.home_of(robot)
-    path = rp.trajectory.Line(start, start + np.array([0.1, 0.05]))
-    motion = rp.trajectory.Trajectory(path, rp.trajectory.RestToRest(path.length, duration=0.5))
-    reference = motion_reference(robot, motion, [0.1, -0.1])
-    times = np.random.default_rng(3).uniform(0.0, 0.5, 20)
-    samples = motion.sample_at(np.sort(times))
-    carriers = rp.CarrierMotion.parked(20, 2, [0.1, -0.1])
-    expected = rp.distribute(rp.RneaDynamics(robot).reduce(samples, carriers)).tau
-    np.testing.assert_allclose([reference.loads(t)[0] for t in samples.t], expected, atol=EFFORTS)
-    assert np.isnan(reference.effort_deviation)
-    with pytest.raises(InputError, match=r"step is 0 s"):
-        motion_reference(robot, motion, step=0.0)
-
-
 def test_a_trajectory_that_a_plan_was_not_made_for_is_refused() -> None:
     plan = whole_plan()
     robot = zoo.robot_of("3rrr")
@@ -192,16 +143,6 @@ def test_motions_without_finite_efforts_have_no_reference() -> None:
     assert caught.value.details["time"] == 0.0
 
 
-def test_a_plan_whose_robot_is_gone_has_no_reference() -> None:
-    from dataclasses import replace
-
-    plan = whole_plan()
-    lost = replace(plan, robot=replace(plan.robot, source=""))
-    with pytest.raises(PlanFileError, match="does not say where"):
-        plan_reference(lost)
-    assert plan_reference(lost, robot=zoo.robot_of("3rrr")).effort_deviation < 1e-3
-
-
 @pytest.mark.long_for("off_plan", "stepwise_plan")
 @pytest.mark.parametrize("plan", [stepwise_plan, whole_plan, off_plan])
 def test_a_plan_from_a_file_is_the_same_motion(plan, tmp_path) -> None:
@@ -219,13 +160,3 @@ def test_a_plan_from_a_file_is_the_same_motion(plan, tmp_path) -> None:
     np.testing.assert_allclose(second.efforts(times), first.efforts(times), rtol=0.0, atol=1e-7 * size)
     again.save(tmp_path / "again.npz")
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "plan.npz").read_bytes()
-
-
-def test_efforts_of_a_plan_at_any_time_are_none_while_the_actuators_are_off() -> None:
-    plan = off_plan()
-    dynamics = rp.VirtualWork(zoo.robot_of("2rpr"))
-    window = plan.diagnostics["windows"][0]
-    off = np.linspace(window["entry"], window["exit"], 9)[1:-1]
-    assert not plan.efforts_at(off, dynamics).any()
-    reference, before = plan_reference(plan), np.array([0.4 * window["ramp_start"], window["ramp_start"] + 0.01])
-    np.testing.assert_allclose(plan.efforts_at(before, dynamics), reference.efforts(before)[:, :2], atol=EFFORTS)

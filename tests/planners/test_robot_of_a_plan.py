@@ -19,7 +19,6 @@ from command_line import call, refused
 import redundancy_pin as rp
 from redundancy_pin.errors import PlanFileError
 from redundancy_pin.planners.plan import Plan, load_plan, load_robot_of
-from redundancy_pin.planners.robot_record import load_recorded, record_difference, robot_record
 from redundancy_pin.robot.urdf import models_root
 
 
@@ -109,41 +108,26 @@ def test_a_plan_saved_again_elsewhere_still_tells_where_its_robot_was(shipped_pl
     assert load_robot_of(load_plan(tmp_path / "plan.npz")).source == str(robot)
 
 
-def test_a_record_describes_its_robot_wherever_that_lies(shipped_plan: Plan, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"source": ""}, "robot=robot"),
+        ({"arguments": {"base_width": 0.5}}, "no argument 'base_width'"),
+        ({"carriers": ("carrier_1", "load")}, r"carriers were .*'load'"),
+        ({"bodies": 1e-6}, "mass properties differ by 1e-06"),
+        ({"q_reference": 1e-3}, "reference configuration"),
+    ],
+)
+def test_a_robot_that_has_changed_is_refused(change: dict[str, Any], says: str, shipped_plan: Plan) -> None:
+    ((field, value),) = change.items()
     record = shipped_plan.robot
-    given: dict[str, Any] = {"gravity": record.gravity, "working_mode": record.working_mode or None}
-    here = rp.load_robot(copy_of(tmp_path / "robot"), **given, **record.arguments)
-    assert record.describes(here)
-    heavier = {**record.arguments, "carrier_mass": 1.5 * float(record.arguments["carrier_mass"])}
-    assert not record.describes(rp.load_robot("2rpr", **given, **heavier))
-
-
-def test_a_robot_of_the_gallery_is_found_again_beside_a_folder_of_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    robot = rp.load_robot("excavator")
-    record = replace(robot_record(robot).saved_beside(tmp_path / "plan.npz"), folder=str(tmp_path))
-    (tmp_path / "excavator").mkdir()
-    (tmp_path / "excavator" / "robot.yaml").write_text("urdf: [", encoding="utf-8")
-    with pytest.raises(rp.errors.RedundancyPinError):
-        rp.load_robot("excavator")  # somebody's own, which comes first
-    again = load_recorded(record)
-    assert (again.name, again.source) == ("excavator", robot.source)
-    assert record.saved_beside(tmp_path / "plan.npz").source == robot.source
-
-
-def test_an_argument_that_came_since_is_known_of_files_that_are_trusted_too(tmp_path: Path) -> None:
-    robot = copy_of(tmp_path / "own")
-    xacro = robot.parent / "2rpr.urdf.xacro"
-    text = xacro.read_text(encoding="utf-8").replace("</robot>", '<gazebo n="${(lambda: 1)()}"/></robot>')
-    xacro.write_text(text, encoding="utf-8")
-    now = robot_record(rp.load_robot(robot, trust=True))
-    older = replace(now, arguments={k: v for k, v in now.arguments.items() if k != "end_effector_carriers"})
-    assert not record_difference(older, now)
-    assert "arguments" in record_difference(
-        older, replace(now, arguments={**now.arguments, "end_effector_carriers": True})
-    )
+    if field == "bodies":
+        heavier = tuple(number * (1.0 + value * (i == 0)) for i, number in enumerate(record.bodies[1]))
+        value = (record.bodies[0], heavier, *record.bodies[2:])
+    if field == "q_reference":
+        value = tuple(q + value for q in record.q_reference)
+    with pytest.raises(PlanFileError, match=says):
+        load_robot_of(replace(shipped_plan, robot=replace(record, **{field: value})))
 
 
 def test_old_plans_with_an_absolute_path_in_their_folder(shipped_plan: Plan, tmp_path: Path) -> None:
@@ -217,8 +201,6 @@ def _link_in_a_folder(folder: Path) -> str:
     "make",
     [
         _folder(_urdf("../../away.xacro"), "robot"),
-        _folder(_urdf("../../away.xacro"), "robot/."),
-        _folder(_linked_urdf, "robot"),
         _folder(_link, "."),
         _link_in_a_folder,
         _relative,
@@ -264,58 +246,24 @@ def test_show_takes_the_robot_of_a_stranger_only_where_it_is_named(shipped_plan:
 # ---------------------------------------------------------------------------------------- what a record may hold
 
 WRONG: dict[str, list[Any]] = {
-    "name": [None, 3, ["x"], {"$tuple": []}],
-    "source": [None, 3, {}, ["3rrr"], {"$float": "nan"}],
-    "arguments": [
-        None,
-        [],
-        "carriers",
-        {"carriers": None},
-        {"carriers": [1]},
-        {"carriers": {"a": 1}},
-        {"$mapping": [[3, 1.0]]},
-        {"gravity": "down"},
-        {"trust": True},
-        {"working_mode": 1.0},
-        {"source": "3rrr"},
-    ],
-    "gravity": [None, 9.81, {"$tuple": [0, 0]}, {"$tuple": [0, 0, "down"]}, {"$tuple": [0, 0, {"$float": "nan"}]}],
-    "working_mode": [None, 1, {"$tuple": [0]}, {"$tuple": [2, 1]}, {"$tuple": [True]}, {"$tuple": ["+"]}],
-    "actuated": [None, "slide_1", {"$tuple": [1]}, {"$tuple": [None]}],
+    "name": [None, ["x"]],
+    "source": [3, {"$float": "nan"}],
+    "arguments": ["carriers", {"carriers": [1]}, {"$mapping": [[3, 1.0]]}, {"trust": True}, {"source": "3rrr"}],
+    "gravity": [9.81, {"$tuple": [0, 0]}, {"$tuple": [0, 0, {"$float": "nan"}]}],
+    "working_mode": [1, {"$tuple": [2, 1]}, {"$tuple": [True]}],
+    "actuated": ["slide_1", {"$tuple": [1]}],
     "carriers": [None, {"$tuple": [{}]}],
-    "rotating": [None, True, {"$tuple": [[]]}],
-    "carrier_limits": [None, 1, {"$tuple": [1]}, {"$tuple": [{}]}, {"$tuple": [{"lower": "x"}]}, {"$tuple": [None]}],
+    "rotating": [True, {"$tuple": [[]]}],
+    "carrier_limits": [1, {"$tuple": [{"lower": "x"}]}],
     "bodies": [
-        None,
-        "heavy",
         {"$array": "tau"},
-        {"$tuple": [1.0]},
         {"$tuple": [{"$tuple": [1.0] * 9}]},
         {"$tuple": [{"$tuple": ["x"] * 10}]},
-        {"$tuple": [{"$tuple": [None] * 10}]},
         {"$tuple": [{"$tuple": [{"$float": "inf"}] * 10}]},
     ],
-    "q_reference": [None, 0.0, {"$tuple": ["x"]}, {"$tuple": [[0.0]]}, {"$tuple": [True]}, {"$tuple": [10**200]}],
-}
-
-
-_NAMED = {"name": "gears", "joint": "a", "of": "b"}
-WRONG |= {
-    "couplings": [
-        1,
-        "x",
-        {"$tuple": [1]},
-        {"$tuple": [{}]},
-        {"$tuple": [_NAMED]},
-        {"$tuple": [_NAMED | {"polynomial": 1}]},
-    ],
-    "ranges": [
-        1,
-        "x",
-        {"$tuple": [1]},
-        {"$tuple": [{"$tuple": ["a", 1.0]}]},
-        {"$tuple": [{"$tuple": ["a", "b", 1.0]}]},
-    ],
+    "q_reference": [0.0, {"$tuple": [[0.0]]}, {"$tuple": [10**200]}],
+    "couplings": [1, {"$tuple": [{"name": "gears", "joint": "a", "of": "b", "polynomial": 1}]}],
+    "ranges": ["x", {"$tuple": [{"$tuple": ["a", 1.0]}]}, {"$tuple": [{"$tuple": ["a", "b", 1.0]}]}],
 }
 _ALL_WRONG = [(field, value) for field, values in WRONG.items() for value in values]
 
@@ -335,26 +283,6 @@ def test_records_of_the_wrong_form(field: str, value: Any, shipped_plan: Plan, t
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("field", WRONG)
-def test_records_of_the_wrong_form_made_in_python(field: str, shipped_plan: Plan) -> None:
-    for value in (
-        None,
-        1,
-        [1],
-        [[1]],
-        [["a"] * 10],
-        {"a": {}},
-        b"x",
-        ((1.0,) * 9,),
-        (float("nan"),) * 3,
-        ("x", 2),
-    ):
-        plan = replace(shipped_plan, robot=replace(shipped_plan.robot, **{field: value}))
-        with pytest.raises(PlanFileError) as caught:
-            load_robot_of(plan)
-        assert caught.value.remedy
-
-
 @pytest.mark.parametrize("name", inspect.signature(rp.load_robot).parameters)
 def test_no_argument_of_a_plan_is_one_of_load_robot(name: str, shipped_plan: Plan, tmp_path: Path) -> None:
     """What ``load_robot`` is told by its user alone (a source, gravity, a mode, trust) comes from no file."""
@@ -362,45 +290,3 @@ def test_no_argument_of_a_plan_is_one_of_load_robot(name: str, shipped_plan: Pla
     replace(shipped_plan, robot=robot).save(tmp_path / "plan.npz")
     with pytest.raises(PlanFileError, match=f"no argument '{name}'"):
         load_robot_of(load_plan(tmp_path / "plan.npz"))
-
-
-TAMPERED: dict[str, Callable[[dict[str, Any]], Any]] = {
-    "limits of text": lambda r: r["limits"]["judged_by"].update(speed="fast"),
-    "limits without a field": lambda r: r["limits"]["judged_by"].pop("carrier_force"),
-    "an event that is a number": lambda r: r["limits"].update(violated={"$tuple": [3]}),
-    "phases that are numbers": lambda r: r.update(phases={"$tuple": [1] * 9}),
-    "a planner that is a number": lambda r: r.update(planner=3),
-    "parameters that are a list": lambda r: r.update(parameters=[1]),
-    "diagnostics that are text": lambda r: r.update(diagnostics="none"),
-    "a status that is a list": lambda r: r.update(status=[]),
-}
-
-
-@pytest.mark.parametrize("case", TAMPERED)
-def test_the_rest_of_a_plan_has_types_too(case: str, shipped_plan: Plan, tmp_path: Path) -> None:
-    path = tmp_path / "plan.npz"
-    shipped_plan.save(path)
-    with np.load(path) as file:
-        arrays = dict(file)
-    content = json.loads(str(arrays.pop("metadata")))
-    TAMPERED[case](content["record"])
-    np.savez(path, metadata=np.array(json.dumps(content)), **arrays)
-    with pytest.raises(PlanFileError, match="is damaged"):
-        load_plan(path)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("breaks", "tau"), ("knots", None), ("start", "0"), ("exact", 1), ("source", {}), ("end", {"$float": "nan"})],
-)
-def test_functions_of_time_have_types_too(name: str, value: Any, shipped_plan: Plan, tmp_path: Path) -> None:
-    path = tmp_path / "plan.npz"
-    shipped_plan.save(path)
-    with np.load(path) as file:
-        arrays = dict(file)
-    content = json.loads(str(arrays.pop("metadata")))
-    content.pop("digest", None)
-    content["record"]["functions"]["platform"][name] = value
-    np.savez(path, metadata=np.array(json.dumps(content)), **arrays)
-    with pytest.raises(PlanFileError, match="is damaged"):
-        load_plan(path)

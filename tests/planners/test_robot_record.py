@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.io.archive import read_archive, write_archive
 from redundancy_pin.planners.robot_record import RobotRecord, read_robot, record_difference, robot_record
-from redundancy_pin.robot import CarrierLimits, Coupling
+from redundancy_pin.robot import Coupling
 
 
 def mixed() -> RobotRecord:
@@ -44,16 +43,6 @@ def test_units_of_efforts(joints: tuple[str, ...], unit: str) -> None:
 def test_units_of_limits(quantity: str, sliding: str, turning: str) -> None:
     assert mixed().limit_unit(quantity, "shoe") == sliding
     assert mixed().limit_unit(quantity, "wheel") == turning
-
-
-def test_shipped_robots_slide_and_turn() -> None:
-    two, three = robot_record(zoo.robot_of("2rpr")), robot_record(zoo.robot_of("3rrr"))
-    assert (two.effort_unit(*two.actuated), three.effort_unit(*three.actuated)) == ("N", "N·m")
-    assert three.effort_unit(*three.carriers) == "N"
-
-
-def test_the_record_prints_without_its_mass_properties() -> None:
-    assert repr(robot_record(zoo.robot_of("3rrr"))) == "RobotRecord('3rrr', m=3, k=3, source='3rrr')"
 
 
 def coupled(ratio: float = 2.0, upper: float = 1.5) -> rp.Robot:
@@ -99,22 +88,6 @@ def test_couplings_and_ranges_go_through_files(tmp_path: Path) -> None:
     again = _record_of(tmp_path, record)
     assert (again.couplings, again.ranges) == (record.couplings, record.ranges)
     assert again.describes(coupled())
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"ranges": (("motor", np.nan, 1.0),)}, "ranges"),
-        ({"ranges": (("motor", 0.0, np.nan),)}, "ranges"),
-        ({"couplings": (Coupling("gears", "geared", "motor", (0.0, np.nan)),)}, "couplings"),
-        ({"couplings": (Coupling("gears", "geared", "motor", (0.0, np.inf)),)}, "couplings"),
-        ({"couplings": (Coupling("gears", "geared", "motor", ()),)}, "couplings"),
-        ({"carrier_limits": (CarrierLimits(np.nan, 1.0, 1.0, 1.0, 1.0),)}, "carrier_limits"),
-    ],
-)
-def test_what_is_no_number_is_refused(change: dict[str, object], says: str, tmp_path: Path) -> None:
-    with pytest.raises(rp.errors.RedundancyPinError, match=says):
-        _record_of(tmp_path, replace(robot_record(coupled()), **change))
 
 
 def test_arguments_that_came_since_count_unless_they_are_as_usual() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,20 +11,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 import zoo
 from examples import examples
 from hypothesis import HealthCheck, given
 from parked_plans import parked_plan
-from random_plans import PLAIN, difference, plans
+from random_plans import difference, plans
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, OutputError, PlanFileError
-from redundancy_pin.io.archive import decode, encode
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import PLAN_VERSION, Plan, load_plan, load_robot_of
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.status import ResultStatus
 
 # the folder of a test is used anew by every example: each writes its own file whole
@@ -67,26 +63,12 @@ def test_a_plan_comes_back_bit_by_bit(plan: Plan, tmp_path: Path) -> None:
     assert difference(plan, load_plan(path)) == ""
 
 
-@EXAMPLES
-@given(value=PLAIN)
-def test_plain_data_come_back_through_json(value: Any) -> None:
-    arrays: dict[str, Any] = {}
-    text = json.dumps(encode({"top": value}, arrays), allow_nan=False)
-    assert difference({"top": value}, decode(json.loads(text), arrays)) == ""
-
-
 def test_what_comes_back_is_read_only_and_the_file_is_closed(saved: Path) -> None:
     plan = rp.load_plan(saved)
     saved.unlink()
     for array in (plan.t, plan.tau, plan.phase, plan.sample_status, plan.condition, plan.diagnostics["switch"]):
         assert not array.flags.writeable  # type: ignore[attr-defined]
     assert plan.peak_effort.shape == (3,)
-
-
-def test_numpy_scalars_become_numbers_of_python(saved: Path) -> None:
-    count = load_plan(saved).diagnostics["count"]
-    assert type(count) is int
-    assert count == 3
 
 
 def test_the_same_plan_gives_the_same_bytes(plan: Plan, tmp_path: Path) -> None:
@@ -134,26 +116,13 @@ def test_the_version_changes_with_the_fields(plan: Plan, tmp_path: Path) -> None
     assert {content["format_version"]: digest} == FIELDS_OF_VERSION, fields
 
 
-def test_the_name_is_kept_as_given(plan: Plan, tmp_path: Path) -> None:
-    plan.save(tmp_path / "my.plan")
-    assert [path.name for path in tmp_path.iterdir()] == ["my.plan"]
-    assert load_plan(tmp_path / "my.plan").planner == "parked"
-
-
 # ------------------------------------------------------------------------------------------------- bad output
 
 
-@pytest.mark.parametrize("name", ["plan.csv", "plan.JSON", "plan.mat"])
-def test_a_name_of_another_format_is_refused(name: str, plan: Plan, tmp_path: Path) -> None:
+@pytest.mark.parametrize("target", ["plan.csv", "plan.JSON", "plan.mat", "nowhere/plan.npz", "."])
+def test_other_formats_and_unwritable_places_are_refused(target: str, plan: Plan, tmp_path: Path) -> None:
     """A spreadsheet that opens a zip, or a program that finds no columns, would say it much later."""
-    with pytest.raises(OutputError, match=r"npz archives.*plan\.npz.*to_csv"):
-        plan.save(tmp_path / name)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("target", ["nowhere/plan.npz", "."])
-def test_unwritable_places_are_refused(target: str, plan: Plan, tmp_path: Path) -> None:
-    with pytest.raises(OutputError):
+    with pytest.raises(OutputError, match=r"npz archives.*plan\.npz.*to_csv" if target.startswith("plan") else None):
         plan.save(tmp_path / target)
     assert list(tmp_path.iterdir()) == []
 
@@ -216,16 +185,18 @@ def _rewrite(
     np.savez_compressed(path, metadata=np.array(json.dumps(metadata)), **saved_arrays)
 
 
-def test_missing_files_and_folders(tmp_path: Path) -> None:
+def test_files_that_are_no_plan(tmp_path: Path) -> None:
     _refused(tmp_path / "nowhere.npz", "does not exist")
     _refused(tmp_path, "is a folder")
-
-
-@pytest.mark.parametrize("content", [b"", b"PK", b"t,x0,x1\n0,1,2\n", b"\x93NUMPY\x01\x00"])
-def test_foreign_files(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "plan.npz"
-    path.write_bytes(content)
-    _refused(path, f"not an npz archive .{len(content)} bytes")
+    for content in (b"", b"PK", b"t,x0,x1\n0,1,2\n", b"\x93NUMPY\x01\x00"):
+        path.write_bytes(content)
+        _refused(path, f"not an npz archive .{len(content)} bytes")
+    np.savez(path, a=np.ones(3), b=np.ones(2))
+    _refused(path, "without metadata .it holds a, b")
+    for text in ("no json", "[1, 2]", ""):
+        np.savez(path, metadata=np.array(text))
+        _refused(path, "metadata")
 
 
 def test_truncated_anywhere(saved: Path) -> None:
@@ -249,19 +220,6 @@ def test_a_flipped_bit_is_noticed_or_harmless(plan: Plan, saved: Path) -> None:
             noticed += 1
         whole[place] ^= 0x10
     assert noticed > 100
-
-
-def test_another_archive_of_numpy(tmp_path: Path) -> None:
-    path = tmp_path / "plan.npz"
-    np.savez(path, a=np.ones(3), b=np.ones(2))
-    _refused(path, "without metadata .it holds a, b")
-
-
-def test_a_zip_file_of_something_else(tmp_path: Path) -> None:
-    path = tmp_path / "plan.npz"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("readme.txt", "hello")
-    _refused(path, r"damaged|without metadata")
 
 
 def test_pickles_are_not_opened(tmp_path: Path) -> None:
@@ -310,19 +268,14 @@ def _array(name: str, change: Callable[[Any], Any]) -> Callable[[Path], None]:
 
 TAMPERED: dict[str, tuple[Callable[[Path], None], str]] = {
     "a sample less": (_array("tau", lambda a: a[:-1]), r"tau has shape \(6, 3\).*\(7, 3\)"),
-    "an actuator less": (_array("tau", lambda a: a[:, :-1]), r"tau has shape \(7, 2\)"),
-    "carriers of another motion": (_array("carriers.s", lambda a: a[1:]), "sd has shape"),
     "carrier force flat": (_array("carrier_force", np.ravel), r"carrier_force has shape \(21,\)"),
     "time backwards": (_array("motion.t", lambda a: a[::-1]), "Time does not increase"),
     "position not finite": (_array("motion.x", lambda a: a * np.nan), "x has 21 value"),
     "single precision": (_array("margin", lambda a: a.astype(np.float32)), "margin is an array of float32"),
-    "status as floats": (_array("sample_status", lambda a: a.astype(float)), "sample_status is an array of float64"),
-    "phase that has no name": (_array("phase", lambda a: a + 1), "phase holds 1"),
     "status that has no name": (_array("sample_status", lambda a: a - 1), "sample_status holds -1"),
     "an array missing": (lambda path: _rewrite(path, arrays=lambda held: held.pop("tau")), "tau"),
     "a field missing": (_record(lambda r: r.pop("margin")), "'margin' is missing"),
     "a field of the robot missing": (_record(lambda r: r["robot"].pop("source")), "'source' is missing"),
-    "an actuator renamed away": (_record(lambda r: r["robot"].update(actuated={"$tuple": ["a"]})), "tau has shape"),
     "limits of one carrier": (
         _record(lambda r: r["robot"]["carrier_limits"]["$tuple"].pop()),
         "limits of 2 carriers, but 3",
@@ -333,12 +286,19 @@ TAMPERED: dict[str, tuple[Callable[[Path], None], str]] = {
     ),
     "an unknown status": (_record(lambda r: r.update(status="splendid")), "splendid"),
     "an array that is a number": (_record(lambda r: r.update(tau=3)), "tau is an int"),
-    "a motion that is text": (_record(lambda r: r.update(motion="fast")), "fields"),
     "an unknown mark": (_record(lambda r: r.update(parameters={"$code": "1"})), "unknown mark"),
     "a list for the record": (
         lambda path: _rewrite(path, lambda content: content.update(record=[1])),
         "no record",
     ),
+    "limits of text": (_record(lambda r: r["limits"]["judged_by"].update(speed="fast")), "is damaged"),
+    "limits without a field": (_record(lambda r: r["limits"]["judged_by"].pop("carrier_force")), "is damaged"),
+    "an event that is a number": (_record(lambda r: r["limits"].update(violated={"$tuple": [3]})), "is damaged"),
+    "phases that are numbers": (_record(lambda r: r.update(phases={"$tuple": [1] * 9})), "is damaged"),
+    "a planner that is a number": (_record(lambda r: r.update(planner=3)), "is damaged"),
+    "diagnostics that are text": (_record(lambda r: r.update(diagnostics="none")), "is damaged"),
+    "breaks of efforts": (_record(lambda r: r["functions"]["platform"].update(breaks="tau")), "is damaged"),
+    "a start that is text": (_record(lambda r: r["functions"]["platform"].update(start="0")), "is damaged"),
     "no record": (lambda path: _rewrite(path, lambda content: content.pop("record")), "record"),
 }
 
@@ -348,12 +308,6 @@ def test_tampered_files(case: str, saved: Path) -> None:
     tamper, says = TAMPERED[case]
     tamper(saved)
     _refused(saved, says)
-
-
-@pytest.mark.parametrize("text", ["no json", "[1, 2]", ""])
-def test_metadata_that_are_no_object(text: str, saved: Path) -> None:
-    np.savez(saved, metadata=np.array(text))
-    _refused(saved, "metadata")
 
 
 # ------------------------------------------------------------------------------------------ the robot of a plan
@@ -376,61 +330,3 @@ def test_every_shipped_robot_comes_back(shipped: Robot, tmp_path: Path) -> None:
     again = _plan_of(robot)
     # the same computation on the robot loaded again
     np.testing.assert_array_equal(again.tau, loaded.tau)
-
-
-@pytest.fixture
-def own(tmp_path: Path) -> Path:
-    """A user's robot: a copy of the 2-RPR under the name of the 3-RRR, so that the name alone would mislead."""
-    folder = tmp_path / "own"
-    folder.mkdir()
-    source = models_root() / "2rpr"
-    data = yaml.safe_load((source / "robot.yaml").read_text(encoding="utf-8"))
-    (folder / data["urdf"]).write_text((source / data["urdf"]).read_text(encoding="utf-8"), encoding="utf-8")
-    data["name"] = "3rrr"
-    (folder / "robot.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
-    return folder
-
-
-def test_a_users_robot_is_found_by_its_path(own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(own.parent)
-    plan = _plan_of(rp.load_robot("own", carrier_mass=1.5))
-    monkeypatch.chdir(own)
-    assert load_robot_of(plan).actuated == ("slide_1", "slide_2")
-    moved = own.rename(tmp_path / "elsewhere")
-    with pytest.raises(PlanFileError, match=r"robot\.yaml.*robot=robot"):
-        load_robot_of(plan)
-    assert load_robot_of(plan, moved).parameters["carrier_mass"] == 1.5
-
-
-def _edit(folder: Path, suffix: str, old: str, new: str) -> None:
-    path = next(folder.glob(f"*{suffix}"))
-    text = path.read_text(encoding="utf-8")
-    assert old in text
-    path.write_text(text.replace(old, new), encoding="utf-8")
-
-
-def test_a_robot_that_has_changed_is_refused(own: Path) -> None:
-    plan = _plan_of(rp.load_robot(own))
-    _edit(own, ".xacro", 'name="base_distance"', 'name="base_width"')
-    with pytest.raises(PlanFileError, match="base_distance"):
-        load_robot_of(plan)
-    _edit(own, ".xacro", 'name="base_width"', 'name="base_distance"')
-    record = plan.robot
-    body = list(record.bodies[1])
-    body[0] *= 1.0 + 1e-6
-    heavier = replace(plan, robot=replace(record, bodies=(record.bodies[0], tuple(body), *record.bodies[2:])))
-    with pytest.raises(PlanFileError, match="mass properties differ by 1e-06"):
-        load_robot_of(heavier)
-    shifted = replace(plan, robot=replace(record, q_reference=tuple(q + 1e-3 for q in record.q_reference)))
-    with pytest.raises(PlanFileError, match="reference configuration"):
-        load_robot_of(shifted)
-    other = replace(plan, robot=replace(record, carriers=("carrier_1", "load")))
-    with pytest.raises(PlanFileError, match=r"carriers were .*'load'"):
-        load_robot_of(other)
-
-
-def test_a_robot_without_a_source(plan: Plan) -> None:
-    nowhere = replace(plan, robot=replace(plan.robot, source=""))
-    with pytest.raises(PlanFileError, match="robot=robot"):
-        load_robot_of(nowhere)
-    assert load_robot_of(nowhere, "3rrr").name == "3rrr"

@@ -188,42 +188,21 @@ def test_a_plan_does_not_depend_on_when_it_begins(name: str) -> None:
     require_same(planner(later), planner(Units(origin=-1.0)), later, SAMPLED)
 
 
-SMALL, FAST, SLOW = (
-    Units(2.0**-20, 2.0**-30, 1.0),
-    Units(2.0**20, 2.0**20, 2.0**-20),
-    Units(2.0**-20, 2.0**-20, 2.0**20),
-)
-"""A machine of a micrometre and a nanogram; one of a megametre whose motion takes microseconds; a slow small one."""
-
-WITH_UNITS = {
-    SMALL: ("switch_off", "differences", "least time", "online"),
-    FAST: tuple(PLANNERS),
-    SLOW: ("switch_off", "differences", "stepwise", "least time", "online"),
-}
-"""Planners that have tolerances with units yet: their plans are others there."""
+SMALL, SLOW = Units(2.0**-20, 2.0**-30, 1.0), Units(2.0**-20, 2.0**-20, 2.0**20)
+"""A machine of a micrometre and a nanogram, and a slow one."""
 
 
+@pytest.mark.long_for("small-peak", "slow-effort")
 @pytest.mark.parametrize(
     ("units", "name"),
+    # the other planners have tolerances with units yet
     [
-        pytest.param(
-            units,
-            name,
-            id=f"{label}-{name}",
-            # on line a plan is sampled every 2.5 ms: over the slow motion that is more than the memory holds
-            marks=[
-                pytest.mark.xfail(
-                    strict=True,
-                    reason="absolute tolerances of this planner",
-                    run=(label, name) != ("slow", "online"),
-                ),
-                pytest.mark.long,
-            ]
-            if name in WITH_UNITS[units]
-            else pytest.mark.long_for("small-peak", "slow-effort"),
+        pytest.param(units, name, id=f"{label}-{name}")
+        for units, label, names in (
+            (SMALL, "small", ("stepwise", "effort", "peak")),
+            (SLOW, "slow", ("effort", "peak")),
         )
-        for label, units in (("small", SMALL), ("fast", FAST), ("slow", SLOW))
-        for name in PLANNERS
+        for name in names
     ],
 )
 def test_a_plan_is_the_same_for_machines_of_any_size(units: Units, name: str) -> None:

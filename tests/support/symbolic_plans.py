@@ -111,3 +111,47 @@ def solve(machine, trajectory, plan, objective, limits, tolerance=1e-8):
     if objective == "peak":
         return float(np.abs(efforts).max()), efforts
     return float((_weights(t)[:, None] * efforts**2).sum()), efforts
+
+
+def least_time(machine, start, end, effort, limits, park, steps=60):
+    """Return the least time, s, along a straight line from rest to rest, carriers from rest at 0, on nodes in time.
+
+    Place, speed and acceleration along the line are unknown, as the carriers' motion, the efforts and the duration.
+    ``effort``: limit of all of them; ``limits``: as of ``solve``; ``park``: whether the carriers end at rest at 0.
+    """
+    nodes, k = steps + 1, machine.k
+    start, end = np.asarray(start, float), np.asarray(end, float)
+    length = float(np.linalg.norm(end - start))
+    T = casadi.MX.sym("T")
+    p, rate, bend = (casadi.MX.sym(name, 1, nodes) for name in ("p", "rate", "bend"))
+    S, V, A = (casadi.MX.sym(name, k, nodes) for name in "SVA")
+    tau = casadi.MX.sym("tau", machine.m, nodes)
+    h, along = T / steps, casadi.DM((end - start) / length)
+    rows = [machine.balance.map(nodes)(start + along @ p, along @ rate, along @ bend, S, V, A, effort * tau) / effort]
+    for y, yd, ydd in ((p, rate, bend), (S, V, A)):
+        gained = h * (ydd[:, :-1] + ydd[:, 1:]) / 2.0
+        moved = h * yd[:, :-1] + h**2 * (2.0 * ydd[:, :-1] + ydd[:, 1:]) / 6.0
+        rows += [y[:, :-1] + moved - y[:, 1:], yd[:, :-1] + gained - yd[:, 1:]]
+    rows += [p[0], p[-1] - length, rate[0], rate[-1], S[:, 0], V[:, 0], *([S[:, -1], V[:, -1]] if park else [])]
+    phase = np.pi * np.linspace(0.0, 1.0, nodes)
+    guess = {
+        "p": 0.5 * length * (1.0 - np.cos(phase)), "rate": 0.5 * length * np.pi / 2.0 * np.sin(phase),
+        "bend": 0.5 * length * (np.pi / 2.0) ** 2 * np.cos(phase),
+    }  # fmt: skip
+    most = {"S": limits["track"], "V": limits["speed"], "A": limits["acceleration"], "tau": 1.0}
+    x0, upper = [[2.0]], [[60.0]]
+    for block in (p, rate, bend, S, V, A, tau):
+        x0.append(np.ravel(guess.get(block.name(), np.zeros(block.numel()))))
+        upper.append(np.full(block.numel(), most.get(block.name(), np.inf)))
+    high = np.concatenate(upper)
+    solver = casadi.nlpsol(
+        "least_time", "ipopt",
+        {"x": casadi.vertcat(T, *(casadi.vec(one) for one in (p, rate, bend, S, V, A, tau))),
+         "f": T + 1e-6 * casadi.sumsqr(A / limits["acceleration"]) / nodes,
+         "g": casadi.vertcat(*(casadi.vec(row) for row in rows))},
+        {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.max_iter": 1000},
+    )  # fmt: skip
+    low = np.concatenate([[1e-2], -high[1:]])
+    optimum = solver(x0=np.concatenate(x0), lbx=low, ubx=high, lbg=0.0, ubg=0.0)
+    assert solver.stats()["success"], solver.stats()["return_status"]
+    return float(optimum["x"][0])

@@ -8,8 +8,6 @@ import pytest
 import zoo
 
 from redundancy_pin import RneaDynamics, VirtualWork, check_plan, load_plan, plan_whole_trajectory
-from redundancy_pin.errors import InputError
-from redundancy_pin.planners.optimal import Objective
 from redundancy_pin.planners.optimal import calm as calm_plans
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
@@ -85,17 +83,6 @@ def test_a_plan_that_cannot_be_calmed_is_that_of_least_cost(monkeypatch):
     np.testing.assert_array_equal(plan.carriers.s, least.carriers.s)
 
 
-def test_a_plan_without_many_reversals_stays_as_it_is():
-    options = {"objective": "peak", "dt": 0.02}
-    least, plan = (
-        plan_whole_trajectory(VirtualWork(zoo.robot_of("3rrr")), reference.corner(), calm=calm, **options)
-        for calm in (0.0, 0.01)
-    )
-    assert max(reversals(least.tau)) < 10
-    assert plan.diagnostics["calm"] == {"tried": False, "kept": False}
-    np.testing.assert_array_equal(plan.tau, least.tau)
-
-
 def test_bounds_of_objectives_hold_in_a_calm_plan():
     circle = reference.circle(0.5, 0.2, 0.05)
     most = 1.001 * planned("peak", 0.0).least_cost
@@ -112,9 +99,3 @@ def test_the_least_cost_is_saved_and_exported(tmp_path):
     assert load_plan(tmp_path / "plan.npz").least_cost == plan.least_cost
     plan.table(robot=zoo.robot_of("2rpr")).to_json(tmp_path / "plan.json")
     assert json.loads((tmp_path / "plan.json").read_text())["least_cost"] == plan.least_cost
-
-
-@pytest.mark.parametrize("calm", [-0.01, 1.5, float("nan")])
-def test_calm_is_a_fraction(calm):
-    with pytest.raises(InputError, match="calm"):
-        planned(Objective("effort", calm=calm), 0.01)

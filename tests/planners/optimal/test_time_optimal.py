@@ -12,11 +12,9 @@ import zoo
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin import (
-    JointForces,
     PlatformMotion,
     RneaDynamics,
     VirtualWork,
-    Wrench,
     check_plan,
     distribute,
     load_plan,
@@ -24,11 +22,9 @@ from redundancy_pin import (
     plan_time_optimal,
     simulate,
 )
-from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
-from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.trajectory import Line, reference
+from redundancy_pin.trajectory import Line, circle_path, reference
 
 pytest.importorskip("casadi")
 least_time = pytest.importorskip(
@@ -54,7 +50,7 @@ def free() -> Plan:
     return plan_time_optimal(carrying(), CORNER, effort=EFFORT, end="free", steps=80, **LIMITS)
 
 
-@pytest.mark.parametrize("rate", [np.inf, pytest.param(0.35, marks=pytest.mark.long)])
+@pytest.mark.parametrize("rate", [np.inf, 0.35])
 def test_without_carriers_the_time_is_that_of_toppra(rate: float) -> None:
     plan = plan_time_optimal(bare(), CORNER, effort=EFFORT, actuator_speed=rate, steps=100)
     assert plan.status is ResultStatus.OK
@@ -81,31 +77,6 @@ def test_a_robot_that_carries_its_weight_has_the_time_of_toppra(share: float) ->
     assert plan.status is ResultStatus.OK
     assert plan.limits.binding
     assert abs(plan.t[-1] / least_time(dynamics, path, effort, steps=400) - 1.0) < 5e-3
-
-
-def test_rates_are_looked_at_between_the_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By differences of the inverse kinematics' angles: few nodes, between which rates exceed 0.35 rad/s by 6 %."""
-    options = {"effort": EFFORT, "actuator_speed": 0.35, "steps": 10}
-    fine, plan = (plan_time_optimal(bare(), CORNER, refinements=often, **options) for often in (3, 0))
-    monkeypatch.setattr("redundancy_pin.planners.optimal.refine.LOWERED", 0)
-    coarse = plan_time_optimal(bare(), CORNER, refinements=0, **options)
-    robot, worst = bare().robot, []
-    for each in (coarse, plan, fine):
-        t = np.linspace(0.0, each.t[-1], 1000)
-        at = [robot.model.joints[robot.model.getJointId(name)].idx_q for name in robot.actuated]
-        angles = np.asarray(inverse_kinematics(robot, each.platform_at(t)).q)[:, at]
-        worst.append(np.abs(np.gradient(np.unwrap(angles, axis=0), t, axis=0)).max() / 0.35)
-    assert worst[0] > 1.05
-    assert coarse.status is ResultStatus.LIMIT_VIOLATED
-    events = [event for event in coarse.limits.violated if event.quantity == "speed"]
-    assert {event.carrier for event in events} <= set(robot.actuated)
-    assert max(abs(event.value) for event in events) == pytest.approx(0.35 * worst[0], rel=2e-3)
-    assert check_plan(coarse, RneaDynamics(robot)).passed
-    for each, use in zip((plan, fine), worst[1:], strict=True):
-        assert 0.999 < use < 1.001
-        assert "speed" in {event.quantity for event in each.limits.binding}
-        assert "speed" not in {event.quantity for event in each.limits.violated}
-    assert fine.status is ResultStatus.OK
 
 
 def test_more_actuators_than_freedoms_share_the_load() -> None:
@@ -154,19 +125,6 @@ def test_times_round_the_corner_by_how_carriers_begin_and_end(options: Any, leas
 
 
 @pytest.mark.long
-def test_forces_and_jerks_of_carriers_are_kept() -> None:
-    plan = plan_time_optimal(
-        carrying(), CORNER, effort=EFFORT, end="free", carrier_force=30.0, jerk=500.0, steps=60, **LIMITS
-    )
-    assert plan.status is ResultStatus.OK
-    assert free().t[-1] < plan.t[-1] < 0.9
-    assert 29.9 < np.abs(plan.carrier_force).max() <= 30.0
-    step = np.diff(plan.t)
-    jerk = np.diff(plan.carriers.sdd, axis=0)[step > 0.0] / step[step > 0.0, None]
-    assert 499.0 < np.abs(jerk).max() <= 500.0
-
-
-@pytest.mark.long
 def test_a_spatial_platform_under_gravity() -> None:
     robot = zoo.robot_of("gough")
     goal = zoo.home_of(robot).copy()
@@ -178,31 +136,25 @@ def test_a_spatial_platform_under_gravity() -> None:
     assert abs(plan.t[-1] / least_time(RneaDynamics(robot), path, 80.0, steps=200) - 1.0) < 5e-3
 
 
-@pytest.mark.long
-def test_a_lap_goes_on_where_it_began() -> None:
-    square = reference.square().path
-    plans = [
-        plan_time_optimal(bare(), square, effort=EFFORT, lap=True, steps=100),
-        plan_time_optimal(
-            carrying(), square, effort=EFFORT, lap=True, begin="free", end="periodic", steps=100, **LIMITS
-        ),
-    ]
-    for plan in plans:
-        assert plan.status is ResultStatus.OK
-        for part in (plan.motion.xd, plan.motion.xdd, plan.tau):
-            np.testing.assert_allclose(part[0], part[-1], atol=1e-6)
-        assert np.abs(plan.motion.xd[0]).max() > 0.1
-    assert plans[1].t[-1] < 0.5 * plans[0].t[-1]
-
-
-def test_no_scaled_law_of_a_plan_is_faster() -> None:
-    """The same motion run faster exceeds a limit everywhere it is bound: some effort or s̈ is at its limit."""
-    plan = free()
-    inner = slice(3, -3)
-    used = np.maximum(
-        np.abs(plan.tau).max(axis=1) / EFFORT, np.abs(plan.carriers.sdd).max(axis=1) / LIMITS["acceleration"]
-    )[inner]
-    assert (used > 0.99).mean() > 0.95
+def test_carriers_that_may_begin_otherwise_and_a_lap_take_less_time() -> None:
+    """At rest at the datum, at rest anywhere, anyhow; and round and round, where the platform need not stop."""
+    dynamics = VirtualWork(zoo.robot_of("2rpr", end_effector_mass=0.5, cylinder_mass=0.3))
+    circle = circle_path((0.25, 0.4), 0.06)
+    parked = plan_time_optimal(dynamics, circle, effort=2.0, end="datum", steps=30)
+    rested = plan_time_optimal(dynamics, circle, effort=2.0, begin="rest", end="rest", steps=30)
+    moving = plan_time_optimal(dynamics, circle, effort=2.0, begin="free", end="periodic", steps=30)
+    lap = plan_time_optimal(dynamics, circle, effort=2.0, begin="free", end="periodic", lap=True, steps=30)
+    assert rested.t[-1] < 0.98 * parked.t[-1]
+    assert lap.t[-1] < 0.9 * moving.t[-1]
+    for plan in (rested, parked):
+        np.testing.assert_allclose(plan.carriers.sd[[0, -1]], 0.0, atol=1e-9)
+    np.testing.assert_allclose(parked.carriers.s[[0, -1]], 0.0, atol=1e-9)
+    for plan in (moving, lap):
+        for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd):
+            np.testing.assert_allclose(part[0], part[-1], atol=1e-7)
+    for part in (lap.motion.xd, lap.motion.xdd, lap.tau):
+        np.testing.assert_allclose(part[0], part[-1], atol=1e-6)
+    assert np.abs(lap.motion.xd[0]).max() > 0.1
 
 
 def test_the_motion_is_on_the_path_and_dynamics_are_the_other_backend_s(tmp_path: Any) -> None:
@@ -225,52 +177,13 @@ def test_forward_dynamics_follow_the_plan() -> None:
     np.testing.assert_allclose(run.x, free().platform_at(run.t).x, atol=1e-6)
 
 
-@pytest.mark.long
 def test_a_singularity_is_crossed_at_the_limit_of_the_efforts() -> None:
+    """The efforts there are what W⁻¹ f tends to from both sides."""
     dynamics = VirtualWork(zoo.robot_of("2rpr", end_effector_mass=0.5))
-    plan = plan_time_optimal(dynamics, reference.line().path, effort=1.0, end="free", steps=50)
+    plan = plan_time_optimal(dynamics, reference.line().path, effort=1.0, end="free", steps=30)
     assert plan.status is ResultStatus.OK
     (i,) = plan.diagnostics["singular_nodes"]
-    beside = plan.efforts_at(plan.t[i] + np.array([-1e-3, 1e-3]), RneaDynamics(dynamics.robot))
-    np.testing.assert_allclose(plan.tau[i], beside.mean(axis=0), atol=0.03)  # what W⁻¹ f tends to
+    for side in (-1e-4, 1e-4):
+        (beside,) = plan.efforts_at(plan.t[i : i + 1] + side, RneaDynamics(dynamics.robot))
+        np.testing.assert_allclose(plan.tau[i], beside, atol=5e-3)
     assert check_plan(plan, RneaDynamics(dynamics.robot)).passed
-    run = simulate(dynamics.robot, plan)
-    np.testing.assert_allclose(run.x, plan.platform_at(run.t).x, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        ({}, "effort"),
-        ({"effort": 3.0, "begin": "anyhow"}, "begin"),
-        ({"effort": 3.0, "lap": True}, "closed"),
-        ({"effort": -1.0}, "effort"),
-        ({"effort": 3.0, "steps": 2}, "steps"),
-        ({"effort": 3.0, "actuator_speed": 0.0}, "actuator_speed"),
-    ],
-)
-def test_bad_options_are_named(options: dict[str, Any], word: str) -> None:
-    with pytest.raises(InputError, match=word):
-        plan_time_optimal(bare(), CORNER, **options)
-
-
-def test_samples_are_no_path() -> None:
-    with pytest.raises(InputError, match="path"):
-        plan_time_optimal(bare(), reference.corner().sample(0.1), effort=1.0)  # type: ignore[arg-type]
-
-
-def test_what_is_not_covered_is_refused() -> None:
-    def gust(t: np.ndarray, x: np.ndarray, xd: np.ndarray) -> np.ndarray:
-        return np.outer(np.sin(8.0 * t), np.eye(6)[0])
-
-    robot = bare().robot
-    for load in (JointForces("base_1", friction=1.0), Wrench(robot.platform.frame, gust)):
-        with pytest.raises(UnsupportedRobotError, match="dry friction and loads that depend on time"):
-            plan_time_optimal(RneaDynamics(robot.loaded(load)), CORNER, effort=EFFORT, steps=20)
-
-
-def test_weight_beyond_the_efforts_is_infeasible() -> None:
-    heavy = RneaDynamics(zoo.robot_of("3rrr", carriers=False, working_mode=MODE, gravity=(0.0, -9.81, 0.0)))
-    with pytest.raises(InfeasiblePlanError) as caught:
-        plan_time_optimal(heavy, CORNER, effort=EFFORT, steps=6)
-    assert caught.value.details["constraint"] == "effort"

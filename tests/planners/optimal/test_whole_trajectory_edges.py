@@ -1,6 +1,5 @@
 """Rare coincidences: starts on a limit, jumps on a singularity, one freedom, more actuators than freedoms."""
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +8,8 @@ import yaml
 import zoo
 
 from redundancy_pin import RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
-from redundancy_pin.errors import InputError
-from redundancy_pin.planners.carrier_model import carrier_model
-from redundancy_pin.planners.optimal.problem import singular_node
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
-from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line
 
@@ -105,25 +100,6 @@ def test_carrier_forces_are_looked_at_between_the_nodes():
             assert worst == pytest.approx(most - limit, rel=1e-2)
 
 
-def test_an_actuator_with_a_low_limit_is_looked_at_between_the_nodes(monkeypatch):
-    """Of two actuators one has a limit below the peak of the other, which hid it: it was exceeded by 36 %."""
-    dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr", **HEAVY)), reference.circle(0.5, 0.2, 0.05)
-    settings = {"objective": "carrier_acceleration", "effort": [50.0, 1.9], "dt": 0.1}
-    fine, lowered = (plan_whole_trajectory(dynamics, trajectory, refinements=often, **settings) for often in (3, 0))
-    monkeypatch.setattr("redundancy_pin.planners.optimal.refine.LOWERED", 0)
-    rough = plan_whole_trajectory(dynamics, trajectory, refinements=0, **settings)
-    assert rough.status is ResultStatus.LIMIT_VIOLATED
-    (event,) = rough.limits.violated
-    assert (event.quantity, event.carrier) == ("effort", rough.robot.actuated[1])
-    assert event.amount > 0.05 * 1.9
-    assert abs(efforts_at(dynamics, trajectory, rough, [event.worst])[0, 1]) == pytest.approx(1.9 + event.amount)
-    for plan in (fine, lowered):
-        assert plan.status is ResultStatus.OK
-        assert ("effort", plan.robot.actuated[1]) in {(event.quantity, event.carrier) for event in plan.limits.binding}
-        inside = np.linspace(plan.t[0], plan.t[-1], 20000)[1:-1]
-        assert np.abs(efforts_at(dynamics, trajectory, plan, inside)[:, 1]).max() <= 1.001 * 1.9
-
-
 SLIDER = """
   <joint name="slider" type="prismatic">
     <parent link="crank_link"/><child link="slider_link"/>
@@ -173,34 +149,3 @@ def test_more_actuators_than_freedoms_are_judged_by_their_own_efforts(tmp_path):
     reduced = dynamics.reduce(plan.motion, plan.carriers)
     assert np.abs(distribute(reduced).tau).max() > 1.05 * np.abs(plan.tau).max()
     np.testing.assert_allclose(np.einsum("nim,nm->ni", reduced.W, plan.tau), reduced.f, atol=1e-7)
-
-
-@pytest.mark.parametrize(
-    "setting",
-    [
-        {"starts": np.nan},
-        {"starts": "a"},
-        {"refinements": np.inf},
-        {"objective": None},
-        {"objective": ["effort", "peak"]},
-        {"objective": {"effort": "a"}},
-        {"lam": "a"},
-    ],
-)
-def test_settings_of_the_wrong_kind_are_named(setting):
-    with pytest.raises(InputError):
-        plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(), **setting)
-
-
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_rates_of_a_fit_beside_a_jump_are_one_sided(side):
-    """For curved tracks they come from differences, which must not reach across; for straight ones from elsewhere."""
-    dynamics, source = VirtualWork(zoo.robot_of("2rpr", **HEAVY)), as_motion(through_a_jump(0.0))
-    (t,) = source.breaks
-    # any reader but the usual one is differentiated by differences
-    readers = carrier_model, partial(carrier_model)
-    exact, fitted = (singular_node(dynamics, source, 0, t, read, side, dt=0.01).rate for read in readers)
-    for name in ("W", "f0"):
-        expected = getattr(exact, name)
-        # differences of order four over a millisecond
-        np.testing.assert_allclose(getattr(fitted, name), expected, atol=1e-5 * np.abs(expected).max())

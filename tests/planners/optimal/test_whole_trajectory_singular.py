@@ -86,14 +86,4 @@ def test_passing_close_by_is_planned_as_carefully(objective, height):
     # the first plan is near already (7.4 for the peak at 1e-6, else 2.9 at most); 100 and more without middle nodes
     assert plan.diagnostics["dense_ratios"][0] <= 10.0
     assert plan.status is ResultStatus.OK
-    assert plan.between.passed
-
-
-@pytest.mark.long
-def test_efforts_change_smoothly_from_a_crossing_to_a_near_miss():
-    """The plan hardly depends on which side of the line the lowest point is; its nodes do (8e-3, 7e-4, 6e-5 of the
-    effort at steps of 20, 10 and 5 ms)."""
-    above, below = (
-        plan_of(over_the_line(h), dt=0.01, refinements=0).diagnostics["objective"]["effort"] for h in (1e-6, -1e-6)
-    )
-    assert above == pytest.approx(below, rel=1e-3)
+    assert plan.diagnostics["dense_check"]["passed"]

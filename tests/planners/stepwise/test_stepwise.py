@@ -13,10 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear, minimize
 
-from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot
+from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot, plan_stepwise
 from redundancy_pin.kinematics.coordinates import all_working_modes
 from redundancy_pin.planners.intersample_check import ALLOWED
-from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory, reference
 
@@ -114,8 +113,8 @@ def require_true_minimum(plan, dynamics, motion, limits, target, at):
         np.testing.assert_allclose(plan.carriers.s[j], nearest, atol=PLACE, rtol=0)
 
 
-@pytest.mark.long_for("0.0-0.013", "0.5-0.025", "0.0-0.025")
-@pytest.mark.parametrize(("lam", "radius"), [(0.0, 0.025), (0.5, 0.025), (0.0, 0.013), (1.0, 0.013)])
+@pytest.mark.long_for("0.5-0.025")
+@pytest.mark.parametrize(("lam", "radius"), [(0.5, 0.025), (1.0, 0.013)])
 def test_each_step_is_the_true_minimum(lam, radius):
     dynamics = dynamics_of(backend=RneaDynamics)  # the plan from one backend, the check from the other
     motion = corner(radius=radius)
@@ -130,8 +129,9 @@ def test_steps_of_fast_carriers_far_out_are_true_minima():
     """Where the terms with s² and s ṡ matter, and a carrier at its speed limit leaves efforts to be traded."""
     dynamics, speed, a = dynamics_of(), (0.3, 2.0, 2.0), 20.0
     motion = corner(0.02, radius=0.06, speed=0.5, ramp_time=0.2)
-    settings = {"track": (-1.5, 1.5), "speed": speed, "acceleration": a, "start": (0.3, -0.3, 0.3)}
-    plan = plan_stepwise(dynamics, motion, anticipate=False, **settings)
+    plan = plan_stepwise(
+        dynamics, motion, anticipate=False, track=(-1.5, 1.5), speed=speed, acceleration=a, start=(0.3, -0.3, 0.3)
+    )
     own = zip(dynamics.robot.carrier_limits, speed, strict=True)
     limits = [replace(limit, lower=-1.5, upper=1.5, speed=most, acceleration=a) for limit, most in own]
     assert "speed" in {event["bound"] for event in plan.diagnostics["bounds"]}
@@ -239,59 +239,6 @@ def test_a_fraction_of_the_baseline_is_met_until_a_limit_binds():
     np.testing.assert_allclose(plan.tau[free], 0.5 * baseline[free], atol=TORQUE_FREE, rtol=0)
 
 
-@pytest.mark.long_for("settings2")
-@pytest.mark.parametrize(
-    "settings", [{}, {"lam": 0.5}, {"active": "accelerating", "lam": 0.5}, {"stop": "within"}, {"two_sided": True}]
-)
-def test_both_backends_give_the_same_plan(settings):
-    settings = dict(settings)
-    motion = reference.corner(radius=0.013).sample(0.01, two_sided=settings.pop("two_sided", False))
-    plans = [
-        plan_stepwise(
-            dynamics_of(backend=backend), motion, baseline=dynamics_of(carriers=False, backend=backend), **settings
-        )
-        for backend in (RneaDynamics, VirtualWork)
-    ]
-    for part in ("s", "sd", "sdd"):
-        a, b = (np.asarray(getattr(plan.carriers, part)) for plan in plans)
-        np.testing.assert_allclose(a, b, atol=1e-8, rtol=0)
-    np.testing.assert_allclose(plans[0].tau, plans[1].tau, atol=1e-7, rtol=0)  # s̈ to 1e-8, times 2 N·m/(m/s²)
-
-
-@examples(3)
-@given(factor=st.floats(0.3, 3.0), lam=st.sampled_from([0.0, 0.4]))
-def test_time_scaling(factor, lam):
-    """Twice as fast with twice the speed limit and four times the acceleration: same places, four times the efforts."""
-    dynamics, base = dynamics_of(), dynamics_of(carriers=False)
-    plans = []
-    for f in (1.0, factor):
-        motion = reference.corner(speed=0.2 * f, ramp_time=0.4 / f).sample(0.01 / f, two_sided=True)
-        plans.append(
-            plan_stepwise(
-                dynamics, motion, lam=lam, baseline=base, speed=f, acceleration=7.0 * f**2, brake_time=0.5 / f
-            )
-        )
-    slow, fast = plans
-    np.testing.assert_allclose(fast.t * factor, slow.t, atol=1e-12)
-    np.testing.assert_allclose(fast.carriers.s, slow.carriers.s, atol=1e-8)
-    np.testing.assert_allclose(fast.carriers.sd, slow.carriers.sd * factor, atol=1e-7 * factor)
-    np.testing.assert_allclose(fast.tau, slow.tau * factor**2, atol=1e-6 * max(1.0, factor**2))
-
-
-def test_lower_limits_bind_more_and_higher_ones_cure():
-    motion = corner(radius=0.013)
-    tight, own, wide = (
-        plan_stepwise(dynamics_of((1, -1, 1)), motion, acceleration=a, speed=v)
-        for a, v in ((3.0, 0.3), (None, None), (12.0, 1.2))
-    )
-    # the samples show one side of each jump only: what is optimised for them, and not what is needed between them
-    peaks = [plan.peak_effort_at_samples.max() for plan in (tight, own, wide)]
-    assert peaks == sorted(peaks, reverse=True)
-    assert {event["bound"] for event in wide.diagnostics["bounds"]} == set()
-    assert own.limits.judged_by.acceleration.tolist() == [7.0, 7.0, 7.0]
-    assert not tight.limits.violated  # judged by the limits it was given
-
-
 # --- which bound is met ----------------------------------------------------------------------------------------------
 
 
@@ -348,27 +295,6 @@ def test_every_step_can_still_stop_before_the_end_of_its_track():
     )
 
 
-def test_a_deadline_leaves_the_speed_that_can_be_braked():
-    """``stop="within"``: |v| ≤ a (end − t) at every sample, and equal to it while that binds."""
-    motion = corner(0.005)
-    plan = plan_stepwise(dynamics_of(), motion, stop="within")
-    allowed = 7.0 * (motion.t[-1] - plan.t)[:, None]
-    speed = np.abs(plan.carriers.sd)
-    assert (speed <= allowed + LIMIT).all()
-    np.testing.assert_allclose(speed[-6:-1].max(axis=1), allowed[-6:-1, 0], rtol=1e-9)
-
-
-def test_tracks_without_ends_are_tracks_that_are_long_enough():
-    motion = reference.corner(radius=0.013).sample(0.02)
-    endless, long = (
-        plan_stepwise(dynamics_of(), motion, speed=0.4, acceleration=3.0, track=(-length, length))
-        for length in (np.inf, 50.0)
-    )
-    assert endless.diagnostics["bounds"] == long.diagnostics["bounds"]
-    assert {event["bound"] for event in endless.diagnostics["bounds"]} == {"speed", "acceleration"}
-    np.testing.assert_allclose(endless.carriers.s, long.carriers.s, atol=1e-9)
-
-
 def test_without_limits_nothing_binds_and_no_torque_is_left():
     plan = plan_stepwise(dynamics_of(), corner(), track=(-np.inf, np.inf), speed=np.inf, acceleration=np.inf)
     assert plan.diagnostics["bounds"] == ()
@@ -378,46 +304,14 @@ def test_without_limits_nothing_binds_and_no_torque_is_left():
 def test_steps_that_do_not_reach_their_minimum_are_a_status():
     """Steps of 0.2 s towards 100 N·m: carriers hundreds of metres out, where efforts are no longer nearly affine."""
     motion = reference.corner().sample(times=np.linspace(0.0, reference.corner().duration, 10), two_sided=False)
-    far = {"track": (-np.inf, np.inf), "speed": np.inf, "acceleration": np.inf}
-    plan = plan_stepwise(dynamics_of(), motion, lam=1.0, baseline=np.full((10, 3), 100.0), **far)
-    assert plan.findings.optimal is False
+    plan = plan_stepwise(
+        dynamics_of(), motion, lam=1.0, baseline=np.full((10, 3), 100.0), track=(-np.inf, np.inf), speed=np.inf,
+        acceleration=np.inf,
+    )  # fmt: skip
+    assert plan.diagnostics["optimal"] is False
     assert plan.diagnostics["largest_gradient"] > 1.0
     assert plan.status is not ResultStatus.OK
     assert np.isfinite(plan.carriers.s).all()
-
-
-def test_steps_beside_a_singularity_are_true_minima_too():
-    """The Gough platform, margin 0.013: JᵀJ has a condition of 1e9. KKT conditions from the backend's slopes."""
-    poses = np.tile(np.eye(4), (2, 1, 1))
-    poses[:, 2, 3] = 0.6
-    for pose, yaw in zip(poses, np.radians([85.0, 89.0]), strict=True):
-        pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-    dynamics = RneaDynamics(load_robot("gough", carriers=True))
-    motion = reference.pose(*poses, 1.0).sample(0.05, two_sided=False)
-    plan = plan_stepwise(dynamics, motion)
-    assert plan.findings.optimal
-    own = steps_of(plan)
-    own = own[own < len(motion)]
-    h, c = np.diff(plan.t)[own - 1, None, None], plan.carriers
-    along = dynamics.along(motion[own])
-    carriers = CarrierMotion(c.s[own], c.sd[own], c.sdd[own], check_rates=False)
-    slopes, reduced = along.carrier_derivatives(carriers), along.reduce(carriers)
-    J = np.linalg.solve(reduced.W, h * h * slopes.f_s + h * slopes.f_sd + slopes.f_sdd)
-    gradient = np.einsum("nmk,nm->nk", J, np.linalg.solve(reduced.W, reduced.f[..., None])[..., 0])
-    gradient /= np.abs(J).max(axis=(1, 2))[:, None]
-    largest = np.abs(plan.tau[own]).max()
-    before = c.s[own - 1], c.sd[own - 1]
-    limits = dynamics.robot.carrier_limits
-    lower, upper, speed, a = np.array([(one.lower, one.upper, one.speed, one.acceleration) for one in limits]).T
-    h = h[..., 0]
-    low = np.max([-a + 0 * before[0], (-speed - before[1]) / h, ((lower - before[0]) / h - before[1]) / h], axis=0)
-    high = np.min([a + 0 * before[0], (speed - before[1]) / h, ((upper - before[0]) / h - before[1]) / h], axis=0)
-    free = (c.sdd[own] > low + 1e-6) & (c.sdd[own] < high - 1e-6)
-    kept = {event["carrier"] for event in plan.diagnostics["bounds"] if event["bound"] == "stop"}
-    for j, name in enumerate(dynamics.robot.carriers):
-        if name not in kept:
-            assert np.abs(gradient[free[:, j], j]).max(initial=0.0) < 1e-8 * largest
-            assert (gradient[~free[:, j], j] * np.sign(c.sdd[own][~free[:, j], j]) <= 1e-8 * largest).all()
 
 
 def test_the_thesis_corner_in_its_mode():

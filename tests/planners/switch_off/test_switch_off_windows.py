@@ -1,72 +1,20 @@
-"""Thresholds, merged windows, returns and jumps, spare carriers, and what the thesis's discretisation leaves."""
+"""Thresholds, merged windows, returns and jumps, spare carriers."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import zoo
-from leg_momentum import OFFSET, SIGMA, imbalance, legs_along, momentum_rate
+from leg_momentum import imbalance, legs_along, momentum_rate
 
-from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork
+from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, plan_switch_off
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.switch_off.planner import plan_switch_off
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.trajectory import SpeedProfile, Trajectory, boundary_polynomial, reference, rounded_polygon
+from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference, rounded_polygon
 
 
 def two_rpr(**arguments):
     return VirtualWork(zoo.robot_of("2rpr", **arguments))
-
-
-def by_differences(plan, trajectory, dt):
-    """Switch-on by the thesis's discretisation (Parsa 2014, eqs 3.5 and 3.6): times, and carriers at the last.
-
-    ṡ = (s − s₁)/dt and s̈ = (s − 2 s₁ + s₂)/dt², which makes each leg's momentum equation a quadratic in s, on the grid
-    of dt inside the plan's window. Its efforts before the window are the plan's own.
-    """
-    (window,) = plan.diagnostics["windows"]
-    first, entry = (round(window[name] / dt) for name in ("ramp_start", "entry"))
-    t = dt * np.arange(first, int(window["exit"] / dt) + 1)
-    point = trajectory.sample_at(t)
-    legs = legs_along(point.x, point.xd, point.xdd)
-    tau = np.stack([np.interp(t, plan.t, column) for column in plan.tau.T], axis=1)
-    tau[entry - first :] = 0.0
-    wanted = np.linalg.solve(legs.n.transpose(0, 2, 1), np.einsum("nij,ni->nj", legs.u, tau)[..., None])[..., 0]
-    wanted[entry - first :] = 0.0  # also where the directions n of both legs are one
-    wanted *= legs.d  # rates of the momenta, 1 kg
-    before, last = np.zeros(2), np.zeros(2)
-    for k in range(len(t)):
-        ratio, turn = legs.rate[k] / dt, legs.acceleration[k]
-        # (L² + s²) θ̈ + 2 s (s − s₁)/dt θ̇ + σ L (s − 2 s₁ + s₂)/dt² = h
-        a, b = turn + 2.0 * ratio, -2.0 * last * ratio + SIGMA * OFFSET / dt**2
-        c = OFFSET**2 * turn + SIGMA * OFFSET * (before - 2.0 * last) / dt**2 - wanted[k]
-        s = -2.0 * c / (b + np.sign(b) * np.sqrt(b * b - 4.0 * a * c))
-        older, before, last = before, last, s
-    return t[-1], last, (last - before) / dt, (last - 2.0 * before + older) / dt**2
-
-
-@pytest.mark.parametrize(("speed", "jumps"), [(0.5, (0.23, 0.21)), (0.75, (0.84, 0.79))])
-def test_the_jumps_of_the_thesis_are_those_of_its_discretisation(speed, jumps):
-    """Figs 3.11 and 3.16 at steps of 1 ms, and half of them at half the step; solved exactly there is none.
-
-    The window snaps to the grid, which moves the jumps by up to 0.03 N.
-    """
-    trajectory, dynamics = reference.circle(speed), two_rpr()
-    plan = plan_switch_off(dynamics, trajectory)
-    assert max(plan.diagnostics["windows"][0]["exit_jump"]) < 1e-9
-    found = []
-    for dt in (1e-3, 5e-4):
-        end, *state = by_differences(plan, trajectory, dt)
-        exact = plan.carriers_at([end])
-        np.testing.assert_allclose(state[0], exact.s[0], atol=5.0 * dt)  # of first order
-        zero = np.zeros(2)
-        back = boundary_polynomial(end, end + 0.4, [*state, zero], [zero] * 4)
-        later = np.array([end + dt])
-        carriers = CarrierMotion(*(back.derivative(order)(later) for order in range(3)))
-        reduced = dynamics.reduce(trajectory.sample_at(later), carriers, check_track=False)
-        found.append(np.abs(np.linalg.solve(reduced.W[0], reduced.f[0])))
-    np.testing.assert_allclose(found[0], jumps, atol=0.03)
-    np.testing.assert_allclose(found[0] / found[1], 2.0, rtol=0.1)
 
 
 def test_spare_carriers_share_by_least_norm():
@@ -126,15 +74,6 @@ def test_shortest_return_in_a_plan(threshold):
         two_rpr(), reference.circle(), threshold=threshold, return_time=0.999 * window["return_time"]
     )
     assert shorter.status is ResultStatus.LIMIT_VIOLATED
-
-
-@pytest.mark.long
-def test_shortest_returns_decide_whether_windows_merge():
-    plan = plan_switch_off(two_rpr(), reference.circle(), threshold=400.0, return_time="shortest")
-    assert len(plan.diagnostics["windows"]) == 2
-    assert plan.status is ResultStatus.OK
-    merged = plan_switch_off(two_rpr(), reference.circle(), threshold=20.0, return_time="shortest")
-    assert len(merged.diagnostics["windows"]) == 1
 
 
 def test_events_are_samples_and_jumps_are_two_sided():

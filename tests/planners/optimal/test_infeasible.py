@@ -1,0 +1,231 @@
+"""Why there is no plan: the named limit, when and how much, checked by planning again with what is said to suffice."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+import zoo
+
+import redundancy_pin as rp
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.optimal import infeasible, whole_trajectory
+from redundancy_pin.status import ResultStatus
+from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
+from redundancy_pin.trajectory.paths import Line
+
+WIDER = 1.02
+"""Limits are widened by a fiftieth more than what is said to suffice; the least relaxation itself leaves no room."""
+
+NARROWER = 0.98
+"""... and with a fiftieth of the relaxation missing there must be no plan."""
+
+ROUNDING = 1e-6
+"""Relative excess of an effort over its limit that the planner counts as rounding."""
+
+SECONDS = 20.0
+"""Time bound; the search for a plan and that for an explanation have as much each."""
+
+ROOM = (9,)
+"""Problems in which a plan needs less than is said to suffice: limits that give way are held between the nodes by hulls
+in every step, those of a plan only in steps that leave them, and with speeds at their limit that is a fifth of 0.19."""
+
+NAMES = {"force": "carrier_force"}
+UNITS = {"track": "m", "speed": "m/s", "acceleration": "m/s²", "jerk": "m/s³", "force": "N"}
+
+
+def straight(start: Any, end: Any, speed: float) -> Trajectory:
+    path = Line(start, end)
+    return Trajectory(path, SpeedProfile(path.length, speed, 0.2))
+
+
+def planned(
+    dynamics: Any, trajectory: Trajectory, limits: dict[str, float], steps: int, objective: str = "effort"
+) -> Any:
+    """Plan within limits by name; a track of half that length to both sides."""
+    track = limits.get("track")
+    return rp.plan_whole_trajectory(
+        dynamics, trajectory, objective=objective, dt=trajectory.duration / steps, refinements=0, seconds=SECONDS,
+        track=None if track is None else (-track, track), speed=limits.get("speed"),
+        acceleration=limits.get("acceleration"), jerk=limits.get("jerk"), carrier_force=limits.get("carrier_force"),
+        effort=limits.get("effort"),
+    )  # fmt: skip
+
+
+def random_problem(seed: int, steps: int) -> tuple[Any, Trajectory, dict[str, float]]:
+    """A robot and motion, and limits that no plan keeps: efforts below the least peak within the other limits."""
+    rng = np.random.default_rng(seed)
+    masses = {"end_effector_mass": float(rng.uniform(0.2, 0.5)), "cylinder_mass": float(rng.uniform(0.1, 0.3))}
+    heavy, bar = rp.VirtualWork(zoo.robot_of("2rpr", **masses)), rp.CompiledDynamics(zoo.robot_of("five_bar"))
+    line = straight(rng.uniform((0.1, 0.25), (0.4, 0.5)), rng.uniform((0.1, -0.5), (0.4, -0.25)), 0.5)
+    across = straight((0.25, 0.6), rng.uniform((0.2, 0.25), (0.35, 0.35)), 0.4)
+    circle = reference.circle(float(rng.uniform(0.4, 0.7)), 0.2)
+    corner = reference.corner(float(rng.uniform(0.013, 0.03)))
+    dynamics, trajectory, limits = (
+        (rp.VirtualWork(zoo.robot_of("2rpr")), circle, {}),
+        (heavy, line, {"speed": float(rng.uniform(0.1, 0.3))}),
+        (heavy, line, {"acceleration": float(rng.uniform(1.0, 3.0))}),
+        (heavy, circle, {"jerk": float(rng.uniform(50.0, 100.0))}),
+        (bar, across, {"track": float(rng.uniform(0.05, 0.1))}),
+        (rp.VirtualWork(zoo.robot_of("3rrr")), corner, {}),
+        (bar, across, {"carrier_force": float(rng.uniform(0.1, 0.3)), "effort": 1.0}),
+        (bar, across, {"speed": float(rng.uniform(0.05, 0.1)), "acceleration": float(rng.uniform(1.0, 2.0))}),
+    )[seed % 8]
+    if seed % 8 < 6:
+        least = planned(dynamics, trajectory, limits, steps, "peak")
+        limits["effort"] = float(rng.uniform(0.7, 0.9)) * float(least.peak_effort_at_samples.max())
+    return dynamics, trajectory, limits
+
+
+def own_limit(robot: Any, name: str) -> float:
+    own = robot.carrier_limits[0]
+    return {"track": own.upper, "carrier_force": own.force}.get(name) or float(getattr(own, name))
+
+
+def relaxed(dynamics: Any, limits: dict[str, float], details: Any, factor: float) -> dict[str, float]:
+    """Limits let out by ``factor`` times the fraction that is said to suffice: one kind, or all named together.
+
+    (That a freer end would do instead is not tried: it is not a limit that can be let out.)
+    """
+    merged = dict(limits)
+    events = [event for event in details["relaxations"] if event["constraint"] != "end"]
+    for event in events if details["together"] else events[:1]:
+        name = NAMES.get(event["constraint"], event["constraint"])
+        given = merged[name] if name in merged else own_limit(dynamics.robot, name)
+        merged[name] = given * (1.0 + factor * event["fraction"])
+    return merged
+
+
+QUICK = (3, 6, 7)
+
+
+@pytest.mark.parametrize("seed", [pytest.param(s, marks=() if s in QUICK else pytest.mark.long) for s in range(16)])
+def test_what_is_said_to_suffice_suffices_and_less_does_not(seed: int) -> None:
+    steps = 16 if seed in QUICK else 30
+    dynamics, trajectory, limits = random_problem(seed, steps)
+    began = time.perf_counter()
+    with pytest.raises(InfeasiblePlanError) as caught:
+        planned(dynamics, trajectory, limits, steps)
+    assert time.perf_counter() - began < 2.0 * SECONDS
+    details = caught.value.details
+    assert 0.0 <= details["time"] <= trajectory.duration
+    assert details["amount"] > 0.0
+    fractions = [event["fraction"] for event in details["relaxations"] if "fraction" in event]
+    assert fractions == sorted(fractions)  # the least comes first
+    for event in details["relaxations"]:
+        if event["constraint"] == "end":
+            continue
+        name = NAMES.get(event["constraint"], event["constraint"])
+        given = limits[name] if name in limits else own_limit(dynamics.robot, name)
+        assert abs(event["limit"]) - given == pytest.approx(event["amount"], rel=1e-6)
+        assert event["amount"] <= (1.0 + ROUNDING) * event["fraction"] * given
+        owners = dynamics.robot.actuated if name == "effort" else dynamics.robot.carriers
+        assert event["carrier"] in owners
+        assert event["unit"] == UNITS.get(event["constraint"], "N" if dynamics.robot.name == "2rpr" else "N·m")
+        assert f"{event['limit']:.6g} {event['unit']}" in caught.value.message
+    enough = relaxed(dynamics, limits, details, WIDER)
+    plan = planned(dynamics, trajectory, enough, steps)
+    # a statement about the nodes; without refinements efforts may exceed their limit between them, as the status says
+    assert plan.diagnostics["optimal"]
+    assert np.abs(plan.tau).max() <= enough.get("effort", np.inf) * (1.0 + ROUNDING)
+    if plan.status is not ResultStatus.OK:
+        assert {event.quantity for event in plan.limits.violated} == {"effort"}
+    if seed not in ROOM:
+        with pytest.raises(InfeasiblePlanError):
+            planned(dynamics, trajectory, relaxed(dynamics, limits, details, NARROWER), steps)
+
+
+@pytest.mark.parametrize("sense", [1.0, pytest.param(-1.0, marks=pytest.mark.long)])
+def test_the_end_of_a_track_is_a_place_with_its_sign(sense: float) -> None:
+    """A start with a speed that no acceleration stops before the end of the track: v² / 2a is needed."""
+    speed, room = 2.0, 0.1
+    with pytest.raises(InfeasiblePlanError) as caught:
+        rp.plan_whole_trajectory(
+            rp.VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.5, 0.2, 0.05), start=(sense * 0.1, 0.0),
+            start_speed=(sense * speed, 0.0), dt=0.08, refinements=0, end="free",
+        )  # fmt: skip
+    details = caught.value.details
+    assert speed**2 / (2.0 * 10.0) > room
+    enough = {relaxed["constraint"]: relaxed["limit"] for relaxed in details["relaxations"]}
+    assert set(enough) <= {"track", "acceleration"}
+    assert sense * enough["track"] > 0.2
+    assert enough.get("acceleration", np.inf) > 10.0
+    assert details["carrier"] == "carrier_1"
+    assert details["time"] < 0.3
+
+
+def test_what_would_suffice_for_efforts_is_the_least_peak() -> None:
+    """Which the peak objective finds by itself."""
+    dynamics, circle = rp.VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.75, 0.2, 0.075)
+    with pytest.raises(InfeasiblePlanError) as caught:
+        rp.plan_whole_trajectory(dynamics, circle, effort=0.05, dt=0.05, refinements=0)
+    (effort,) = (event for event in caught.value.details["relaxations"] if event["constraint"] == "effort")
+    least = rp.plan_whole_trajectory(dynamics, circle, objective="peak", calm=0.0, dt=0.05, refinements=0).least_cost
+    assert effort["limit"] == pytest.approx(least, rel=1e-3)
+    enough = rp.plan_whole_trajectory(dynamics, circle, effort=1.001 * least, dt=0.05, refinements=0)
+    # steps of 50 ms, not refined: between the nodes the limit is far exceeded, and the plan says so
+    assert enough.peak_effort_at_samples.max() <= 1.001 * least * (1.0 + ROUNDING)
+    assert enough.status is ResultStatus.LIMIT_VIOLATED
+    assert {event.quantity for event in enough.limits.violated} == {"effort"}
+
+
+def test_carriers_that_cannot_return_say_by_how_much_they_miss_their_end() -> None:
+    """By 0.15 m less what 1 m/s² takes them in the time of the motion, at best."""
+    line = straight((0.25, 0.45), (0.31, 0.45), 0.2)
+    with pytest.raises(InfeasiblePlanError, match="from the datum") as caught:
+        rp.plan_whole_trajectory(
+            rp.VirtualWork(zoo.robot_of("2rpr")), line, start=0.15, acceleration=1.0, dt=0.05, refinements=0
+        )
+    (end,) = (event for event in caught.value.details["relaxations"] if event["constraint"] == "end")
+    assert 0.15 - 0.5 * line.duration**2 - ROUNDING <= end["amount"] < 0.15
+    assert end["time"] == line.duration
+
+
+def test_what_was_not_tried_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a limit that does not do by itself this takes ten times as long to see as of one that does."""
+    monkeypatch.setattr(infeasible, "SPARED", 0)
+    dynamics, trajectory, limits = random_problem(6, 16)
+    with pytest.raises(InfeasiblePlanError, match="Not tried to the end: ") as caught:
+        planned(dynamics, trajectory, limits, 16)
+    assert set(caught.value.details["untried"]) >= {"effort"}
+    assert caught.value.details["together"]
+
+
+def test_a_bound_below_the_least_there_is_names_that_least_without_a_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    dynamics, trajectory = rp.CompiledDynamics(zoo.robot_of("five_bar")), straight((0.25, 0.6), (0.3, 0.3), 0.4)
+    dt = trajectory.duration / 16
+    least = rp.plan_whole_trajectory(
+        dynamics, trajectory, objective="energy", calm=0.0, dt=dt, refinements=0
+    ).least_cost
+    monkeypatch.setattr(whole_trajectory, "relax", None)
+    with pytest.raises(InfeasiblePlanError, match="What would suffice: energy at most") as caught:
+        rp.plan_whole_trajectory(
+            dynamics, trajectory, objective="peak", at_most={"energy": 0.5 * least}, dt=dt, refinements=0
+        )
+    assert caught.value.details["limit"] == pytest.approx(least, rel=1e-6)
+    assert caught.value.details["constraint"] == "at_most"
+    kept = rp.plan_whole_trajectory(
+        dynamics, trajectory, objective="peak", at_most={"energy": 1.01 * least}, dt=dt, refinements=0
+    )
+    assert kept.diagnostics["objective"]["energy"] <= 1.01 * least * (1.0 + ROUNDING)
+
+
+@pytest.mark.parametrize(("x", "y", "weight"), [("base_force", "effort", 0.02), ("carrier_force", "effort", 0.05)])
+def test_a_bound_finds_what_a_weight_finds(x: str, y: str, weight: float) -> None:
+    """Of a convex front: the least y under the x of a weighted sum is the y of that sum."""
+    dynamics, corner = rp.VirtualWork(zoo.robot_of("3rrr", carrier_mass=3.0)), reference.corner(radius=0.025)
+
+    def values(objective: Any, at_most: Any = None) -> Any:
+        plan = rp.plan_whole_trajectory(
+            dynamics, corner, objective=objective, at_most=at_most, acceleration=20.0, speed=5.0, dt=0.03, refinements=0
+        )
+        return plan.diagnostics["objective"]
+
+    weighted = values({y: 1.0, x: weight})
+    bounded = values(y, {x: weighted[x]})
+    assert bounded[y] == pytest.approx(weighted[y], rel=1e-4)
+    assert bounded[x] <= weighted[x] * (1.0 + 1e-8)
+    # the bound is what holds it back
+    assert values(y)[y] < 0.99 * weighted[y]
