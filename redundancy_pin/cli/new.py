@@ -108,15 +108,13 @@ def _declaration(proposal: Proposal, robot: Robot | None, path: str, *, is_near_
     """
     import jinja2
 
-    from redundancy_pin.kinematics.coordinates import joint_position
-    from redundancy_pin.robot.lookup import find_joint, joint_names
+    from redundancy_pin.loading.reference import reference_positions
+    from redundancy_pin.robot.lookup import joint_names
     from redundancy_pin.robot.model_files import is_urdf
 
     positions, independent = {}, list[str]()
     if robot and is_near_guess:
-        single = [name for name in joint_names(robot.model) if find_joint(robot.model, name).nv == 1]
-        at = {name: joint_position(robot, name, robot.q_reference[None]) for name in single}
-        positions = {name: round(float(value[0]), 9) for name, value in at.items()}
+        positions = {name: round(value, 9) for name, value in reference_positions(robot).items()}
     if robot:
         independent = list(robot.independent_joints)
     if proposal.questions or not set(independent) <= {*joint_names(proposal.mechanism.model)}:

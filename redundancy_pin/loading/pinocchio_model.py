@@ -1,24 +1,103 @@
-"""A declaration from what Python has: closures as objects of several kinds, frames of any type, lists of names."""
+"""A robot of what Python has: a Pinocchio model, closures as objects of several kinds, names of frames and joints."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, checked
 from redundancy_pin.errors import InputError, shown
-from redundancy_pin.robot.formats.mechanism import NO_MOMENT
+from redundancy_pin.loading.mechanism import build_robot, warn_once
+from redundancy_pin.robot import Closure, Coupling, Platform, Robot
+from redundancy_pin.robot.checks import too_few_motors
+from redundancy_pin.robot.formats.mechanism import NO_MOMENT, Mechanism
 from redundancy_pin.robot.lookup import has_link
 from redundancy_pin.robot.loop_joints import ROWS
-from redundancy_pin.robot.rebuild import span
-from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform
+from redundancy_pin.robot.rebuild import rebuilt, span
+from redundancy_pin.robot.types import AXES
 
 
-def in_order_of(model: pin.Model, given: pin.Model, at: list[int], q: Array) -> Array:
+def robot_from_model(
+    model: pin.Model,
+    *,
+    actuated: Sequence[str],
+    closures: Sequence[Any] = (),
+    carriers: Sequence[Any] = (),
+    independent: Sequence[str] | Platform | Mapping[str, Any] | None = None,
+    reference: ArrayLike | Mapping[str, Any] | None = None,
+    name: str = "",
+    couplings: Sequence[Coupling | Mapping[str, Any] | tuple[str, str, Sequence[float]]] = (),
+    working_modes: Any = None,
+    working_mode: Sequence[int] | None = None,
+    characteristic_length: float | None = None,
+    redundant_rows: bool = False,
+    urdf: str = "",
+    urdf_folder: str = "",
+) -> Robot:
+    """Return a closed-chain robot made of a Pinocchio tree, with the checks that a file goes through.
+
+    Args:
+        model: the tree; it is copied. Its gravity counts. Frames of any type may be named, and what a joint carries
+            by the joint's name where it has no link, "universe" for the ground.
+        actuated: names of the main actuators.
+        closures: the loops, each a ``Closure``, a mapping ``{"frames": [a, b], "axes": ["x", "y"]}``, a tuple
+            ``(a, b, axes)``, or a constraint model of Pinocchio; of the latter, rows that are redundant all along
+            the motion are left out, and ``notes`` says which.
+        carriers: names of carrier joints, or mappings as in a ``robot.yaml`` (``{"joint": ..., "speed": ...}``).
+        independent: names of joints, a ``Platform``, a mapping ``{"platform": frame, "axes": [...]}``; left out:
+            joints are chosen, actuated ones first.
+        reference: (nq,) a configuration near which the closed one is, a mapping ``{"platform": [...], "guess":
+            {...}}`` or ``{"joints": {...}, "guess": {...}}`` as in a ``robot.yaml``; left out: near the neutral
+            configuration of Pinocchio.
+        name: what to call it; the model's own name when left out.
+        couplings: joints that follow others, each a ``Coupling``, a mapping ``{"joint": ..., "of": ...,
+            "polynomial": [...]}``, or a tuple of the three.
+        working_modes: as in a ``robot.yaml``.
+        working_mode: ±1 a leg.
+        characteristic_length: as in a ``robot.yaml``, m.
+        redundant_rows: as in a ``robot.yaml``, for closures of any kind.
+        urdf: text of the URDF that its shapes are drawn from.
+        urdf_folder: folder of the mesh files of that URDF.
+
+    Raises:
+        InputError: no Pinocchio model, or arguments of the wrong form.
+        DeclarationError: names that are not in the model, joints in two roles, over- or under-constrained chains, a
+            reference that does not close.
+        UnsupportedRobotError: a joint of a type that closed chains do not cover.
+
+    Example:
+        >>> robot_from_model(load_robot("four_bar").model, actuated=["crank"], closures=load_robot("four_bar").closures)
+    """
+    given, (model, at) = model, rebuilt(model)
+    roles = {"actuated": actuated, "closures": closures, "carriers": carriers, "couplings": couplings}
+    data: dict[str, Any] = {
+        "name": name or str(getattr(model, "name", "")) or "robot",
+        "urdf": "model",
+        **_roles(model, {**roles, "independent": independent}, at),
+        "working_modes": working_modes,
+        "characteristic_length": characteristic_length,
+        "redundant_rows": redundant_rows,
+        "reference": reference if isinstance(reference, Mapping) else {},
+        "gravity": model.gravity.linear.tolist(),
+    }
+    start = pin.neutral(model)
+    if not (reference is None or isinstance(reference, Mapping)):
+        start = _in_order_of(model, given, at, checked(reference, "reference", (model.nq,)))
+    is_of_pinocchio = any(hasattr(each, "joint1_placement") for each in closures)
+    mechanism = Mechanism(data["name"], model, start, shapes=urdf)
+    robot = build_robot(data, mechanism, drop_dependent=is_of_pinocchio, mode=working_mode, own_model=True)
+    moved = () if at == sorted(at) else ("Joints are numbered depth first, as Pinocchio's mass matrix needs them.",)
+    if note := too_few_motors(robot):
+        warn_once(note)
+    return replace(robot, urdf_folder=urdf_folder, notes=(*robot.notes, *moved, *_not_in_force(given)))
+
+
+def _in_order_of(model: pin.Model, given: pin.Model, at: list[int], q: Array) -> Array:
     """Return a configuration (nq,) of a model in the order of the one that ``rebuilt`` made of it."""
     result = np.empty(model.nq)
     for index in range(1, given.njoints):
@@ -26,7 +105,7 @@ def in_order_of(model: pin.Model, given: pin.Model, at: list[int], q: Array) -> 
     return result
 
 
-def declared(model: pin.Model, arguments: Mapping[str, Any], at: list[int]) -> dict[str, Any]:
+def _roles(model: pin.Model, arguments: Mapping[str, Any], at: list[int]) -> dict[str, Any]:
     """Return the part of a declaration that says what closes the loops and which role each joint has.
 
     Frames that are named and are no links become links, as do points and what joints carry without a link (by the name
@@ -97,7 +176,7 @@ def _require_sound(model: pin.Model) -> None:
         )
 
 
-def not_in_force(model: pin.Model) -> tuple[str, ...]:
+def _not_in_force(model: pin.Model) -> tuple[str, ...]:
     """Return a note on damping and friction of the model, which Pinocchio's own algorithms leave out too."""
     said = []
     for what in ("damping", "friction"):

@@ -1,0 +1,168 @@
+"""Load a robot by its name or its file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from redundancy_pin.arrays import require_type
+from redundancy_pin.kinematics.coordinates import gravity_acts
+from redundancy_pin.loading.mechanism import OpenedModel, warn_once
+from redundancy_pin.loading.undecided import require_decided, settled
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.checks import too_few_motors
+from redundancy_pin.robot.declaration import read_declaration, require_conditions
+from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
+from redundancy_pin.robot.formats.urdf import WITHOUT_INERTIAL
+from redundancy_pin.robot.model_files import is_model_file, is_urdf, open_model
+from redundancy_pin.robot.propose import propose
+from redundancy_pin.robot.urdf import declaration_path, is_shipped, known_values
+
+RobotLike: TypeAlias = Robot | str | Path
+"""A robot, the name of a shipped one, or the path of a declaration or of its folder."""
+
+
+def as_robot(robot: RobotLike) -> Robot:
+    """Return a robot, loaded as ``load_robot`` does if it is named: the first line of every function that takes one.
+
+    Raises:
+        InputError: neither a robot nor a name or path.
+        RedundancyPinError: what ``load_robot`` raises.
+
+    Example:
+        >>> as_robot("3rrr").n
+        3
+    """
+    if isinstance(robot, (str, Path)):
+        return load_robot(robot)
+    require_type(robot, Robot, "A robot", "Pass load_robot(...), or the name or path of one.")
+    return robot
+
+
+def load_robot(
+    source: str | Path,
+    *,
+    gravity: Sequence[float] | None = None,
+    working_mode: Sequence[int] | None = None,
+    trust: bool = False,
+    untrusted: bool = False,
+    **arguments: object,
+) -> Robot:
+    """Load a robot, close its chains at the declared reference and check its mobility.
+
+    A robot is data: expressions in its files calculate and no more, and cannot cost more than a second or two.
+
+    Args:
+        source: name of a shipped robot ("2rpr", "delta", ...: ``redundancy-pin info``), path of a ``robot.yaml``, of
+            the folder that holds one, or of a model file (URDF, xacro, MJCF, SDF) that states its loops and motors.
+        gravity: (3,) acceleration of gravity in the world frame, m/s²; as declared when left out.
+        working_mode: ±1 a leg; as declared when left out.
+        trust: let the expressions of a xacro file be any Python, which runs with your rights, and let MJCF read files
+            of other folders: for files whose author you trust.
+        untrusted: let third-party compilers (xacro, MuJoCo's) read a stranger's file in a child process, which has
+            limits of time and memory.
+        **arguments: xacro arguments of the robot's URDF (``carrier_mass=2.0``). Model files without a declaration take
+            ``base`` ("fixed" or "free") and ``actuated``, the motors ("a,b" or a list of names).
+
+    Raises:
+        ModelFileError: missing or broken files, expressions that are more than calculation, numbers that Pinocchio
+            would read differently.
+        InputError: an unknown xacro argument, a gravity or working mode of the wrong form.
+        DeclarationError: a declaration that contradicts the URDF or itself: unknown names, joints in two roles, over-
+            or under-constrained chains, a reference that does not close.
+    """
+    robot = load_with(source, arguments, gravity=gravity, working_mode=working_mode, trust=trust, untrusted=untrusted)
+    for note in filter(None, (idle_gravity(robot, gravity), too_few_motors(robot))):
+        warn_once(note)
+    return robot
+
+
+def idle_gravity(robot: Robot, given: Sequence[float] | None) -> str:
+    """Return what to say of a gravity that was asked for and moves nothing; empty if there is nothing to say."""
+    if given is None or not np.any(robot.gravity) or gravity_acts(robot):
+        return ""
+    return (
+        f"gravity = {robot.gravity.tolist()} is normal to the plane in which {robot.name} moves: it has no effect on "
+        "efforts."
+    )
+
+
+def load_with(
+    source: str | Path,
+    arguments: Mapping[str, object],
+    *,
+    gravity: Sequence[float] | None = None,
+    working_mode: Sequence[int] | None = None,
+    trust: bool = False,
+    untrusted: bool = False,
+) -> Robot:
+    """Load a robot as ``load_robot``, with xacro arguments that come from a file.
+
+    Among keywords, a file could name ``trust`` as one of them.
+    """
+    written, path = repr((sorted(arguments.items()), gravity, working_mode)), declaration_path(source)
+    kept = is_shipped(path) and not trust
+    # what is kept is known by a path that means the same in all folders
+    request = _Request(path.resolve() if kept else path, written, arguments, gravity, working_mode, trust, untrusted)
+    if is_model_file(path):
+        return _load(request, {})
+    if not kept:
+        return _load_declared(request)
+    robot = _shipped(request)
+    return replace(robot, model=robot.model.copy())  # of what is shared, all that can be changed
+
+
+@dataclass(frozen=True)
+class _Request:
+    """A request for a robot; compared as written, since 1, 1.0 and True are three arguments of xacro."""
+
+    path: Path
+    written: str
+    arguments: Mapping[str, object] = field(compare=False)
+    gravity: Sequence[float] | None = field(compare=False)
+    working_mode: Sequence[int] | None = field(compare=False)
+    trust: bool
+    untrusted: bool
+
+
+def _load_declared(request: _Request) -> Robot:
+    file = read_declaration(request.path)
+    with file.naming():
+        return _load(request, file.data)
+
+
+# files of shipped robots do not change, and sweeps, commands and tests load the same ones time and again
+_shipped = lru_cache(maxsize=64)(_load_declared)
+
+
+def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
+    """Load a mechanism with what a declaration adds to it, or without one."""
+    opened = OpenedModel(request.path, data, gravity=request.gravity, working_mode=request.working_mode)
+    file = opened.file
+    if data and is_urdf(file):
+        # before xacro runs, which would make a cryptic error of a length that is negative
+        require_conditions(data, known_values(file, request.arguments))
+    parameters, read = open_model(file, request.arguments, trust=request.trust, untrusted=request.untrusted)
+    require_conditions(data, parameters)
+    opened = replace(opened, parameters=parameters)
+    if data:
+        robot = opened.robot(read(opened.declaration().joint_types if data.get("joint_types") else {}))
+    else:
+        proposal = propose(read(None))
+        require_decided(proposal, file)
+        proposal, robot = settled(proposal, opened)
+        require_decided(proposal, file)
+    _log_notes(robot.notes, file)
+    return replace(robot, urdf_folder=str(file.resolve().parent))
+
+
+def _log_notes(notes: Iterable[str], file: Path) -> None:
+    """Log the notes that change results: forces of the file that are ignored, links whose mass it does not state."""
+    for note in notes:
+        if note.startswith((NOT_IN_FORCE, WITHOUT_INERTIAL)):
+            warn_once(f"{file.name}: {note}")
