@@ -28,10 +28,10 @@ from redundancy_pin.planners.limits import (
     LIMIT_TOLERANCE,
     QUANTITIES,
     LimitEvent,
-    Limits,
     check_limits,
     limit_events,
 )
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import record_difference, robot_record
 from redundancy_pin.robot import Robot
