@@ -22,7 +22,8 @@ from redundancy_pin.planners.intersample_check import (
     imbalance,
     intersample_check,
 )
-from redundancy_pin.planners.limits import LIMIT_TOLERANCE, QUANTITIES, LimitEvent, LimitReport, Limits
+from redundancy_pin.planners.limits import LIMIT_TOLERANCE, QUANTITIES, LimitEvent, LimitReport
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import record_difference, robot_record
 from redundancy_pin.robot import Robot

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any
@@ -38,13 +38,13 @@ from redundancy_pin.errors import (
 )
 from redundancy_pin.loading import with_parameters
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.limits import Limits
-from redundancy_pin.planners.optimal.objectives import Mesh, Objective, Solver, checked_settings
 from redundancy_pin.planners.optimal.problem import Task
 from redundancy_pin.planners.optimal.sensitivity import MOVED, DesignSlopes, Moved, design_gradient
+from redundancy_pin.planners.optimal.settings import checked_settings
 from redundancy_pin.planners.optimal.solve import Outcome
 from redundancy_pin.planners.optimal.transcription import objective_values
 from redundancy_pin.planners.optimal.whole_trajectory import optimise, plan_whole_trajectory
+from redundancy_pin.planners.options import Objective, refuse_fields
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus
@@ -85,7 +85,7 @@ class DesignTask(Frozen):
         dynamics: a backend of the machine to begin with; made by ``as_dynamics`` where a robot, its name or its path is
             given.
         motion: of the platform, as for ``plan_whole_trajectory``.
-        options: its keywords.
+        options: its keywords: objective, limits, mesh, solver and the others.
         weight: of its least cost, over what that is for the machine to begin with.
     """
 
@@ -302,18 +302,9 @@ def _value(outcome: Outcome) -> float:
 def _planning_task(task: DesignTask, robot: Robot) -> Task:
     """Return a task of the whole-trajectory planner by another machine."""
     rest = dict(task.options)
-    weights = rest.pop("objective", "effort")
-    groups: list[Any] = [
-        kind(**{key: rest.pop(key) for key in _keys(kind) & rest.keys()}) for kind in (Limits, Mesh, Solver)
-    ]
-    given = {key: rest.pop(key) for key in ("lam", "baseline", "base_point") if key in rest}
-    objective = Objective(weights, **given, calm=0.0)  # machines are compared by least costs
-    settings = checked_settings(robot, objective, *groups, **rest)
+    objective = Objective.of(rest.pop("objective", "effort"))
+    settings = checked_settings(robot, replace(objective, calm=0.0), **rest)
     return Task(task.dynamics.for_robot(robot), as_motion(task.motion), settings)
-
-
-def _keys(kind: type) -> set[str]:
-    return {one.name for one in fields(kind)}
 
 
 def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, ...]:
@@ -326,8 +317,7 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
     tasks = tuple(one if isinstance(one, DesignTask) else DesignTask(*one) for one in given)
     if not tasks:
         raise InputError("There is no task to design for.", remedy=remedy)
-    grouped = {"dynamics", "motion", "limits", "mesh", "solver", "calm"}
-    known = set(inspect.signature(plan_whole_trajectory).parameters) - grouped
+    known = set(inspect.signature(plan_whole_trajectory).parameters) - {"dynamics", "motion"}
     for task in tasks:
         require_type(task.options, Mapping, "A mapping of a task's options", remedy)
         positive(task.weight, "weight", "")
@@ -338,6 +328,9 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
                     remedy=f"{did_you_mean(name, known)}Options are those of plan_whole_trajectory.",
                     name=name,
                 )
+        refuse_fields(
+            Objective.of(task.options.get("objective", "effort")), {"calm": "machines are compared by least costs"}
+        )
     return tasks
 
 

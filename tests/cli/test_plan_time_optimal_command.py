@@ -24,7 +24,10 @@ def test_flags_and_problem_files_give_the_plan_of_the_function(tmp_path: Path) -
     told = json.loads(call(*BARE, *flags, "--json").stdout)
     robot = rp.load_robot("3rrr", carriers=False, working_mode=(1, 1, 1))
     mine = rp.plan_time_optimal(
-        rp.RneaDynamics(robot), reference.corner().path, effort=3.0, actuator_speed=0.5, steps=40
+        rp.RneaDynamics(robot),
+        reference.corner().path,
+        limits=rp.Limits(effort=3.0, actuator_speed=0.5),
+        mesh=rp.Mesh(steps=40),
     )
     assert told["end"] == pytest.approx(mine.t[-1], rel=1e-9)
     problem = {

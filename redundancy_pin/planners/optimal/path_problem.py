@@ -19,7 +19,7 @@ from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import TERMS, CarrierModel, carrier_model, turning_model
 from redundancy_pin.planners.optimal.mesh import Grid, near_singular
-from redundancy_pin.planners.optimal.objectives import Scales, Settings
+from redundancy_pin.planners.optimal.objectives import Scales
 from redundancy_pin.planners.optimal.problem import (
     PathTiming,
     Problem,
@@ -29,6 +29,7 @@ from redundancy_pin.planners.optimal.problem import (
     scales_of,
     singular_nodes,
 )
+from redundancy_pin.planners.optimal.settings import Settings
 
 _ROUNDING = 1e-11
 """Coefficients below this fraction of the largest are none: they would be entries of the Jacobian."""
