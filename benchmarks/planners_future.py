@@ -114,7 +114,9 @@ def gradient():
 
     def value(**changed):
         dynamics = rp.VirtualWork(rp.with_parameters(robot, **changed))
-        return rp.plan_whole_trajectory(dynamics, circle, objective=least, **options).diagnostics["objective"]["effort"]
+        return rp.plan_whole_trajectory(
+            dynamics, circle, **in_groups(rp.plan_whole_trajectory, dict(objective=least, **options))
+        ).diagnostics["objective"]["effort"]
 
     def differences():
         slopes = []

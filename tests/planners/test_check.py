@@ -27,7 +27,7 @@ def other(plan: Plan) -> rp.RneaDynamics | rp.VirtualWork:
 
 @pytest.fixture(scope="module")
 def whole() -> Plan:
-    return rp.plan_whole_trajectory(rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(), dt=0.03)
+    return rp.plan_whole_trajectory(rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(), mesh=rp.Mesh(dt=0.03))
 
 
 PLANS: dict[str, Callable[[], Plan]] = {
@@ -40,7 +40,11 @@ PLANS: dict[str, Callable[[], Plan]] = {
     ),
     "switch off": lambda: rp.plan_switch_off(rp.VirtualWork(rp.load_robot("2rpr")), reference.circle(), dt=0.01),
     "through singularities": lambda: rp.plan_whole_trajectory(
-        rp.RneaDynamics(rp.load_robot("2rpr")), reference.circle(), dt=0.05, objective="peak", jerk=500.0, refinements=0
+        rp.RneaDynamics(rp.load_robot("2rpr")),
+        reference.circle(),
+        mesh=rp.Mesh(dt=0.05, refinements=0),
+        objective="peak",
+        limits=rp.Limits(jerk=500.0),
     ),
 }
 
@@ -163,9 +167,9 @@ PLANNERS = {
     "stepwise": lambda dynamics, motion: rp.plan_stepwise(dynamics, motion, dt=0.02),
     "switch off": lambda dynamics, motion: rp.plan_switch_off(dynamics, motion, dt=0.02),
     "shortest return": lambda dynamics, motion: rp.plan_switch_off(dynamics, motion, dt=0.01, return_time="shortest"),
-    "whole": lambda dynamics, motion: rp.plan_whole_trajectory(dynamics, motion, dt=0.05),
+    "whole": lambda dynamics, motion: rp.plan_whole_trajectory(dynamics, motion, mesh=rp.Mesh(dt=0.05)),
     "peak": lambda dynamics, motion: rp.plan_whole_trajectory(
-        dynamics, motion, dt=0.1, objective="peak", end="free", refinements=0
+        dynamics, motion, mesh=rp.Mesh(dt=0.1, refinements=0), objective="peak", end="free"
     ),
 }
 
@@ -200,7 +204,7 @@ def test_limits_of_motors_that_a_plan_exceeds_are_noted() -> None:
     """The robot declares them, nobody asked the planner to keep them: the plan stands, and the check says so."""
     motors = {"slide_1": {"effort": 0.001, "speed": 1e9}, "slide_2": {"effort": 1e9, "speed": 0.01}}
     robot = rp.with_limits(zoo.robot_of("2rpr"), motors)
-    plan = rp.plan_whole_trajectory(rp.VirtualWork(robot), reference.line(speed=0.2), dt=0.02)
+    plan = rp.plan_whole_trajectory(rp.VirtualWork(robot), reference.line(speed=0.2), mesh=rp.Mesh(dt=0.02))
     result = rp.check_plan(plan, rp.RneaDynamics(robot))
     assert result.passed
     effort, speed = result.wider_limits

@@ -16,8 +16,9 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, RedundancyPinError
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.intersample_check import ALLOWED, extremes_between, jerk_events, least_effort
-from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.intersample_check import ALLOWED, extremes_between, least_effort
+from redundancy_pin.planners.limits import LimitedQuantity, limit_events, motion_quantities
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus
@@ -195,11 +196,10 @@ def planned(dynamics: Dynamics, motion: Trajectory, random: np.random.Generator)
     return rp.plan_whole_trajectory(
         dynamics,
         motion,
-        dt=float(random.choice([0.02, 0.05])),
+        mesh=rp.Mesh(dt=float(random.choice([0.02, 0.05])), refinements=int(random.choice([0, 1, 3]))),
         objective=str(random.choice(["effort", "effort", "peak"])),
         end=str(random.choice(["free", "datum"])),
-        refinements=int(random.choice([0, 1, 3])),
-        seconds=5.0,
+        solver=rp.Solver(seconds=5.0),
     )
 
 

@@ -30,6 +30,7 @@ from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.robot.joint_ranges import joint_ranges
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -75,8 +76,10 @@ def resolved(carriers: list[CarrierLimits]) -> ResolvedLimits:
     return ResolvedLimits(names, track, *rates, jerk=none, effort=none, actuator_speed=none)
 
 
-@pytest.mark.parametrize("size", [1.0, 2.0**-20])
-def test_events_are_those_of_a_loop_over_the_samples(size):
+@pytest.mark.parametrize("size", [1.0, 2.0**20, 2.0**-20])
+@pytest.mark.parametrize(("most", "nearest"), [(EXCEEDING, BINDING), (LIMIT_TOLERANCE, LIMIT_TOLERANCE)])
+def test_events_are_those_of_a_loop_over_the_samples(size: float, most: float, nearest: float) -> None:
+    """Of carriers with all limits, with some and with one; values in runs of four, some of them unknown."""
     rng = np.random.default_rng(7)
     t, names = np.sort(rng.uniform(0.0, 9.0, 400)), ("a", "b", "c")
     ends = {"track": [(-0.3, 0.5), (0.2, 0.9), (-np.inf, np.inf)], "speed": [(-2.0, 2.0), (-3.0, 3.0), (-5.0, 5.0)]}
@@ -166,29 +169,6 @@ def test_joints_beyond_their_ranges_are_named_with_what_is_too_much():
         assert under.amount == pytest.approx(0.125)
 
 
-def test_an_event_replaces_one_that_it_overlaps_where_it_exceeds_by_more():
-    at = LimitEvent("a", "speed", 1.0, 2.0, 1.5, 3.0, 2.5, 0.5)
-    for start, end, overlaps in (
-        (2.0, 3.0, True),
-        (2.1, 3.0, False),
-        (0.0, 1.0, True),
-        (0.0, 0.9, False),
-        (1.2, 1.4, True),
-    ):
-        for amount in (0.4, 0.6):
-            other = replace(at, start=start, end=end, amount=amount)
-            merged = merged_events((at,), (other,))
-            if not overlaps:
-                assert set(merged) == {at, other}
-            else:
-                assert merged == ((other,) if amount > 0.5 else (at,))
-    below = replace(at, limit=-2.5, amount=0.9)
-    assert set(merged_events((at,), (below,))) == {at, below}
-    # an effort that is exceeded has one event, whatever its sign and when
-    efforts = replace(at, quantity="effort"), replace(below, quantity="effort", start=7.0, end=8.0)
-    assert merged_events(efforts[:1], efforts[1:]) == efforts[1:]
-
-
 @cache
 def planned(jerk: float | None = None) -> Plan:
     dynamics = rp.VirtualWork(zoo.robot_of("3rrr", carrier_mass=3.0))
@@ -240,6 +220,33 @@ def test_a_check_lets_pass_what_two_backends_may_show_and_no_more(name, beyond):
         assert named[what].amount == pytest.approx(amount, rel=1e-2)
         if name != "peak":
             assert named[what].time == plan.t[i]
+
+
+@pytest.mark.parametrize("name", ["track", "speed", "acceleration"])
+def test_a_plan_on_its_limit_is_within_it_and_one_beside_it_is_not(name):
+    """The largest of each quantity as a limit, a little wider and a little narrower."""
+    plan = planned()
+    robot = zoo.robot_of("3rrr", carrier_mass=3.0)
+    position = plan.functions.carriers.derivative(["track", "speed", "acceleration"].index(name))
+    most = float(np.abs(position.ranges()).max(axis=(0, 1))[0])
+    for factor, broken in ((1.0 + 1e-8, False), (1.0 - 1e-8, True)):
+        edge = most * factor
+        change = {"lower": -edge, "upper": edge} if name == "track" else {name: edge}
+        limits = (
+            CarrierLimits(
+                **{"lower": -9.0, "upper": 9.0, "speed": np.inf, "acceleration": np.inf, "force": np.inf} | change
+            ),
+        )
+        limits += tuple(CarrierLimits(-9.0, 9.0, np.inf, np.inf, np.inf) for _ in range(2))
+        own = Limits().resolved(replace(robot, carrier_limits=limits))
+        violated, touched = limit_events(motion_quantities(own, plan.functions.carriers))
+        assert bool(violated) == broken
+        assert all(event.carrier == robot.carriers[0] for event in (*violated, *touched))
+        assert touched or broken
+        if broken:
+            worst = max(violated, key=lambda event: event.amount)
+            assert worst.amount == pytest.approx(1e-8 * most, rel=1e-3)
+    assert plan.status is ResultStatus.OK
 
 
 @pytest.mark.parametrize("size", [1.0, 2.0**20])

@@ -51,11 +51,14 @@ def yawed(degrees: float) -> np.ndarray:
 
 
 SETTINGS: list[tuple[str, Callable[[], object]]] = [
-    ("lam", lambda: rp.plan_stepwise(three(), samples(), lam=1.1)),
-    ("lam", lambda: rp.plan_stepwise(three(), samples(), lam="half")),  # type: ignore[arg-type]
-    ("no baseline", lambda: rp.plan_stepwise(three(), samples(), lam=0.5)),
-    ("baseline", lambda: rp.plan_stepwise(three(), samples(), lam=0.5, baseline=np.zeros((3, 3)))),
-    ("baseline", lambda: rp.plan_stepwise(three(), samples(), lam=0.5, baseline=two())),
+    ("lam", lambda: rp.plan_stepwise(three(), samples(), objective=rp.Objective(lam=1.1))),
+    ("lam", lambda: rp.plan_stepwise(three(), samples(), objective=rp.Objective(lam="half"))),  # type: ignore[arg-type]
+    ("no baseline", lambda: rp.plan_stepwise(three(), samples(), objective=rp.Objective(lam=0.5))),
+    (
+        "baseline",
+        lambda: rp.plan_stepwise(three(), samples(), objective=rp.Objective(lam=0.5, baseline=np.zeros((3, 3)))),
+    ),
+    ("baseline", lambda: rp.plan_stepwise(three(), samples(), objective=rp.Objective(lam=0.5, baseline=two()))),
     ("active", lambda: rp.plan_stepwise(three(), samples(), active="never")),  # type: ignore[arg-type]
     ("anticipate", lambda: rp.plan_stepwise(three(), samples(), anticipate="no")),  # type: ignore[arg-type]
     ("stop", lambda: rp.plan_stepwise(three(), samples(), stop="never")),  # type: ignore[arg-type]
@@ -64,11 +67,11 @@ SETTINGS: list[tuple[str, Callable[[], object]]] = [
     ("least_margin", lambda: rp.plan_stepwise(three(), samples(), least_margin=0.0)),
     ("start", lambda: rp.plan_stepwise(three(), samples(), start=(0.0, 0.0))),
     ("datum", lambda: rp.plan_stepwise(three(), samples(), datum="middle")),  # type: ignore[arg-type]
-    ("speed", lambda: rp.plan_stepwise(three(), samples(), speed=0.0)),
-    ("speed", lambda: rp.plan_stepwise(three(), samples(), speed=(1.0, 1.0))),
-    ("acceleration", lambda: rp.plan_stepwise(three(), samples(), acceleration=-7.0)),
-    ("acceleration", lambda: rp.plan_stepwise(three(), samples(), acceleration=INF, stop="within")),
-    ("track", lambda: rp.plan_stepwise(three(), samples(), track=(1.0, -1.0))),
+    ("speed", lambda: rp.plan_stepwise(three(), samples(), limits=rp.Limits(speed=0.0))),
+    ("speed", lambda: rp.plan_stepwise(three(), samples(), limits=rp.Limits(speed=(1.0, 1.0)))),
+    ("acceleration", lambda: rp.plan_stepwise(three(), samples(), limits=rp.Limits(acceleration=-7.0))),
+    ("acceleration", lambda: rp.plan_stepwise(three(), samples(), limits=rp.Limits(acceleration=INF), stop="within")),
+    ("track", lambda: rp.plan_stepwise(three(), samples(), limits=rp.Limits(track=(1.0, -1.0)))),
     ("1 samples, too few", lambda: rp.plan_stepwise(three(), samples(1))),
     ("Trajectory was given", lambda: rp.plan_stepwise(CIRCLE, two())),  # type: ignore[arg-type]
     ("for the motion", lambda: rp.plan_stepwise(two(), "circle")),  # type: ignore[arg-type]
@@ -88,32 +91,40 @@ SETTINGS: list[tuple[str, Callable[[], object]]] = [
     ("objective", lambda: rp.plan_whole_trajectory(two(), CIRCLE, objective=None)),  # type: ignore[arg-type]
     ("weight", lambda: rp.plan_whole_trajectory(two(), CIRCLE, objective={"effort": -1.0})),
     ("weight is zero", lambda: rp.plan_whole_trajectory(two(), CIRCLE, objective={"effort": 0.0})),
-    ("lam", lambda: rp.plan_whole_trajectory(two(), CIRCLE, lam=2.0)),
-    ("no baseline", lambda: rp.plan_whole_trajectory(two(), CIRCLE, objective="tracking", lam=0.5)),
-    ("calm", lambda: rp.plan_whole_trajectory(two(), CIRCLE, calm=-0.01)),
+    ("lam", lambda: rp.plan_whole_trajectory(two(), CIRCLE, objective=rp.Objective(lam=2.0))),
+    ("no baseline", lambda: rp.plan_whole_trajectory(two(), CIRCLE, objective=rp.Objective("tracking", lam=0.5))),
+    ("calm", lambda: rp.plan_whole_trajectory(two(), CIRCLE, objective=rp.Objective(calm=-0.01))),
     ("end", lambda: rp.plan_whole_trajectory(two(), CIRCLE, end="somewhere")),  # type: ignore[arg-type]
-    ("dt", lambda: rp.plan_whole_trajectory(two(), CIRCLE, dt=0.0)),
-    (r"2\.68e\+06 nodes", lambda: rp.plan_whole_trajectory(two(), CIRCLE, dt=1e-6)),
-    ("seconds", lambda: rp.plan_whole_trajectory(two(), CIRCLE, seconds=-1.0)),
-    ("starts", lambda: rp.plan_whole_trajectory(two(), CIRCLE, starts=NAN)),  # type: ignore[arg-type]
-    ("refinements", lambda: rp.plan_whole_trajectory(two(), CIRCLE, refinements=-1)),
-    ("speed", lambda: rp.plan_whole_trajectory(two(), CIRCLE, speed=-1.0)),
-    ("effort", lambda: rp.plan_whole_trajectory(two(), CIRCLE, effort=(1.0, 2.0, 3.0))),
-    ("jerk", lambda: rp.plan_whole_trajectory(two(), CIRCLE, jerk=0.0)),
+    ("dt", lambda: rp.plan_whole_trajectory(two(), CIRCLE, mesh=rp.Mesh(dt=0.0))),
+    (r"2\.68e\+06 nodes", lambda: rp.plan_whole_trajectory(two(), CIRCLE, mesh=rp.Mesh(dt=1e-6))),
+    ("seconds", lambda: rp.plan_whole_trajectory(two(), CIRCLE, solver=rp.Solver(seconds=-1.0))),
+    ("starts", lambda: rp.plan_whole_trajectory(two(), CIRCLE, solver=rp.Solver(starts=NAN))),  # type: ignore[arg-type]
+    ("refinements", lambda: rp.plan_whole_trajectory(two(), CIRCLE, mesh=rp.Mesh(refinements=-1))),
+    ("speed", lambda: rp.plan_whole_trajectory(two(), CIRCLE, limits=rp.Limits(speed=-1.0))),
+    ("effort", lambda: rp.plan_whole_trajectory(two(), CIRCLE, limits=rp.Limits(effort=(1.0, 2.0, 3.0)))),
+    ("jerk", lambda: rp.plan_whole_trajectory(two(), CIRCLE, limits=rp.Limits(jerk=0.0))),
     ("start_speed", lambda: rp.plan_whole_trajectory(two(), CIRCLE, start_speed=NAN)),
-    ("base_point", lambda: rp.plan_whole_trajectory(two(), CIRCLE, objective="base_force", base_point=(0.0, NAN, 0.0))),
+    (
+        "base_point",
+        lambda: rp.plan_whole_trajectory(
+            two(), CIRCLE, objective=rp.Objective("base_force", base_point=(0.0, NAN, 0.0))
+        ),
+    ),
     ("at_most", lambda: rp.plan_whole_trajectory(two(), CIRCLE, at_most={"efort": 1.0})),
     ("at_most", lambda: rp.plan_whole_trajectory(two(), CIRCLE, at_most={"effort": NAN})),
     ("objectives to bounds", lambda: rp.plan_whole_trajectory(two(), CIRCLE, at_most="effort")),  # type: ignore[arg-type]
     ("mesh", lambda: rp.plan_whole_trajectory(two(), CIRCLE, mesh=0.01)),  # type: ignore[arg-type]
     ("limits", lambda: rp.plan_whole_trajectory(two(), CIRCLE, limits={"speed": 1.0})),  # type: ignore[arg-type]
     ("effort", lambda: rp.plan_time_optimal(BARE, CORNER.path)),
-    ("begin", lambda: rp.plan_time_optimal(BARE, CORNER.path, effort=3.0, begin="anyhow")),  # type: ignore[arg-type]
-    ("closed", lambda: rp.plan_time_optimal(BARE, CORNER.path, effort=3.0, lap=True)),
-    ("effort", lambda: rp.plan_time_optimal(BARE, CORNER.path, effort=-1.0)),
-    ("steps", lambda: rp.plan_time_optimal(BARE, CORNER.path, effort=3.0, steps=2)),
-    ("actuator_speed", lambda: rp.plan_time_optimal(BARE, CORNER.path, effort=3.0, actuator_speed=0.0)),
-    ("path", lambda: rp.plan_time_optimal(BARE, samples(), effort=1.0)),  # type: ignore[arg-type]
+    ("begin", lambda: rp.plan_time_optimal(BARE, CORNER.path, limits=rp.Limits(effort=3.0), begin="anyhow")),  # type: ignore[arg-type]
+    ("closed", lambda: rp.plan_time_optimal(BARE, CORNER.path, limits=rp.Limits(effort=3.0), lap=True)),
+    ("effort", lambda: rp.plan_time_optimal(BARE, CORNER.path, limits=rp.Limits(effort=-1.0))),
+    ("steps", lambda: rp.plan_time_optimal(BARE, CORNER.path, limits=rp.Limits(effort=3.0), mesh=rp.Mesh(steps=2))),
+    (
+        "actuator_speed",
+        lambda: rp.plan_time_optimal(BARE, CORNER.path, limits=rp.Limits(effort=3.0, actuator_speed=0.0)),
+    ),
+    ("path", lambda: rp.plan_time_optimal(BARE, samples(), limits=rp.Limits(effort=1.0))),  # type: ignore[arg-type]
 ]
 """What a message names, and a call whose setting, dynamics or motion is none."""
 
@@ -172,15 +183,13 @@ REFUSED: dict[str, Row] = {
     ),
     "stepwise: a box is empty": (
         "beyond the end of its track", InfeasiblePlanError, {"constraint": "track", "time": pytest.approx(0.4, 1.0)},
-        lambda: rp.plan_stepwise(three(), samples(), anticipate=False, track=(-0.1, 0.1)),
-        lambda: rp.plan_stepwise(three(), samples(), anticipate=True, track=(-0.1, 0.1)),
+        lambda: rp.plan_stepwise(three(), samples(), anticipate=False, limits=rp.Limits(track=(-0.1, 0.1))),
+        lambda: rp.plan_stepwise(three(), samples(), anticipate=True, limits=rp.Limits(track=(-0.1, 0.1))),
     ),
     "stepwise: no return": (  # it starts at the speed limit with the carriers still accelerating outwards
         "No return", InfeasiblePlanError, {},
-        lambda: rp.plan_stepwise(
-            three(), samples(), active="accelerating", return_time="shortest", track=(-0.16, 0.16)
-        ),
-        lambda: rp.plan_stepwise(three(), samples(), active="accelerating", return_time=0.4, track=(-0.16, 0.16)),
+        lambda: rp.plan_stepwise(three(), samples(), active="accelerating", return_time="shortest", limits=rp.Limits(track=(-0.16, 0.16))),
+        lambda: rp.plan_stepwise(three(), samples(), active="accelerating", return_time=0.4, limits=rp.Limits(track=(-0.16, 0.16))),
     ),
     "stepwise: a platform that moves on": (
         "platform moves on", InfeasiblePlanError, {"constraint": "rest"},
@@ -215,31 +224,22 @@ REFUSED: dict[str, Row] = {
     ),
     "whole: no time": (
         "time ran out", InfeasiblePlanError, {"constraint": "seconds"},
-        lambda: rp.plan_whole_trajectory(two(), CIRCLE, objective="peak", dt=0.05, seconds=1e-3),
+        lambda: rp.plan_whole_trajectory(two(), CIRCLE, objective="peak", mesh=rp.Mesh(dt=0.05), solver=rp.Solver(seconds=1e-3)),
         None,
     ),
     "least time: weight beyond the efforts": (
         "effort", InfeasiblePlanError, {"constraint": "effort"},
-        lambda: rp.plan_time_optimal(
-            rp.RneaDynamics(zoo.robot_of("3rrr", carriers=False, gravity=(0.0, -9.81, 0.0))), CORNER.path, effort=3.03,
-            steps=6,
-        ),
+        lambda: rp.plan_time_optimal(rp.RneaDynamics(zoo.robot_of("3rrr", carriers=False, gravity=(0.0, -9.81, 0.0))), CORNER.path, limits=rp.Limits(effort=3.03), mesh=rp.Mesh(steps=6)),
         None,
     ),
     "least time: dry friction": (
         "dry friction and loads that depend on time", UnsupportedRobotError, {},
-        lambda: rp.plan_time_optimal(
-            rp.RneaDynamics(zoo.robot_of("3rrr", carriers=False).loaded(rp.JointForces("base_1", friction=1.0))),
-            CORNER.path, effort=3.03, steps=20,
-        ),
+        lambda: rp.plan_time_optimal(rp.RneaDynamics(zoo.robot_of("3rrr", carriers=False).loaded(rp.JointForces("base_1", friction=1.0))), CORNER.path, limits=rp.Limits(effort=3.03), mesh=rp.Mesh(steps=20)),
         None,
     ),
     "least time: a load that depends on time": (
         "dry friction and loads that depend on time", UnsupportedRobotError, {},
-        lambda: rp.plan_time_optimal(
-            rp.RneaDynamics(zoo.robot_of("3rrr", carriers=False).loaded(rp.Wrench("platform", gust))), CORNER.path,
-            effort=3.03, steps=20,
-        ),
+        lambda: rp.plan_time_optimal(rp.RneaDynamics(zoo.robot_of("3rrr", carriers=False).loaded(rp.Wrench("platform", gust))), CORNER.path, limits=rp.Limits(effort=3.03), mesh=rp.Mesh(steps=20)),
         None,
     ),
 }  # fmt: skip
@@ -290,4 +290,4 @@ def test_carriers_without_mass_are_one_clear_error(backend: Any) -> None:
 def test_a_missing_solver_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(RedundancyPinError, match=r"pip install casadi"):
-        rp.plan_whole_trajectory(two(), CIRCLE, dt=0.1)
+        rp.plan_whole_trajectory(two(), CIRCLE, mesh=rp.Mesh(dt=0.1))

@@ -110,7 +110,7 @@ def test_where_a_motion_only_touches_a_singularity_the_least_efforts_are_left() 
 @cache
 def crossing() -> Plan:
     dynamics = rp.VirtualWork(zoo.robot_of("2rpr", end_effector_mass=0.5, cylinder_mass=0.3))
-    return rp.plan_whole_trajectory(dynamics, reference.circle(0.5, 0.2, 0.05), dt=0.03, refinements=0)
+    return rp.plan_whole_trajectory(dynamics, reference.circle(0.5, 0.2, 0.05), mesh=rp.Mesh(dt=0.03, refinements=0))
 
 
 @pytest.mark.parametrize("node", [0, 1])

@@ -13,6 +13,7 @@ import redundancy_pin as rp
 import redundancy_pin.studies.co_design as studied
 from redundancy_pin.errors import InputError
 from redundancy_pin.robot import Robot
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.studies.co_design import DesignTask, Search, co_design
 from redundancy_pin.trajectory import reference
 
@@ -41,7 +42,9 @@ def turning(**options: Any) -> DesignTask:
 
 
 def replanned(task: DesignTask, objective: str, robot: Robot) -> float:
-    plan = rp.plan_whole_trajectory(rp.VirtualWork(robot), task.motion, **task.options)
+    plan = rp.plan_whole_trajectory(
+        rp.VirtualWork(robot), task.motion, **in_groups(rp.plan_whole_trajectory, task.options)
+    )
     return float(plan.diagnostics["objective"][objective])  # type: ignore[index]
 
 

@@ -103,7 +103,7 @@ def plan_whole_trajectory(
 
     Returns:
         A plan whose samples are the nodes. ``status`` is not_converged where the solver stopped before the conditions
-        of a minimum held, with every limit kept; ``diagnostics["optimal"]`` says the same.
+        of a minimum held, with every limit kept; ``findings.optimal`` says the same.
 
     Raises:
         InputError: a setting out of its domain, or one that does not apply.

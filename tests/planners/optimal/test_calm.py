@@ -9,6 +9,7 @@ import zoo
 
 from redundancy_pin import RneaDynamics, VirtualWork, check_plan, load_plan, plan_whole_trajectory
 from redundancy_pin.planners.optimal import calm as calm_plans
+from redundancy_pin.planners.options import Mesh, Objective
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
 
@@ -16,7 +17,9 @@ from redundancy_pin.trajectory import reference
 @functools.cache
 def planned(objective, calm):
     circle = reference.circle(0.5, 0.2, 0.05)
-    return plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), circle, objective=objective, calm=calm, dt=0.01)
+    return plan_whole_trajectory(
+        VirtualWork(zoo.robot_of("2rpr")), circle, objective=Objective(objective, calm=calm), mesh=Mesh(dt=0.01)
+    )
 
 
 def efforts_between(plan, points=9):
@@ -87,7 +90,7 @@ def test_bounds_of_objectives_hold_in_a_calm_plan():
     circle = reference.circle(0.5, 0.2, 0.05)
     most = 1.001 * planned("peak", 0.0).least_cost
     plan = plan_whole_trajectory(
-        VirtualWork(zoo.robot_of("2rpr")), circle, objective="peak", at_most={"peak": most}, dt=0.01
+        VirtualWork(zoo.robot_of("2rpr")), circle, objective="peak", at_most={"peak": most}, mesh=Mesh(dt=0.01)
     )
     assert plan.diagnostics["calm"]["tried"]
     assert np.abs(plan.tau).max() <= most * (1.0 + 1e-9)

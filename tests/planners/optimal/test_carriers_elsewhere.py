@@ -23,7 +23,7 @@ def on_the_end_effector(mass=0.0):
 @pytest.mark.parametrize("mass", [0.0, 0.5])
 def test_carriers_on_the_end_effector_cross_and_are_replayed(mass):
     robot, circle = on_the_end_effector(mass), rp.trajectory.reference.circle(speed=0.5)
-    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), circle, dt=0.01)
+    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), circle, mesh=rp.Mesh(dt=0.01))
     assert plan.status.value == "ok"
     assert len(plan.findings.singular_instants) == 2
     if mass:  # the replay of the other one takes ten seconds
@@ -42,7 +42,7 @@ def yawed(degrees):
 def crossing(dt):
     robot = rp.load_robot("gough", carriers=True)
     trajectory = rp.trajectory.reference.pose(yawed(70.0), yawed(110.0), 1.0)
-    return robot, trajectory, rp.plan_whole_trajectory(rp.RneaDynamics(robot), trajectory, dt=dt)
+    return robot, trajectory, rp.plan_whole_trajectory(rp.RneaDynamics(robot), trajectory, mesh=rp.Mesh(dt=dt))
 
 
 def test_gough_crosses_90_degrees_of_yaw_under_gravity():
@@ -109,7 +109,7 @@ def raised(**arguments):
 
 def test_a_delta_with_carriers_across_its_rods_goes_through_the_plane_of_its_elbows_under_gravity():
     robot, motion = raised(rod_carriers=True)
-    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), motion, dt=0.02)
+    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), motion, mesh=rp.Mesh(dt=0.02))
     assert plan.status.value == "ok"
     (instant,) = plan.findings.singular_instants
     points = delta_points(motion.evaluate(np.array([instant])).x[0], np.zeros(3), "rods")[1:].reshape(3, 7, 3)
@@ -126,7 +126,7 @@ def test_carriers_on_arms_are_replayed_and_their_masses_count(name):
     motion = rp.trajectory.reference.corner() if name == "3rrr" else rp.trajectory.reference.circle(0.5)
     robots = [rp.load_robot(name, arm_length=0.3, carrier_mass=mass, **masses) for mass in (1.0, 1.01)]
     assert robots[0].closed_form is None
-    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robots[0]), motion, dt=0.05)
+    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robots[0]), motion, mesh=rp.Mesh(dt=0.05))
     off = []
     for robot in robots:
         run = rp.simulate(robot, plan, dt=0.05, stop_at=())

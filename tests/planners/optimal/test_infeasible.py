@@ -47,11 +47,20 @@ def planned(
     """Plan within limits by name; a track of half that length to both sides."""
     track = limits.get("track")
     return rp.plan_whole_trajectory(
-        dynamics, trajectory, objective=objective, dt=trajectory.duration / steps, refinements=0, seconds=SECONDS,
-        track=None if track is None else (-track, track), speed=limits.get("speed"),
-        acceleration=limits.get("acceleration"), jerk=limits.get("jerk"), carrier_force=limits.get("carrier_force"),
-        effort=limits.get("effort"),
-    )  # fmt: skip
+        dynamics,
+        trajectory,
+        objective=objective,
+        mesh=rp.Mesh(dt=trajectory.duration / steps, refinements=0),
+        solver=rp.Solver(seconds=SECONDS),
+        limits=rp.Limits(
+            track=None if track is None else (-track, track),
+            speed=limits.get("speed"),
+            acceleration=limits.get("acceleration"),
+            jerk=limits.get("jerk"),
+            carrier_force=limits.get("carrier_force"),
+            effort=limits.get("effort"),
+        ),
+    )
 
 
 def random_problem(seed: int, steps: int) -> tuple[Any, Trajectory, dict[str, float]]:
@@ -128,7 +137,7 @@ def test_what_is_said_to_suffice_suffices_and_less_does_not(seed: int) -> None:
     enough = relaxed(dynamics, limits, details, WIDER)
     plan = planned(dynamics, trajectory, enough, steps)
     # a statement about the nodes; without refinements efforts may exceed their limit between them, as the status says
-    assert plan.diagnostics["optimal"]
+    assert plan.findings.optimal
     assert np.abs(plan.tau).max() <= enough.get("effort", np.inf) * (1.0 + ROUNDING)
     if plan.status is not ResultStatus.OK:
         assert {event.quantity for event in plan.limits.violated} == {"effort"}
@@ -143,9 +152,13 @@ def test_the_end_of_a_track_is_a_place_with_its_sign(sense: float) -> None:
     speed, room = 2.0, 0.1
     with pytest.raises(InfeasiblePlanError) as caught:
         rp.plan_whole_trajectory(
-            rp.VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.5, 0.2, 0.05), start=(sense * 0.1, 0.0),
-            start_speed=(sense * speed, 0.0), dt=0.08, refinements=0, end="free",
-        )  # fmt: skip
+            rp.VirtualWork(zoo.robot_of("2rpr")),
+            reference.circle(0.5, 0.2, 0.05),
+            start=(sense * 0.1, 0.0),
+            start_speed=(sense * speed, 0.0),
+            mesh=rp.Mesh(dt=0.08, refinements=0),
+            end="free",
+        )
     details = caught.value.details
     assert speed**2 / (2.0 * 10.0) > room
     enough = {relaxed["constraint"]: relaxed["limit"] for relaxed in details["relaxations"]}
@@ -160,11 +173,15 @@ def test_what_would_suffice_for_efforts_is_the_least_peak() -> None:
     """Which the peak objective finds by itself."""
     dynamics, circle = rp.VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.75, 0.2, 0.075)
     with pytest.raises(InfeasiblePlanError) as caught:
-        rp.plan_whole_trajectory(dynamics, circle, effort=0.05, dt=0.05, refinements=0)
+        rp.plan_whole_trajectory(dynamics, circle, limits=rp.Limits(effort=0.05), mesh=rp.Mesh(dt=0.05, refinements=0))
     (effort,) = (event for event in caught.value.details["relaxations"] if event["constraint"] == "effort")
-    least = rp.plan_whole_trajectory(dynamics, circle, objective="peak", calm=0.0, dt=0.05, refinements=0).least_cost
+    least = rp.plan_whole_trajectory(
+        dynamics, circle, objective=rp.Objective("peak", calm=0.0), mesh=rp.Mesh(dt=0.05, refinements=0)
+    ).least_cost
     assert effort["limit"] == pytest.approx(least, rel=1e-3)
-    enough = rp.plan_whole_trajectory(dynamics, circle, effort=1.001 * least, dt=0.05, refinements=0)
+    enough = rp.plan_whole_trajectory(
+        dynamics, circle, limits=rp.Limits(effort=1.001 * least), mesh=rp.Mesh(dt=0.05, refinements=0)
+    )
     # steps of 50 ms, not refined: between the nodes the limit is far exceeded, and the plan says so
     assert enough.peak_effort_at_samples.max() <= 1.001 * least * (1.0 + ROUNDING)
     assert enough.status is ResultStatus.LIMIT_VIOLATED
@@ -176,7 +193,11 @@ def test_carriers_that_cannot_return_say_by_how_much_they_miss_their_end() -> No
     line = straight((0.25, 0.45), (0.31, 0.45), 0.2)
     with pytest.raises(InfeasiblePlanError, match="from the datum") as caught:
         rp.plan_whole_trajectory(
-            rp.VirtualWork(zoo.robot_of("2rpr")), line, start=0.15, acceleration=1.0, dt=0.05, refinements=0
+            rp.VirtualWork(zoo.robot_of("2rpr")),
+            line,
+            start=0.15,
+            limits=rp.Limits(acceleration=1.0),
+            mesh=rp.Mesh(dt=0.05, refinements=0),
         )
     (end,) = (event for event in caught.value.details["relaxations"] if event["constraint"] == "end")
     assert 0.15 - 0.5 * line.duration**2 - ROUNDING <= end["amount"] < 0.15
@@ -197,17 +218,17 @@ def test_a_bound_below_the_least_there_is_names_that_least_without_a_search(monk
     dynamics, trajectory = rp.CompiledDynamics(zoo.robot_of("five_bar")), straight((0.25, 0.6), (0.3, 0.3), 0.4)
     dt = trajectory.duration / 16
     least = rp.plan_whole_trajectory(
-        dynamics, trajectory, objective="energy", calm=0.0, dt=dt, refinements=0
+        dynamics, trajectory, objective=rp.Objective("energy", calm=0.0), mesh=rp.Mesh(dt=dt, refinements=0)
     ).least_cost
     monkeypatch.setattr(whole_trajectory, "relax", None)
     with pytest.raises(InfeasiblePlanError, match="What would suffice: energy at most") as caught:
         rp.plan_whole_trajectory(
-            dynamics, trajectory, objective="peak", at_most={"energy": 0.5 * least}, dt=dt, refinements=0
+            dynamics, trajectory, objective="peak", at_most={"energy": 0.5 * least}, mesh=rp.Mesh(dt=dt, refinements=0)
         )
     assert caught.value.details["limit"] == pytest.approx(least, rel=1e-6)
     assert caught.value.details["constraint"] == "at_most"
     kept = rp.plan_whole_trajectory(
-        dynamics, trajectory, objective="peak", at_most={"energy": 1.01 * least}, dt=dt, refinements=0
+        dynamics, trajectory, objective="peak", at_most={"energy": 1.01 * least}, mesh=rp.Mesh(dt=dt, refinements=0)
     )
     assert kept.diagnostics["objective"]["energy"] <= 1.01 * least * (1.0 + ROUNDING)
 
@@ -219,7 +240,12 @@ def test_a_bound_finds_what_a_weight_finds(x: str, y: str, weight: float) -> Non
 
     def values(objective: Any, at_most: Any = None) -> Any:
         plan = rp.plan_whole_trajectory(
-            dynamics, corner, objective=objective, at_most=at_most, acceleration=20.0, speed=5.0, dt=0.03, refinements=0
+            dynamics,
+            corner,
+            objective=objective,
+            at_most=at_most,
+            limits=rp.Limits(acceleration=20.0, speed=5.0),
+            mesh=rp.Mesh(dt=0.03, refinements=0),
         )
         return plan.diagnostics["objective"]
 

@@ -9,6 +9,7 @@ import zoo
 
 from redundancy_pin import VirtualWork, plan_whole_trajectory
 from redundancy_pin.planners.optimal import OBJECTIVES, ObjectiveTerm
+from redundancy_pin.planners.options import Limits, Mesh, Objective
 from redundancy_pin.trajectory import reference
 
 CIRCLE = reference.circle(0.5, 0.2, 0.05)
@@ -16,7 +17,11 @@ CIRCLE = reference.circle(0.5, 0.2, 0.05)
 
 def plan_of(objective):
     return plan_whole_trajectory(
-        VirtualWork(zoo.robot_of("2rpr")), CIRCLE, objective=objective, dt=0.06, refinements=0, effort=0.3, calm=0.0
+        VirtualWork(zoo.robot_of("2rpr")),
+        CIRCLE,
+        objective=Objective(objective, calm=0.0),
+        mesh=Mesh(dt=0.06, refinements=0),
+        limits=Limits(effort=0.3),
     )
 
 
@@ -38,7 +43,7 @@ def test_an_objective_is_added_by_its_formula(monkeypatch):
         "fastest_carrier": lambda plan: np.abs(plan.carriers.sd).max(),
     }
     for name, measure in measures.items():
-        assert plans[name].diagnostics["optimal"]
+        assert plans[name].findings.optimal
         assert plans[name].diagnostics["objective"][name] == pytest.approx(measure(plans[name]), rel=1e-9)
         assert all(measure(plans[name]) <= (1.0 + 1e-3) * measure(other) for other in plans.values())
     assert measures["fastest_carrier"](plans["fastest_carrier"]) < 0.9 * measures["fastest_carrier"](plans["effort"])

@@ -43,7 +43,7 @@ def backend(robot: Robot) -> Any:
 
 
 def require_optimal(plan: Plan, machine: Any, trajectory: Trajectory, objective: str, limits: Any) -> None:
-    assert plan.diagnostics["optimal"]
+    assert plan.findings.optimal
     theirs, _ = symbolic_plans.solve(machine, trajectory, plan, objective, limits)
     np.testing.assert_allclose(plan.least_cost, theirs, rtol=SAME)
 
@@ -89,13 +89,11 @@ def test_whole_trajectories(name: str, objective: str) -> None:
     plan = rp.plan_whole_trajectory(
         backend(robot),
         trajectory,
-        objective=objective,
-        calm=0.0,
-        dt=dt,
-        refinements=0,
-        starts=4 if name == "turning circle" else 1,
+        objective=rp.Objective(objective, calm=0.0),
+        mesh=rp.Mesh(dt=dt, refinements=0),
+        solver=rp.Solver(starts=4 if name == "turning circle" else 1),
     )
-    assert len(plan.diagnostics["singular_instants"]) == singular
+    assert len(plan.findings.singular_instants) == singular
     if name == "turning circle":  # it has three optima; IPOPT ends at the second with the full model
         theirs, _ = symbolic_plans.solve(machine, trajectory, plan, objective, limits)
         assert plan.least_cost <= (1.0 + SAME) * theirs
@@ -108,7 +106,11 @@ def test_least_time_of_a_line_with_carriers(end: Any) -> None:
     """Nodes in time in place of nodes on the path."""
     first, last = (0.1, 0.45), (0.4, 0.25)
     plan = rp.plan_time_optimal(
-        rp.VirtualWork(zoo.robot_of("2rpr", **HEAVY)), Line(first, last), effort=2.0, end=end, steps=80
+        rp.VirtualWork(zoo.robot_of("2rpr", **HEAVY)),
+        Line(first, last),
+        limits=rp.Limits(effort=2.0),
+        end=end,
+        mesh=rp.Mesh(steps=80),
     )
     theirs = symbolic_plans.least_time(
         symbolic_mechanisms.two_rpr(**HEAVY), first, last, 2.0, OF_TWO_RPR, end == "datum", 80
@@ -176,9 +178,12 @@ def test_random_machines_with_random_limits(seed: int) -> None:
         ends = (-limits["track"], limits["track"])
         try:
             plan = rp.plan_whole_trajectory(
-                dynamics, trajectory, objective=objective, calm=0.0, dt=dt, refinements=0, speed=limits["speed"],
-                track=ends, acceleration=limits["acceleration"],
-            )  # fmt: skip
+                dynamics,
+                trajectory,
+                objective=rp.Objective(objective, calm=0.0),
+                mesh=rp.Mesh(dt=dt, refinements=0),
+                limits=rp.Limits(speed=limits["speed"], track=ends, acceleration=limits["acceleration"]),
+            )
         except InfeasiblePlanError:
             limits["speed"], limits["acceleration"] = 2.0 * limits["speed"], 2.0 * limits["acceleration"]
             continue

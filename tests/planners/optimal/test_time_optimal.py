@@ -22,8 +22,10 @@ from redundancy_pin import (
     plan_time_optimal,
     simulate,
 )
+from redundancy_pin.planners.options import Limits, Mesh
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import Line, circle_path, reference
 
 pytest.importorskip("casadi")
@@ -47,12 +49,14 @@ def carrying() -> VirtualWork:
 
 @functools.cache
 def free() -> Plan:
-    return plan_time_optimal(carrying(), CORNER, effort=EFFORT, end="free", steps=80, **LIMITS)
+    return plan_time_optimal(
+        carrying(), CORNER, end="free", **in_groups(plan_time_optimal, dict(effort=EFFORT, steps=80, **LIMITS))
+    )
 
 
 @pytest.mark.parametrize("rate", [np.inf, 0.35])
 def test_without_carriers_the_time_is_that_of_toppra(rate: float) -> None:
-    plan = plan_time_optimal(bare(), CORNER, effort=EFFORT, actuator_speed=rate, steps=100)
+    plan = plan_time_optimal(bare(), CORNER, limits=Limits(effort=EFFORT, actuator_speed=rate), mesh=Mesh(steps=100))
     assert plan.status is ResultStatus.OK
     expected = least_time(bare(), CORNER, EFFORT, rate, steps=200)
     assert abs(plan.t[-1] / expected - 1.0) < 5e-3
@@ -73,7 +77,7 @@ def test_a_robot_that_carries_its_weight_has_the_time_of_toppra(share: float) ->
     x = np.linspace(home, end, 41)
     at_rest = dynamics.reduce(PlatformMotion(np.arange(41.0), x, 0.0 * x, 0.0 * x, check_rates=False))
     effort = share * np.abs(distribute(at_rest).tau).max()
-    plan = plan_time_optimal(dynamics, path, effort=effort, steps=60)
+    plan = plan_time_optimal(dynamics, path, limits=Limits(effort=effort), mesh=Mesh(steps=60))
     assert plan.status is ResultStatus.OK
     assert plan.limits.binding
     assert abs(plan.t[-1] / least_time(dynamics, path, effort, steps=400) - 1.0) < 5e-3
@@ -83,7 +87,7 @@ def test_more_actuators_than_freedoms_share_the_load() -> None:
     """An elbow of the 3-RRR is driven as well: the loads they balance are more."""
     robot = bare().robot
     driven = replace(robot, actuated=(*robot.actuated, "elbow_1"))
-    plan = plan_time_optimal(RneaDynamics(driven), CORNER, effort=EFFORT, steps=60)
+    plan = plan_time_optimal(RneaDynamics(driven), CORNER, limits=Limits(effort=EFFORT), mesh=Mesh(steps=60))
     assert plan.status is ResultStatus.OK
     assert plan.t[-1] < 0.97
     assert abs(plan.t[-1] / least_time(RneaDynamics(driven), CORNER, EFFORT, steps=120) - 1.0) < 5e-3
@@ -116,7 +120,9 @@ def test_carriers_make_the_corner_faster() -> None:
     ],
 )
 def test_times_round_the_corner_by_how_carriers_begin_and_end(options: Any, least: float, most: float) -> None:
-    plan = plan_time_optimal(carrying(), CORNER, effort=EFFORT, **{**LIMITS, **options})
+    plan = plan_time_optimal(
+        carrying(), CORNER, **in_groups(plan_time_optimal, dict(effort=EFFORT, **{**LIMITS, **options}))
+    )
     assert plan.status is ResultStatus.OK
     assert least < plan.t[-1] < most
     if options.get("end") == "periodic":
@@ -131,7 +137,7 @@ def test_a_spatial_platform_under_gravity() -> None:
     goal[:3, 3] += [0.1, 0.05, 0.1]
     goal[:3, :3] = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix() @ goal[:3, :3]
     path = reference.pose(zoo.home_of(robot), goal).path
-    plan = plan_time_optimal(RneaDynamics(robot), path, effort=80.0, steps=60)
+    plan = plan_time_optimal(RneaDynamics(robot), path, limits=Limits(effort=80.0), mesh=Mesh(steps=60))
     assert plan.status is ResultStatus.OK
     assert abs(plan.t[-1] / least_time(RneaDynamics(robot), path, 80.0, steps=200) - 1.0) < 5e-3
 
@@ -140,10 +146,16 @@ def test_carriers_that_may_begin_otherwise_and_a_lap_take_less_time() -> None:
     """At rest at the datum, at rest anywhere, anyhow; and round and round, where the platform need not stop."""
     dynamics = VirtualWork(zoo.robot_of("2rpr", end_effector_mass=0.5, cylinder_mass=0.3))
     circle = circle_path((0.25, 0.4), 0.06)
-    parked = plan_time_optimal(dynamics, circle, effort=2.0, end="datum", steps=30)
-    rested = plan_time_optimal(dynamics, circle, effort=2.0, begin="rest", end="rest", steps=30)
-    moving = plan_time_optimal(dynamics, circle, effort=2.0, begin="free", end="periodic", steps=30)
-    lap = plan_time_optimal(dynamics, circle, effort=2.0, begin="free", end="periodic", lap=True, steps=30)
+    parked = plan_time_optimal(dynamics, circle, limits=Limits(effort=2.0), end="datum", mesh=Mesh(steps=30))
+    rested = plan_time_optimal(
+        dynamics, circle, limits=Limits(effort=2.0), begin="rest", end="rest", mesh=Mesh(steps=30)
+    )
+    moving = plan_time_optimal(
+        dynamics, circle, limits=Limits(effort=2.0), begin="free", end="periodic", mesh=Mesh(steps=30)
+    )
+    lap = plan_time_optimal(
+        dynamics, circle, limits=Limits(effort=2.0), begin="free", end="periodic", lap=True, mesh=Mesh(steps=30)
+    )
     assert rested.t[-1] < 0.98 * parked.t[-1]
     assert lap.t[-1] < 0.9 * moving.t[-1]
     for plan in (rested, parked):
@@ -180,7 +192,9 @@ def test_forward_dynamics_follow_the_plan() -> None:
 def test_a_singularity_is_crossed_at_the_limit_of_the_efforts() -> None:
     """The efforts there are what W⁻¹ f tends to from both sides."""
     dynamics = VirtualWork(zoo.robot_of("2rpr", end_effector_mass=0.5))
-    plan = plan_time_optimal(dynamics, reference.line().path, effort=1.0, end="free", steps=30)
+    plan = plan_time_optimal(
+        dynamics, reference.line().path, limits=Limits(effort=1.0), end="free", mesh=Mesh(steps=30)
+    )
     assert plan.status is ResultStatus.OK
     (i,) = plan.diagnostics["singular_nodes"]
     for side in (-1e-4, 1e-4):

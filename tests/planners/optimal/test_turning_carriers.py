@@ -80,13 +80,21 @@ def test_expressions_of_f_lead_to_the_plan_of_its_terms(name: str, objective: st
     """Of one function, differentiated in two ways; on the circle through singular poses, within a limit of forces."""
     motion, dynamics = MOTION if name == "line" else reference.circle(0.5, 0.2, 0.05), rp.CompiledDynamics(robot())
     by_terms = rp.plan_whole_trajectory(
-        dynamics, motion, objective=objective, calm=0.0, dt=0.05, refinements=0, carrier_force=60.0
+        dynamics,
+        motion,
+        objective=rp.Objective(objective, calm=0.0),
+        mesh=rp.Mesh(dt=0.05, refinements=0),
+        limits=rp.Limits(carrier_force=60.0),
     )
     with unknown_terms():
         plan = rp.plan_whole_trajectory(
-            dynamics, motion, objective=objective, calm=0.0, dt=0.05, refinements=0, carrier_force=60.0
+            dynamics,
+            motion,
+            objective=rp.Objective(objective, calm=0.0),
+            mesh=rp.Mesh(dt=0.05, refinements=0),
+            limits=rp.Limits(carrier_force=60.0),
         )
-    assert plan.diagnostics["optimal"]
+    assert plan.findings.optimal
     assert plan.least_cost == pytest.approx(by_terms.least_cost, rel=1e-5)
     reduced = rp.RneaDynamics(robot()).reduce(plan.motion, plan.carriers)
     left = np.einsum("nim,nm->ni", reduced.W, plan.tau) - reduced.f
@@ -96,4 +104,4 @@ def test_expressions_of_f_lead_to_the_plan_of_its_terms(name: str, objective: st
 
 def test_other_backends_than_generated_code_refuse_carriers_whose_f_is_no_sum_and_say_what_plans_them() -> None:
     with unknown_terms(), pytest.raises(UnsupportedRobotError, match=r"no sum over its carriers.*CompiledDynamics"):
-        rp.plan_whole_trajectory(rp.RneaDynamics(robot()), MOTION, dt=0.05)
+        rp.plan_whole_trajectory(rp.RneaDynamics(robot()), MOTION, mesh=rp.Mesh(dt=0.05))

@@ -6,6 +6,7 @@ import zoo
 
 from redundancy_pin import CarrierMotion, CompiledDynamics, RneaDynamics, VirtualWork, distribute, plan_whole_trajectory
 from redundancy_pin.planners.optimal import nlp
+from redundancy_pin.planners.options import Mesh, Objective
 from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
@@ -78,7 +79,7 @@ def require_sound(dynamics, trajectory, plan):
 )
 def test_circle(objective, speed, arguments, most):
     dynamics, trajectory = two_rpr(**arguments), circle(speed)
-    plan = plan_whole_trajectory(dynamics, trajectory, objective=objective, calm=0.0, dt=0.01)
+    plan = plan_whole_trajectory(dynamics, trajectory, objective=Objective(objective, calm=0.0), mesh=Mesh(dt=0.01))
     require_sound(dynamics, trajectory, plan)
     assert plan.peak_effort.max() <= most
 
@@ -87,7 +88,7 @@ def test_circle(objective, speed, arguments, most):
 @pytest.mark.parametrize("objective", ["effort", "peak"])
 def test_five_bar_crosses_a_singularity(objective):
     dynamics, trajectory = CompiledDynamics(zoo.robot_of("five_bar")), five_bar_crossing()
-    plan = plan_whole_trajectory(dynamics, trajectory, objective=objective, dt=0.01)
+    plan = plan_whole_trajectory(dynamics, trajectory, objective=objective, mesh=Mesh(dt=0.01))
     require_sound(dynamics, trajectory, plan)
     assert len(plan.findings.singular_instants) == 1
 
@@ -98,7 +99,7 @@ def test_efforts_at_singular_instants_are_the_limits_from_both_sides(case):
     dynamics = two_rpr(end_effector_mass=0.5, cylinder_mass=0.3) if case == "circle" else None
     dynamics = dynamics or CompiledDynamics(zoo.robot_of("five_bar"))
     trajectory = circle() if case == "circle" else five_bar_crossing()
-    plan = plan_whole_trajectory(dynamics, trajectory, dt=0.01)
+    plan = plan_whole_trajectory(dynamics, trajectory, mesh=Mesh(dt=0.01))
     assert plan.diagnostics["singular_nodes"]
     for i in plan.diagnostics["singular_nodes"]:
         assert plan.sample_status[i] == SampleStatus.SINGULAR_CONSISTENT
@@ -129,7 +130,7 @@ def test_both_backends_give_the_same_plan(case, objective):
         arguments = {"end_effector_mass": 0.5, "cylinder_mass": 0.3} if case == "heavy" else {}
         robot, trajectory, dt = zoo.robot_of("2rpr", **arguments), circle(), 0.02
     plans = [
-        plan_whole_trajectory(backend(robot), trajectory, objective=objective, dt=dt, refinements=0)
+        plan_whole_trajectory(backend(robot), trajectory, objective=objective, mesh=Mesh(dt=dt, refinements=0))
         for backend in (VirtualWork, RneaDynamics)
     ]
     for part in ("s", "sd", "sdd"):
@@ -169,7 +170,10 @@ def test_each_objective_is_least_for_its_own_plan():
     plans = {}
     for name in names:
         plan = plan_whole_trajectory(
-            dynamics, trajectory, objective=name, lam=0.5, baseline=baseline, dt=0.06, refinements=0
+            dynamics,
+            trajectory,
+            objective=Objective(name, lam=0.5, baseline=baseline),
+            mesh=Mesh(dt=0.06, refinements=0),
         )
         plans[name] = measures(plan, target)
         # the regularisation costs less than 1e-3 of each
@@ -182,7 +186,7 @@ def test_each_objective_is_least_for_its_own_plan():
 def test_ends():
     dynamics = two_rpr()
     plans = {
-        end: plan_whole_trajectory(dynamics, circle(), end=end, start=0.02, dt=0.05, datum=(0.01, -0.01))
+        end: plan_whole_trajectory(dynamics, circle(), end=end, start=0.02, mesh=Mesh(dt=0.05), datum=(0.01, -0.01))
         for end in ("free", "rest", "datum", "periodic")
     }
     for plan in plans.values():
@@ -202,17 +206,17 @@ def test_ends():
 
 def test_a_plan_that_is_not_optimal_says_so(monkeypatch):
     monkeypatch.setattr(nlp, "TOLERANCE", 1e-40)  # never reached, so the solver ends at what it calls acceptable
-    plan = plan_whole_trajectory(two_rpr(), circle(), dt=0.05, refinements=0)
+    plan = plan_whole_trajectory(two_rpr(), circle(), mesh=Mesh(dt=0.05, refinements=0))
     assert plan.status is ResultStatus.NOT_CONVERGED
     assert not plan.findings.optimal
 
 
 def test_nodes_have_every_event_and_are_integrated_exactly():
     """s̈ is linear in a step, s and ṡ are its integrals, and the jerk is continuous where the plan says so."""
-    plan = plan_whole_trajectory(two_rpr(), circle(), dt=0.03, refinements=1)
+    plan = plan_whole_trajectory(two_rpr(), circle(), mesh=Mesh(dt=0.03, refinements=1))
     h, c = np.diff(plan.t), plan.carriers
     assert h.max() <= 0.03 * (1.0 + 1e-9)
-    assert np.isin(plan.diagnostics["singular_instants"], plan.t).all()
+    assert np.isin(plan.findings.singular_instants, plan.t).all()
     step = h[:, None]
     sd = c.sd[:-1] + step * (c.sdd[:-1] + c.sdd[1:]) / 2.0
     np.testing.assert_allclose(c.sd[1:], sd, atol=1e-9 * np.abs(c.sd).max())
@@ -227,7 +231,7 @@ def test_nodes_have_every_event_and_are_integrated_exactly():
 
 def test_sampled_motion_gives_the_plan_of_its_trajectory():
     dynamics = two_rpr()
-    exact = plan_whole_trajectory(dynamics, circle(), dt=0.01)
-    sampled = plan_whole_trajectory(dynamics, circle().sample(0.002), dt=0.01)
+    exact = plan_whole_trajectory(dynamics, circle(), mesh=Mesh(dt=0.01))
+    sampled = plan_whole_trajectory(dynamics, circle().sample(0.002), mesh=Mesh(dt=0.01))
     ours, theirs = (plan.diagnostics["objective"]["effort"] for plan in (sampled, exact))
     assert ours == pytest.approx(theirs, rel=1e-2)  # the ends of the ramps are on nodes of one grid only

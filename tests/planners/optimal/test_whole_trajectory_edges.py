@@ -8,7 +8,9 @@ import yaml
 import zoo
 
 from redundancy_pin import RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
+from redundancy_pin.planners.options import Limits, Mesh, Objective
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line
@@ -44,7 +46,12 @@ def efforts_at(dynamics, trajectory, plan, times):
 def test_a_start_on_a_limit_has_a_plan(settings, near):
     """It is on the track, so it is allowed; the plan is that of a start just inside."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.5, 0.2, 0.05)
-    on, inside = (plan_whole_trajectory(dynamics, trajectory, dt=0.03, refinements=0, **s) for s in (settings, near))
+    on, inside = (
+        plan_whole_trajectory(
+            dynamics, trajectory, **in_groups(plan_whole_trajectory, dict(dt=0.03, refinements=0, **s))
+        )
+        for s in (settings, near)
+    )
     assert on.findings.optimal  # on nodes so few it may be unresolved between them
     assert not on.limits.violated
     assert on.diagnostics["objective"]["effort"] == pytest.approx(inside.diagnostics["objective"]["effort"], rel=1e-2)
@@ -60,7 +67,7 @@ def through_a_jump(y):
 def test_a_jump_on_a_singular_instant_has_two_limits(y):
     """The efforts at both nodes are what W⁻¹ f tends to on their side; ``y`` keeps both apart by less than rounding."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr", **HEAVY)), through_a_jump(y)
-    plan = plan_whole_trajectory(dynamics, trajectory, calm=0.0, dt=0.02)
+    plan = plan_whole_trajectory(dynamics, trajectory, objective=Objective(calm=0.0), mesh=Mesh(dt=0.02))
     before, after = plan.diagnostics["singular_nodes"]
     assert after == before + 1
     assert plan.t[before] == plan.t[after]
@@ -68,7 +75,7 @@ def test_a_jump_on_a_singular_instant_has_two_limits(y):
         beside = efforts_at(dynamics, trajectory, plan, [plan.t[node] + side * 1e-5])[0]
         # over 10 µs the efforts change by 1e-3 of their size
         np.testing.assert_allclose(plan.tau[node], beside, atol=1e-3 * np.abs(plan.tau).max())
-    apart = plan_whole_trajectory(dynamics, through_a_jump(1e-6), calm=0.0, dt=0.02)
+    apart = plan_whole_trajectory(dynamics, through_a_jump(1e-6), objective=Objective(calm=0.0), mesh=Mesh(dt=0.02))
     assert plan.diagnostics["objective"]["effort"] == pytest.approx(apart.diagnostics["objective"]["effort"], rel=1e-3)
 
 
@@ -81,11 +88,9 @@ def test_carrier_forces_are_looked_at_between_the_nodes():
             trajectory,
             objective="carrier_force",
             end="rest",
-            dt=trajectory.duration / 13,
+            mesh=Mesh(dt=trajectory.duration / 13, refinements=refinements),
             start_speed=[-0.08, -0.02, -0.016],
-            speed=0.68,
-            carrier_force=limit,
-            refinements=refinements,
+            limits=Limits(speed=0.68, carrier_force=limit),
         )
         times = np.setdiff1d(np.linspace(plan.t[0], plan.t[-1], 5000), plan.t)
         reduced = dynamics.reduce(trajectory.sample_at(times), carriers_between(plan, times))
@@ -129,7 +134,7 @@ def test_one_freedom_crosses_its_singularity(tmp_path):
     )
     dynamics, path = RneaDynamics(robot), Line((1.0,), (5.0,))
     trajectory = Trajectory(path, SpeedProfile(path.length, 2.0, 0.2))
-    plan = plan_whole_trajectory(dynamics, trajectory, dt=0.04)
+    plan = plan_whole_trajectory(dynamics, trajectory, mesh=Mesh(dt=0.04))
     assert plan.status is ResultStatus.OK
     (node,) = plan.diagnostics["singular_nodes"]
     for side in (-1e-5, 1e-5):
@@ -143,7 +148,7 @@ def test_more_actuators_than_freedoms_are_judged_by_their_own_efforts(tmp_path):
     path = Line((0.25, 0.6), (0.32, 0.3))
     trajectory = Trajectory(path, SpeedProfile(path.length, 0.3, 0.2))
     dynamics = RneaDynamics(robot)
-    plan = plan_whole_trajectory(dynamics, trajectory, objective="peak", dt=0.05)
+    plan = plan_whole_trajectory(dynamics, trajectory, objective="peak", mesh=Mesh(dt=0.05))
     assert plan.status is ResultStatus.OK
     assert plan.between.passed
     reduced = dynamics.reduce(plan.motion, plan.carriers)

@@ -91,4 +91,4 @@ def test_passing_close_by_is_planned_as_carefully(objective, height):
     # the first plan is near already (7.4 for the peak at 1e-6, else 2.9 at most); 100 and more without middle nodes
     assert plan.diagnostics["dense_ratios"][0] <= 10.0
     assert plan.status is ResultStatus.OK
-    assert plan.diagnostics["dense_check"]["passed"]
+    assert plan.between.passed

@@ -10,7 +10,9 @@ import redundancy_pin.planners.optimal.nlp as solver
 import redundancy_pin.planners.optimal.solve as constraint_generation
 from redundancy_pin import CompiledDynamics, RneaDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.planners.optimal import infeasible, refine, whole_trajectory
+from redundancy_pin.planners.options import Limits, Mesh, Solver
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line
@@ -23,12 +25,12 @@ def two_optima(**settings):
     return plan_whole_trajectory(
         CompiledDynamics(zoo.robot_of("five_bar")),
         trajectory,
-        objective="peak",
-        dt=trajectory.duration / 30,
-        refinements=0,
-        acceleration=30.0,
-        speed=4.0,
-        **settings,
+        **in_groups(
+            plan_whole_trajectory,
+            dict(
+                objective="peak", dt=trajectory.duration / 30, refinements=0, acceleration=30.0, speed=4.0, **settings
+            ),
+        ),
     )
 
 
@@ -52,11 +54,15 @@ def test_limits_hold_between_the_nodes_where_they_are_met(quantity, limit, toler
     monkeypatch.setattr(solver, "TOLERANCE", tolerance)
     # steps so long that plans overshoot their limits between the nodes unless that is prevented
     plan = plan_whole_trajectory(
-        VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.6, 0.2), dt=0.04, refinements=0,
-        speed=limit if quantity == "speed" else None, track=(-limit, limit) if quantity == "track" else None,
-    )  # fmt: skip
-    assert plan.diagnostics["optimal"] is (tolerance == 1e-9)
-    assert plan.status is (ResultStatus.OK if plan.diagnostics["optimal"] else ResultStatus.NOT_CONVERGED)
+        VirtualWork(zoo.robot_of("2rpr")),
+        reference.circle(0.6, 0.2),
+        mesh=Mesh(dt=0.04, refinements=0),
+        limits=Limits(
+            speed=limit if quantity == "speed" else None, track=(-limit, limit) if quantity == "track" else None
+        ),
+    )
+    assert plan.findings.optimal is (tolerance == 1e-9)
+    assert plan.status is (ResultStatus.OK if plan.findings.optimal else ResultStatus.NOT_CONVERGED)
     c = plan.carriers
     position = PiecewisePolynomial.linear(plan.t, c.s, c.sd, c.sdd)
     least, most = (position if quantity == "track" else position.derivative()).ranges()
@@ -71,7 +77,9 @@ def test_what_progress_raises_ends_the_planning(monkeypatch):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(), dt=0.05, progress=interrupt)
+        plan_whole_trajectory(
+            VirtualWork(zoo.robot_of("2rpr")), reference.circle(), mesh=Mesh(dt=0.05), solver=Solver(progress=interrupt)
+        )
 
 
 STRATEGIES = [solver.FIRST, solver.FALLBACK, solver.WARM]
@@ -105,8 +113,11 @@ def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monke
     usual, other = None, None
     for most in (250, 3):
         monkeypatch.setitem(solver.FIRST, "ipopt.max_iter", most)
-        usual, other = other, plan_whole_trajectory(dynamics, trajectory, objective=objective, dt=0.05, refinements=0)
-    assert other.diagnostics["optimal"]
+        usual, other = (
+            other,
+            plan_whole_trajectory(dynamics, trajectory, objective=objective, mesh=Mesh(dt=0.05, refinements=0)),
+        )
+    assert other.findings.optimal
     assert other.diagnostics["cost"] == pytest.approx(usual.diagnostics["cost"], rel=SAME_COST)
     np.testing.assert_allclose(usual.tau, other.tau, atol=BOTH_BACKENDS * np.abs(other.tau).max())
 
@@ -114,10 +125,10 @@ def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monke
 def test_a_second_strategy_never_replaces_what_keeps_the_limits(monkeypatch):
     """The first strategy is stopped beside the optimum; the second, which may do next to nothing, leaves the limits."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle()
-    usual = plan_whole_trajectory(dynamics, trajectory, objective="effort_rate", dt=0.05, refinements=0)
+    usual = plan_whole_trajectory(dynamics, trajectory, objective="effort_rate", mesh=Mesh(dt=0.05, refinements=0))
     monkeypatch.setitem(solver.FIRST, "ipopt.max_iter", 9)
     monkeypatch.setitem(solver.FALLBACK, "ipopt.max_iter", 2)
-    plan = plan_whole_trajectory(dynamics, trajectory, objective="effort_rate", dt=0.05, refinements=0)
+    plan = plan_whole_trajectory(dynamics, trajectory, objective="effort_rate", mesh=Mesh(dt=0.05, refinements=0))
     assert plan.diagnostics["cost"] == pytest.approx(usual.diagnostics["cost"], rel=SAME_COST)
 
 
@@ -130,9 +141,8 @@ def test_long_plans_are_the_same_from_both_backends():
             backend(zoo.robot_of("3rrr")),
             square,
             objective="peak",
-            dt=square.duration / 1000,
-            refinements=0,
-            seconds=600.0,
+            mesh=Mesh(dt=square.duration / 1000, refinements=0),
+            solver=Solver(seconds=600.0),
         )
         for backend in (VirtualWork, RneaDynamics)
     )
@@ -159,13 +169,17 @@ class Clock:
 def test_meshes_share_the_time_and_where_it_is_over_the_last_plan_counts(monkeypatch):
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle()
     coarse, fine = (
-        plan_whole_trajectory(dynamics, trajectory, objective="peak", dt=0.05, seconds=60.0, refinements=often)
+        plan_whole_trajectory(
+            dynamics, trajectory, objective="peak", mesh=Mesh(dt=0.05, refinements=often), solver=Solver(seconds=60.0)
+        )
         for often in (0, 3)
     )
     assert fine.diagnostics["nodes"] > coarse.diagnostics["nodes"]
     assert not fine.diagnostics["out_of_time"]
     clock = Clock(monkeypatch, 70.0)
-    plan = plan_whole_trajectory(dynamics, trajectory, objective="peak", dt=0.05, seconds=60.0)
+    plan = plan_whole_trajectory(
+        dynamics, trajectory, objective="peak", mesh=Mesh(dt=0.05), solver=Solver(seconds=60.0)
+    )
     assert clock.left[0] == 60.0
     assert max(clock.left[1:], default=0.0) < 1.0
     assert plan.diagnostics["out_of_time"]
