@@ -301,7 +301,8 @@ def test_an_effort_exceeded_with_either_sign_is_one_broken_limit() -> None:
 def test_speed_and_acceleration_between_the_samples_are_judged() -> None:
     """A carrier that swings between two samples at rest on the same place: no sample shows it."""
     one = np.ones((1, 2))
-    position = PiecewisePolynomial.hermite([0.0, 1.0], (0.0 * one, 0.1 * one, -0.2 * one), (0.0 * one, -0.4 * one, one))
+    ends = (np.vstack([start * one, end * one]) for start, end in ((0.0, 0.0), (0.1, -0.4), (-0.2, 1.0)))
+    position = PiecewisePolynomial.through(np.array([0.0, 1.0]), *ends)
     looked_at = np.linspace(0.0, 1.0, 5)
     robot = zoo.robot_of("2rpr")
     fine = np.linspace(0.0, 1.0, 100_001)
