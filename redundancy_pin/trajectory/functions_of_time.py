@@ -18,9 +18,9 @@ from math import comb, factorial, perm
 import numpy as np
 from numpy.polynomial import Chebyshev, Legendre, Polynomial, chebyshev
 from numpy.typing import ArrayLike
-from scipy.interpolate import PPoly
+from scipy.interpolate import BPoly, PPoly
 
-from redundancy_pin.arrays import Array, Frozen, Side, frozen, read_only
+from redundancy_pin.arrays import Array, Frozen, IntArray, Side, frozen, read_only
 from redundancy_pin.motion import CarrierMotion
 
 DEGREE = 15
@@ -38,6 +38,9 @@ SHIFT = 1e-13
 
 JUMP = 1e-6
 """Difference at the end of a piece, relative to the largest value, from which a function jumps there."""
+
+MOST_NEWTON_STEPS, MOST_BISECTIONS = 12, 80
+"""Steps until an instant is known to rounding: by Newton's method, then in all. Bisection alone takes 53 in a piece."""
 
 STANDS_OUT = 1e-6
 """A peak counts if it exceeds both ends by this fraction; less is no peak worth a sample."""
@@ -189,31 +192,22 @@ class PiecewisePolynomial(Frozen):
         return PiecewisePolynomial(fixed, read_only((powers / width[:, :, None])[::-1].copy()))
 
     @staticmethod
-    def hermite(edges: ArrayLike, start: tuple[Array, ...], end: tuple[Array, ...]) -> PiecewisePolynomial:
-        """Return the polynomials with given values and derivatives at both ends of every piece: three make quintics.
-
-        ``edges`` (P + 1,) ends of the pieces, s; ``start``: (P, C) values, rates and so on where the pieces begin;
-        ``end``: the same where they end; it need not be where the next one begins.
-        """
-        h, degree = np.diff(np.asarray(edges))[:, None], len(start) + len(end) - 1
-
-        def control(derivatives: tuple[Array, ...], step: Array) -> list[Array]:
-            # Δʲb at an end is the derivative of order j times hʲ (D − j)!/D!
-            differences = [each * (step**j / perm(degree, j)) for j, each in enumerate(derivatives)]
-            zero = np.zeros_like(differences[0])
-            return [sum((comb(i, j) * differences[j] for j in range(i + 1)), zero) for i in range(len(derivatives))]
-
-        return PiecewisePolynomial.from_bernstein(np.stack([*control(start, h), *control(end, -h)[::-1]]), edges)
-
-    @staticmethod
     def through(t: Array, *derivatives: Array) -> PiecewisePolynomial:
         """Return the polynomials through samples: cubics of values and rates, quintics of second derivatives too.
 
         ``t`` (M,) times, s; one that occurs twice is a jump. ``derivatives``: (M, C) values, rates and so on.
         """
-        left = np.flatnonzero(np.diff(t) > 0.0)
-        start, end = (tuple(part[at] for part in derivatives) for at in (left, left + 1))
-        return PiecewisePolynomial.hermite(np.append(t[left], t[-1]), start, end)
+        left, degree = np.flatnonzero(np.diff(t) > 0.0), 2 * len(derivatives) - 1
+        h = (t[left + 1] - t[left])[:, None]
+
+        def control(at: IntArray, step: Array) -> list[Array]:
+            # Δʲb at an end is the derivative of order j times hʲ (D − j)!/D!
+            differences = [part[at] * (step**j / perm(degree, j)) for j, part in enumerate(derivatives)]
+            zero = np.zeros_like(differences[0])
+            return [sum((comb(i, j) * differences[j] for j in range(i + 1)), zero) for i in range(len(derivatives))]
+
+        bernstein = np.stack([*control(left, h), *control(left + 1, -h)[::-1]])
+        return PiecewisePolynomial.from_bernstein(bernstein, np.append(t[left], t[-1]))
 
     @staticmethod
     def taylor(t: Array, *derivatives: Array) -> PiecewisePolynomial:
@@ -311,6 +305,33 @@ class PiecewisePolynomial(Frozen):
         begins = np.concatenate(starts)
         order = np.argsort(begins)
         return PiecewisePolynomial.from_series(np.append(begins[order], edges[-1]), np.concatenate(pieces)[order])
+
+
+def first_times(curve: PPoly | BPoly, values: ArrayLike) -> Array:
+    """Return when a function with one value, which does not fall, first reaches values of any shape, s.
+
+    Newton's method, which ends at a rounding of the time; bisection where it is slow, as next to a rate of zero, or
+    leaves its bracket. Values beyond those of both ends are reached there.
+    """
+    wanted = np.asarray(values, dtype=np.float64)
+    edges, reached = curve.x, curve(curve.x)
+    piece = np.clip(np.searchsorted(reached, wanted, side="left") - 1, 0, len(edges) - 2)
+    low, high = edges[piece], edges[piece + 1]
+    before, after = reached[piece], reached[piece + 1]
+    part = np.divide(wanted - before, after - before, out=np.zeros(wanted.shape), where=after > before)
+    t = np.where(wanted >= after, high, low + (high - low) * np.clip(part, 0.0, 1.0))
+    done = (wanted <= before) | (wanted >= after)
+    for step in range(MOST_BISECTIONS):
+        if done.all():
+            break
+        miss, rate = curve(t) - wanted, curve(t, 1)
+        low, high = np.where(miss < 0.0, t, low), np.where(miss >= 0.0, t, high)
+        newton = t - np.divide(miss, rate, out=np.full(wanted.shape, np.inf), where=rate > 0.0)
+        fast = (newton >= low) & (newton <= high) & (step < MOST_NEWTON_STEPS)
+        new = np.where(done, t, np.where(fast, newton, 0.5 * (low + high)))
+        done |= np.abs(new - t) <= np.finfo(float).eps * np.abs(t)
+        t = new
+    return np.asarray(t)
 
 
 def carriers_at(position: PiecewisePolynomial, times: ArrayLike, side: Side = "right") -> CarrierMotion:

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
+from scipy.interpolate import PPoly
 
 from redundancy_pin.arrays import Array, Frozen, frozen, read_only
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.trajectory.continuous_motion import Motion
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, first_times
 
 FOR_EVER = 1e9
 """Until when the last rate holds, s."""
@@ -73,16 +73,17 @@ class TimeScaling(Frozen):
 
     def time_at(self, sigma: float) -> float:
         """Return when σ is reached, s; infinite where it never is."""
-        edges, reached = self.curve.edges, self.curve(self.curve.edges)[:, 0]
-        piece = int(np.searchsorted(reached, sigma, side="left")) - 1
-        if piece == len(edges) - 1:
-            return np.inf
-        if 0 <= piece < len(edges) - 2:
-            return float(brentq(lambda t: self.curve.at(t)[0] - sigma, edges[piece], edges[piece + 1], xtol=1e-15))
-        place = max(piece, 0)
-        rate = self.final_rate if piece > 0 else float(self.at(edges[:1])[1][0])
-        # sooner than its start σ̇ is what it is there
-        return float(edges[place] + (sigma - reached[place]) / rate) if rate > 0.0 else np.copysign(np.inf, piece)
+        edges = self.curve.edges
+        first, settled = self.curve(edges[[0, -2]])[:, 0].tolist()
+        if first < sigma <= settled:
+            return float(first_times(PPoly(self.curve.coefficients[:, :, 0], self.curve.edges), sigma))
+        # outside σ̇ is constant: what it is at the start, and its last value
+        place, reached, rate = (
+            (edges[0], first, float(self.at(edges[:1])[1][0]))
+            if sigma <= first
+            else (edges[-2], settled, self.final_rate)
+        )
+        return float(place + (sigma - reached) / rate) if rate > 0.0 else float(np.copysign(np.inf, sigma - reached))
 
     def changed(self, t: float, rate: float, duration: float, since: float = -np.inf) -> TimeScaling:
         """Return the same up to a time, s, after which σ̇ goes over to another rate within a duration, s.

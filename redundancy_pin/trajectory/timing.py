@@ -9,11 +9,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import BPoly, PchipInterpolator, PPoly
-from scipy.optimize import brentq
 
 from redundancy_pin.arrays import ROUNDING, Array, Frozen, Side, assign, checked, frozen, inside, one_of, positive
 from redundancy_pin.errors import InputError
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, first_times
 
 
 def boundary_polynomial(
@@ -145,17 +144,7 @@ class TimingLaw(Frozen):
         Raises:
             InputError: p outside [0, length].
         """
-        place = float(inside(p, 0.0, self.length, "p", "m"))
-        edges, reached = self.curve.x, self.curve.c[0]  # where each piece begins
-        k = max(int(np.searchsorted(reached, place, side="right")) - 1, 0)
-        a, b = float(edges[k]), float(edges[k + 1])
-
-        def beyond(t: float) -> float:
-            return float(self.curve(t)) - place
-
-        if beyond(a) >= 0.0 or beyond(b) <= 0.0:
-            return a if beyond(a) >= 0.0 else b
-        return float(brentq(beyond, a, b, xtol=1e-300, rtol=4.0 * np.finfo(float).eps))
+        return float(first_times(self.curve, inside(p, 0.0, self.length, "p", "m")))
 
     def scaled(self, factor: float) -> TimingLaw:
         """Return the same law run ``factor`` times as fast: p(factor · t).

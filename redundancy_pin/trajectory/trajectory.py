@@ -23,6 +23,7 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.trajectory.functions_of_time import first_times
 from redundancy_pin.trajectory.paths import Path
 from redundancy_pin.trajectory.timing import TimingLaw
 
@@ -133,7 +134,7 @@ class Trajectory(Frozen):
                 timing_length=timing.length,
             )
         lengths = frozen(path.breaks)
-        instants = frozen([timing.time_at(min(float(p), timing.length)) for p in lengths])
+        instants = frozen(first_times(timing.curve, lengths))
         change = path.evaluate(lengths, "right").curvature - path.evaluate(lengths, "left").curvature
         jump = np.abs(change).max(axis=1, initial=0.0) * timing.evaluate(instants).pd ** 2
         assign(self, path=path, timing=timing, breaks=frozen(instants[jump > 0.0]), ends=ends)
@@ -157,7 +158,7 @@ class Trajectory(Frozen):
     @property
     def knots(self) -> Array:
         """(c,) inner times at which the jerk may jump, and those near a cusp of the path, where little is smooth, s."""
-        along = np.array([self.timing.time_at(float(p)) for p in getattr(self.path, "knots", ())])
+        along = first_times(self.timing.curve, getattr(self.path, "knots", ()))
         apart = np.diff(along, prepend=0.0) > LEAST_KNOT_DISTANCE * self.duration
         return frozen(np.union1d(self.timing.knots, along[apart]))
 

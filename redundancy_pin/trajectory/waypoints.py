@@ -13,7 +13,7 @@ from scipy.interpolate import BSpline, CubicSpline, PPoly, make_interp_spline
 from redundancy_pin.arrays import ROUNDING, Array, Frozen, assign, checked, frozen, positive
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.motion import SIX_DIGITS
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times, first_times
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line, Path, PathPoint, SmoothPath, straight_pieces
 from redundancy_pin.trajectory.quaternions import (
     HALF_TURN_MARGIN,
@@ -182,10 +182,6 @@ to rounding (1e-15, measured)."""
 _LEAST_RATE = 1e-4
 """|r'| below which the path counts as turning on the spot. It is about 1 elsewhere, for u is the distance between
 points; where it falls to this the radius of curvature is about 1e-8 of that distance."""
-_INVERSION_TOLERANCE = 1e-14
-"""Arc length, relative to the whole, to which p is met: fifty roundings."""
-_MOST_STEPS = 60
-"""Bisection alone would halve a piece to its last bit in fewer; Newton takes about four."""
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -194,8 +190,8 @@ class SplinePath(Frozen, SmoothPath):
 
     The spline r(u) takes the distance between points as its parameter; its second derivative is continuous,
     so the path has no breaks. With r' its derivative by u and e = r'/|r'|:
-    x' = e, x'' = (r'' − (r''·e) e)/|r'|². The arc length is the integral of a fit of |r'| in polynomials, inverted by
-    Newton steps, both to rounding.
+    x' = e, x'' = (r'' − (r''·e) e)/|r'|². The arc length is the integral of a fit of |r'| in polynomials, and is
+    inverted, both to rounding.
 
     Attributes:
         points: (N, n) the points, m.
@@ -246,27 +242,12 @@ class SplinePath(Frozen, SmoothPath):
         return frozen(self._arc(self._arc.x[1:-1]))
 
     def _at(self, p: Array) -> PathPoint:
-        u = self._parameter(p)
+        u = first_times(self._arc, p)
         first, second = self._spline(u, 1), self._spline(u, 2)
         speed = np.linalg.norm(first, axis=-1, keepdims=True)
         tangent = first / speed
         normal = second - np.sum(second * tangent, axis=-1, keepdims=True) * tangent
         return PathPoint(self._spline(u), tangent, normal / speed**2)
-
-    def _parameter(self, p: Array) -> Array:
-        """Return the spline parameter u at arc lengths p: Newton steps, or bisection where one leaves its bracket."""
-        edges, reached = self._arc.x, self._arc.c[-1]  # where each piece begins
-        piece = np.clip(np.searchsorted(reached, p, side="right") - 1, 0, len(edges) - 2)
-        low, high = edges[piece], edges[piece + 1]
-        u = low + (high - low) * (p - reached[piece]) / (np.append(reached, self.length)[piece + 1] - reached[piece])
-        for _ in range(_MOST_STEPS):
-            miss = self._arc(u) - p
-            if np.abs(miss).max(initial=0.0) <= _INVERSION_TOLERANCE * self.length:
-                break
-            low, high = np.where(miss < 0.0, u, low), np.where(miss > 0.0, u, high)
-            newton = u - miss / np.linalg.norm(self._spline(u, 1), axis=-1)
-            u = np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
-        return np.asarray(u)
 
 
 def through_points(points: ArrayLike, *, closed: bool = False) -> SplinePath:
