@@ -416,6 +416,17 @@ def test_one_sample_calls_have_the_same_statuses_in_all_units(choice: tuple[floa
         met.add(want.status)
     expected = (SampleStatus.OK, SampleStatus.NEAR_SINGULAR, SampleStatus.TYPE_II, SampleStatus.UNREACHABLE)
     assert met.issuperset(expected)
+    plain = rp.load_robot("five_bar", carriers=False)
+    far = []
+    for robot, length in ((plain, 1.0), (scaled_robot(plain, units), L)):
+        dynamics, still = rp.CompiledDynamics(robot), np.zeros(2)
+        home = follower(robot).home.x
+        assert dynamics.torque(home, still, still).status is SampleStatus.OK
+        refused = dynamics.torque(home + 3.0 * length, still, still)
+        assert refused.status is SampleStatus.UNREACHABLE
+        far.append(refused.residual / length)
+    assert far[1] == pytest.approx(far[0], rel=1e-6)
+    assert far[0] > 0.1
 
 
 @pytest.mark.parametrize("length", [2.0**-10, 2.0**10])
