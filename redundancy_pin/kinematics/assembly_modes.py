@@ -24,10 +24,10 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.lookup import find_link_index
 
-_STARTS, _IN_VAIN = 128, 512
+_STARTS, _MOST_FAILED = 128, 512
 """Random starts of a round, and of all where none closes."""
 
-_SEEN, _OFTEN = 1e-3, 6
+_UNSEEN_CHANCE, _MEAN_HITS = 1e-3, 6
 """Random starts go on until one more has a chance below the first of finding a mode that none has found, and each mode
 was found as often as the second on average: one that is half as likely as the mean is missed with chance e⁻³."""
 
@@ -84,7 +84,7 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
     rng, length = np.random.default_rng(SEED), robot.characteristic_length
     q, keys, hits = np.zeros((0, robot.model.nq)), np.zeros((0, len(_frames(robot, reference)))), np.zeros(0, np.intp)
     residual, starts = np.inf, 0
-    while starts < (most_starts if len(q) else min(most_starts, _IN_VAIN)):
+    while starts < (most_starts if len(q) else min(most_starts, _MOST_FAILED)):
         guess = draw_starts(motors, reference, _STARTS, rng)
         if not starts:
             guess[0] = reference
@@ -98,7 +98,7 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
                 hits[same[0]] += 1
             else:
                 q, keys, hits = np.vstack([q, one]), np.vstack([keys, key]), np.append(hits, 1)
-        if (hits == 1).sum() < _SEEN * hits.sum() and hits.mean() >= _OFTEN:
+        if (hits == 1).sum() < _UNSEEN_CHANCE * hits.sum() and hits.mean() >= _MEAN_HITS:
             break
     if not len(q):
         raise UnreachablePoseError(

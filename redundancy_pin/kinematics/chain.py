@@ -118,19 +118,11 @@ class ClosedChain(TreePlacement):
         """Return J̇_c v (r,)."""
         return self.full_bias()[: self.rows]
 
-    def jacobian_rate(self) -> Array:
-        """Return J̇_c (r, nv)."""
-        return self.full_rate()[: self.rows]
-
     # --- platform ----------------------------------------------------------------------------------------------------
 
     def platform_jacobian(self) -> Array:
         """Return J_x (n, nv): rows of the platform twist, world-aligned at its origin, or unit rows of joints."""
         return self.full_jacobian()[self.rows :]
-
-    def platform_jacobian_rate(self) -> Array:
-        """Return J̇_x (n, nv)."""
-        return self.full_rate()[self.rows :]
 
     def placement(self, frame: str) -> tuple[Array, Array]:
         """Return rotation (3, 3) and origin (3,), m, of a link by its name: views, which change with the state."""

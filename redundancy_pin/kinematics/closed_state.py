@@ -50,7 +50,8 @@ ROUNDING = 1e-7
 the largest inverse margin, 1e4, that is not treated as a rank loss."""
 
 _HELPED = 3.0
-"""Ratio of margins beyond which dependent rows take the place of independent ones that lose rank."""
+"""Ratio of margins, no unit, beyond which all rows take the place of independent ones that come near a loss of rank. At
+the loss itself ``closure.dependent_rows_restore_rank`` decides."""
 
 _NEWTON_STEPS = 10
 """Most steps of Newton's method, which doubles the correct digits: from 0.1 to rounding it takes five."""

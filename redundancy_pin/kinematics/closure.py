@@ -57,8 +57,9 @@ from redundancy_pin.robot.lookup import find_joint, find_link_index
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
 
 _FULL = 1e3
-"""Ratio of the smallest singular values of all rows and of those that count: at a loss of both they are alike, and the
-place of one of the latter alone is known to 1e-6 and better."""
+"""Ratio of the smallest singular values of all rows and of the independent ones, no unit, beyond which the dependent
+rows restore rank. Where all rows lose rank the two are alike; a place where the independent ones alone lose it is known
+to 1e-6 and better."""
 
 _ORIGIN = 3
 """Column of a frame's origin, behind its three axes."""

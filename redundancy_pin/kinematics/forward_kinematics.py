@@ -48,8 +48,8 @@ from redundancy_pin.robot.scales import turning_velocities, velocity_unit
 from redundancy_pin.robot.whole_turns import FARTHEST, TURN, are_too_many_turns_away, counted_turns
 from redundancy_pin.status import SampleStatus, solved_status
 
-_WEAKER = 0.5
-"""Part of the margin at which redundant motors began to be followed, below which others are looked for."""
+_WEAKENED = 0.5
+"""Part of the margin at which redundant motors began to be followed, no unit: below it others are looked for."""
 
 _MOST_TURNS = 100
 """Whole turns of several motors between samples, which are followed one by one: a few seconds."""
@@ -141,7 +141,7 @@ def forward_kinematics(
     segments, followed = [], followed_motors(system, q0)
     while True:
         segment = _follow(system, (u, ud, udd), q0, followed)
-        kept, others = _handed_over(system, segment, followed)
+        kept, others = _switch_motors(system, segment, followed)
         segments.append([getattr(segment, field.name)[:kept] for field in fields(segment)[1:]])
         if others is None:
             return ForwardKinematics(
@@ -151,7 +151,7 @@ def forward_kinematics(
         u, ud, udd = u[kept:], ud[kept:], udd[kept:]
 
 
-def _handed_over(
+def _switch_motors(
     system: ConstraintSystem, segment: ForwardKinematics, followed: IntArray
 ) -> tuple[int, IntArray | None]:
     """Return how many samples of a segment count, and which motors are followed behind them; None for no others.
@@ -162,7 +162,7 @@ def _handed_over(
     reference = segment.margin[:1]
     good = int(np.argmin(np.append(segment.known, False)))
     for i in range(min(good, len(segment) - 1)) if system.robot.m > system.robot.n else ():
-        if segment.margin[i] < _WEAKER * reference[0] or i == good - 1:
+        if segment.margin[i] < _WEAKENED * reference[0] or i == good - 1:
             others = followed_motors(system, segment.q[i])
             if not np.array_equal(others, followed):
                 return i + 1, others
@@ -193,7 +193,7 @@ def _follow(
         part[end:] = np.nan
     if end < len(u):
         rest = q[end:], status[end:], residual[end:], margin[end:]
-        _judge_rest(constraint_system(driven), path[0][end:], tree.q[end], rest)
+        _mark_rest(constraint_system(driven), path[0][end:], tree.q[end], rest)
     x = _platform_at(system, q)
     xd, xdd = platform_rates(robot, q, v, a)
     J = np.full((len(u), robot.n, robot.m), np.nan)
@@ -250,7 +250,7 @@ def motor_mismatch(system: ConstraintSystem, followed: IntArray, u: Array, q: Ar
     return worst * robot.characteristic_length
 
 
-def _judge_rest(motors: ConstraintSystem, u: Array, last: Array, rest: tuple[Array, IntArray, Array, Array]) -> None:
+def _mark_rest(motors: ConstraintSystem, u: Array, last: Array, rest: tuple[Array, IntArray, Array, Array]) -> None:
     """Write q, status, residual and margin of samples beyond the end of the branch, ``last`` (nq,), at u[0]."""
     far = are_too_many_turns_away(motors.robot, u[0], u[1:])
     solved = assemble(motors, np.repeat(last[None], len(far), axis=0), u[1:])

@@ -139,12 +139,12 @@ def test_rows_and_their_rates_are_differentials(robot: Robot) -> None:
 
         np.testing.assert_allclose(placed(0.0).residual(), expected[k], atol=1e-13)
         np.testing.assert_allclose(chain.jacobian(), state.Jc[k], atol=1e-13)
-        np.testing.assert_allclose(chain.jacobian_rate() @ v[k], chain.bias(), atol=1e-13)
+        np.testing.assert_allclose(chain.full_rate()[: chain.rows] @ v[k], chain.bias(), atol=1e-13)
         rates = chain.placed.time_derivatives(chain.J, chain.dJ, np.zeros_like(chain.J), v[k], a[k])
         rates = [part[: chain.rows] for part in rates]
         np.testing.assert_allclose(rates[0], state.Jc[k], atol=1e-13)
         np.testing.assert_allclose(rates[1], quotient(lambda h: placed(h).jacobian()), atol=1e-8)
-        np.testing.assert_allclose(rates[2], quotient(lambda h: placed(h).jacobian_rate()), atol=1e-8)
+        np.testing.assert_allclose(rates[2], quotient(lambda h: placed(h).full_rate()[: chain.rows]), atol=1e-8)
         np.testing.assert_allclose(state.Jc[k] @ v[k], quotient(lambda h: placed(h).residual()), atol=1e-8)
 
 

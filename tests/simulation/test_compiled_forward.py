@@ -104,7 +104,7 @@ def test_accelerations_are_those_that_hand_coded_virtual_work_asks_these_efforts
         assert evaluated is not None
         a = evaluated.a
         state.chain.update(state.q, state.v)
-        xdd = state.chain.platform_jacobian() @ a + state.chain.platform_jacobian_rate() @ state.v
+        xdd = state.chain.platform_jacobian() @ a + state.chain.full_rate()[state.chain.rows :] @ state.v
         motion = rp.PlatformMotion([0.0], [state.x], [state.xd], [xdd])
         r = manual.reduce(motion, rp.CarrierMotion([state.s], [state.sd], [a[robot.carrier_velocity]]))
         size = np.abs(r.f).max()

@@ -58,7 +58,7 @@ class Nearby:
         a = self.dynamics.acceleration(state.q, state.v, force)
         chain = ClosedChain(self.robot)
         chain.update(state.q, state.v)
-        second = chain.platform_jacobian() @ a + chain.platform_jacobian_rate() @ state.v
+        second = chain.platform_jacobian() @ a + chain.full_rate()[chain.rows :] @ state.v
         return np.concatenate([second, a[self.robot.carrier_velocity]])
 
 

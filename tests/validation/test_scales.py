@@ -390,6 +390,61 @@ def test_slides_that_are_long_in_metres_are_followed_as_short_ones() -> None:
         np.testing.assert_array_equal(got.reachable, want.reachable)
 
 
+@pytest.mark.parametrize("choice", [(1e-3, 1e-9, 1.0), (1e3, 1e9, 1.0)])
+def test_one_sample_calls_have_the_same_statuses_in_all_units(choice: tuple[float, float, float]) -> None:
+    """A 2-RPR in mm and in km: regular, near and on the line between its base hinges, across it, and out of reach."""
+    units, plain = Units(*choice), rp.load_robot("2rpr", end_effector_mass=0.5)
+    robot, L = scaled_robot(plain, units), units.length
+    one, other = rp.CompiledDynamics(plain), rp.CompiledDynamics(robot)
+    xd, xdd = np.array([0.1, 0.2]), np.array([1.0, -2.0])
+    heights, met = (0.3, 1e-4, 0.0, -0.3), set()
+    for x in [np.array([0.2, height]) for height in heights]:
+        want = one.torque(x, xd, xdd, start=plain.q_reference)
+        got = other.torque(L * x, L * xd, L * xdd, start=robot.q_reference)
+        assert got.status is want.status
+        np.testing.assert_allclose(got.tau / effort_units(plain, units), want.tau, rtol=1e-6)
+        np.testing.assert_allclose(got.margin, want.margin, rtol=1e-9, atol=1e-12)
+        met.add(want.status)
+    bases = np.array([[0.0, 0.0], [plain.parameters["base_distance"], 0.0]])
+    for legs in [*(np.linalg.norm([0.2, height] - bases, axis=1) for height in heights[:3]), np.array([0.05, 0.05])]:
+        want = one.joint_state(legs, start=plain.q_reference)
+        got = other.joint_state(L * legs, start=robot.q_reference)
+        assert got.status is want.status
+        np.testing.assert_allclose(got.x / L, want.x, atol=1e-9)
+        if not want.status.solved:
+            np.testing.assert_allclose(got.residual / L, want.residual, rtol=1e-3, atol=1e-9)
+        met.add(want.status)
+    expected = (SampleStatus.OK, SampleStatus.NEAR_SINGULAR, SampleStatus.TYPE_II, SampleStatus.UNREACHABLE)
+    assert met.issuperset(expected)
+    plain = rp.load_robot("five_bar", carriers=False)
+    far = []
+    for robot, length in ((plain, 1.0), (scaled_robot(plain, units), L)):
+        dynamics, still = rp.CompiledDynamics(robot), np.zeros(2)
+        home = follower(robot).home.x
+        assert dynamics.torque(home, still, still).status is SampleStatus.OK
+        refused = dynamics.torque(home + 3.0 * length, still, still)
+        assert refused.status is SampleStatus.UNREACHABLE
+        far.append(refused.residual / length)
+    assert far[1] == pytest.approx(far[0], rel=1e-6)
+    assert far[0] > 0.1
+
+
+@pytest.mark.parametrize("length", [2.0**-10, 2.0**10])
+def test_configurations_that_are_open_by_noise_have_states_in_all_units(length: float) -> None:
+    plain = rp.load_robot("2rpr")
+    robot, unit = scaled_robot(plain, Units(length=length)), np.where(turning_velocities(plain), 1.0, length)
+    noise = np.random.default_rng(7).normal(size=(60, plain.model.nq)) * np.geomspace(1e-3, 1.0, 60)[:, None]
+    found = 0
+    for q in plain.q_reference + noise * position_unit(plain):
+        want, got = follower(plain).state_at(q), follower(robot).state_at(q * unit)
+        assert (got is None) == (want is None)
+        if got is not None and want is not None:
+            found += 1
+            np.testing.assert_allclose(got.q / unit, want.q, atol=1e-9)
+            assert got.margin == pytest.approx(want.margin, rel=1e-9)
+    assert 10 < found < 50
+
+
 # --- the sizes themselves -------------------------------------------------------------------------------------------
 
 
