@@ -13,8 +13,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, checked, require_type
-from redundancy_pin.errors import InputError, did_you_mean, shown
-from redundancy_pin.robot.formats.urdf_parts import DRAKE
+from redundancy_pin.errors import InputError, one_of, shown
+from redundancy_pin.robot.formats.xml_files import DRAKE
 from redundancy_pin.robot.joint_ranges import ROUNDING
 from redundancy_pin.robot.lookup import find_joint, find_link
 from redundancy_pin.robot.types import Robot
@@ -59,7 +59,7 @@ def _named(name: str, known: Mapping[str, Any], what: str, hint: str = "") -> An
     if name not in known:
         raise InputError(
             f"The robot has no {what} {shown(name)}.",
-            remedy=f"{hint or did_you_mean(name, known)}It has: {', '.join(known)}.",
+            remedy=f"{hint}{one_of(name, known)}",
             name=name,
         )
     return known[name]
@@ -213,7 +213,7 @@ def _limit(joint: pin.JointModel, name: str, key: str, value: Any, *, carries: b
     if key not in known:
         raise InputError(
             f"The joint {name!r} has no limit {shown(key)}.",
-            remedy=f"{did_you_mean(key, known)}It has: {', '.join(known)}.",
+            remedy=one_of(key, known),
             name=key,
         )
     if joint.nv != 1 or (joint.nq != 1 and key in ("lower", "upper")):
