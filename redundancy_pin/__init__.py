@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from redundancy_pin.kinematics.assembly_modes import assembly_modes
     from redundancy_pin.kinematics.forward_kinematics import forward_kinematics
     from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-    from redundancy_pin.loading import load_robot, robot_from_model, with_parameters
+    from redundancy_pin.loading import load_robot, robot_from_model, with_limits, with_parameters
     from redundancy_pin.motion import CarrierMotion, PlatformMotion
     from redundancy_pin.planners.check import check_plan
     from redundancy_pin.planners.optimal.time_optimal import plan_time_optimal
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from redundancy_pin.planners.stepwise.planner import plan_stepwise
     from redundancy_pin.planners.switch_off.planner import plan_switch_off
     from redundancy_pin.robot import Robot
-    from redundancy_pin.robot.changes import with_limits
     from redundancy_pin.robot.loads import JointForces, Payload, Spring, Wrench
     from redundancy_pin.simulation import simulate
     from redundancy_pin.singularities.classify import classify, classify_motion
@@ -63,7 +62,7 @@ _PLACES = {
         "kinematics.assembly_modes": "assembly_modes",
         "kinematics.forward_kinematics": "forward_kinematics",
         "kinematics.inverse_kinematics": "inverse_kinematics",
-        "loading": "load_robot robot_from_model with_parameters",
+        "loading": "load_robot robot_from_model with_limits with_parameters",
         "motion": "CarrierMotion PlatformMotion",
         "planners.check": "check_plan",
         "planners.options": "Limits Mesh Objective Solver",
@@ -74,7 +73,6 @@ _PLACES = {
         "planners.optimal.time_optimal": "plan_time_optimal",
         "planners.optimal.whole_trajectory": "plan_whole_trajectory",
         "robot": "Robot",
-        "robot.changes": "with_limits",
         "robot.loads": "JointForces Payload Spring Wrench",
         "simulation": "simulate",
         "singularities.classify": "classify classify_motion",

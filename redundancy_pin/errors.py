@@ -84,6 +84,12 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     return f"Did you mean {shown(close[0])}? " if close else ""
 
 
+def one_of(name: object, known: Iterable[str], what: str = "It has") -> str:
+    """Return the remedy for a name that is not among the known ones: the nearest, and all of them."""
+    known = tuple(known)
+    return f"{did_you_mean(name, known)}{what}: {', '.join(known) or 'none'}."
+
+
 _TIMES_THE_SIZE, _LARGE = 20.0, 50.0
 """A length that is so many sizes of a machine, and a machine of so many metres, are probably in millimetres."""
 

@@ -56,6 +56,7 @@ ROBOTS: dict[str, Callable[[Any], Any]] = {
     "classify": lambda robot: rp.classify(robot, rp.load_robot("2rpr").q_reference).parallel_margin,
     "find_crossings": lambda robot: [crossing.t for crossing in rp.find_crossings(robot, CIRCLE)],
     "singular_locus": lambda robot: rp.singular_locus(robot, resolution=6).points,
+    "with_limits": lambda robot: rp.with_limits(robot, speed=1.0).q_reference,
     "simulate": lambda robot: rp.simulate(robot, duration=0.01).q,
     "motion_reference": lambda robot: motion_reference(robot, reference.line().sample(times=[0.0, 0.1])).at(0.1).q,
 }
@@ -109,7 +110,6 @@ OTHERS: dict[str, Callable[[Any, Robot, Plan], Any]] = {
     "Trajectory, timing": lambda wrong, robot, plan: Trajectory(CIRCLE.path, wrong),
     "simulate, drive": lambda wrong, robot, plan: rp.simulate(robot, wrong, duration=0.01),
     "show": lambda wrong, robot, plan: rp.show(wrong),
-    "with_limits": lambda wrong, robot, plan: rp.with_limits(wrong, speed=1.0),
 }
 
 

@@ -81,7 +81,11 @@ def test_sources_that_are_no_robot(source: Any, message: str, tmp_path: Path) ->
         ("robot.yaml", "<!DOCTYPE html><html/>", "is an XML file with <html> on top.*Convert it"),
         ("robot.yaml", "<!-- never closed", "is an XML file"),
         ("robot.yaml", "<?a?>" * 200_000 + "<", "is an XML file"),
-        ("bar.urdf", '<mujoco model="a"/>', "<mujoco>, not <robot>: it is an MJCF model of MuJoCo.*Convert it"),
+        (
+            "bar.urdf",
+            '<mujoco model="a"/>',
+            "<mujoco>, not <robot>: it is an MJCF model of MuJoCo.*call it",
+        ),
         ("bar.urdf", "", r"bar\.urdf"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ import click
 
 from redundancy_pin.arrays import decimal
 from redundancy_pin.cli.errors import BAD_INPUT, printable
-from redundancy_pin.cli.options import json_option, trust_option, untrusted_option
+from redundancy_pin.cli.options import json_option, settings_option, trust_option, untrusted_option
 from redundancy_pin.cli.output import report, warning
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import require_writable, write_text
@@ -42,19 +43,24 @@ def _positions(context: click.Context, option: click.Parameter, text: str | None
 )
 @click.option("--open", "is_open", is_flag=True, help="Close no loops but those that are stated or named here.")
 @click.option("--actuate", metavar="A,B,...", callback=_names, help="Joints that are driven.")
+@click.option("--carrier", "carriers", metavar="A,B,...", callback=_names, help="Joints of masses that balance.")
 @click.option("--independent", metavar="A,B,...", callback=_names, help="Independent joints.  [default: chosen]")
 @click.option("--guess", metavar="A=VALUE,...", callback=_positions, help="Where joints are near the reference.")
+@settings_option("--set", "settings", "Argument of the file, such as base=free; may be repeated.")
 @click.option("--out", metavar="FILE", help="What to write.  [default: robot.yaml beside the model]")
 @trust_option
 @untrusted_option
 @json_option
-def new(path: str, out: str | None, trust: bool, untrusted: bool, as_json: bool, **decided: Any) -> int:
+def new(
+    path: str, out: str | None, settings: dict[str, Any], trust: bool, untrusted: bool, as_json: bool, **decided: Any
+) -> int:
     r"""Write a robot.yaml for a model file.
 
     The file may be a URDF, xacro, MJCF, SDF, or a robot.yaml of example-parallel-robots. The loops and motors that it
     states are listed, and those that names and places tell without doubt. Everything else is a question, with the flags
     that answer it; the robot.yaml does not load before they are answered, and the exit code is 2. Without KIND, --close
-    is a ball where a hinge would be the same.
+    is a ball where a hinge would be the same. Arguments of the file (--set) are not part of the robot.yaml, which says
+    so: they are given whenever it is loaded.
 
     \b
     Example:
@@ -70,12 +76,13 @@ def new(path: str, out: str | None, trust: bool, untrusted: bool, as_json: bool,
         raise InputError(f"{target} is there already.", remedy="Pass --out, or move it away.", path=str(target))
     if not is_urdf(source) and source.exists() and not is_model_file(source):
         raise InputError(f"{path} is no model of a robot.", remedy="Pass a URDF, xacro, MJCF or SDF file.")
-    proposal, robot = propose_robot(source, trust=trust, untrusted=untrusted, **decided)
+    proposal, robot = propose_robot(source, settings, trust=trust, untrusted=untrusted, **decided)
     place = source.name if target.resolve().parent == source.resolve().parent else str(source.resolve())
-    write_text(target, _declaration(proposal, robot, place, is_near_guess=is_urdf(source) or bool(decided["guess"])))
+    is_near_guess = is_urdf(source) or bool(decided["guess"])
+    write_text(target, _declaration(proposal, robot, place, settings, is_near_guess=is_near_guess))
     mechanism, notes, outcome = proposal.mechanism, proposal.mechanism.notes, "it loads when all is decided"
     if robot and not proposal.questions:
-        loaded = load_with(target, {}, trust=trust, untrusted=untrusted)
+        loaded = load_with(target, settings, trust=trust, untrusted=untrusted)
         notes = (*loaded.notes, *filter(None, [too_few_motors(loaded)]))
         outcome = f"n = {loaded.n}, m = {loaded.m}"
     facts = {
@@ -85,6 +92,7 @@ def new(path: str, out: str | None, trust: bool, untrusted: bool, as_json: bool,
         "frames": proposal.frames,
         "actuated": mechanism.actuated if proposal.motors else [],
         "motors": proposal.motors,
+        "carriers": mechanism.carriers,
         "independent": robot.independent_joints if robot else [],
         "notes": notes,
         "undecided": proposal.questions,
@@ -101,7 +109,9 @@ def _is_undecided(path: Path) -> bool:
     return text.startswith(_FIRST_LINE) and "\nundecided:\n" in text
 
 
-def _declaration(proposal: Proposal, robot: Robot | None, path: str, *, is_near_guess: bool) -> str:
+def _declaration(
+    proposal: Proposal, robot: Robot | None, path: str, settings: Mapping[str, Any], *, is_near_guess: bool
+) -> str:
     """Return the text of the declaration; what is not certain is left out, or a question under ``undecided``.
 
     ``is_near_guess``: the reference is near a guess, and not where the file starts.
@@ -114,7 +124,8 @@ def _declaration(proposal: Proposal, robot: Robot | None, path: str, *, is_near_
 
     positions, independent = {}, list[str]()
     if robot and is_near_guess:
-        positions = {name: round(value, 9) for name, value in reference_positions(robot).items()}
+        at = reference_positions(robot)
+        positions = {name: round(value, 9) for name, value in at.items() if name not in robot.carriers}
     if robot:
         independent = list(robot.independent_joints)
     if proposal.questions or not set(independent) <= {*joint_names(proposal.mechanism.model)}:
@@ -122,6 +133,15 @@ def _declaration(proposal: Proposal, robot: Robot | None, path: str, *, is_near_
     environment = jinja2.Environment(loader=jinja2.PackageLoader("redundancy_pin.cli", ""), trim_blocks=True)
     environment.filters["quoted"] = lambda value: json.dumps(value, ensure_ascii=False)
     environment.filters["printable"] = printable
-    given = {"path": path, "is_urdf": is_urdf(Path(path)), "positions": positions, "independent": independent}
+    arguments = " ".join(
+        f"--set {name}={str(value).lower() if value in (True, False) else value}" for name, value in settings.items()
+    )
+    given = {
+        "arguments": arguments,
+        "path": path,
+        "is_urdf": is_urdf(Path(path)),
+        "positions": positions,
+        "independent": independent,
+    }
     text: str = environment.get_template("robot.yaml.j2").render(proposal=proposal, **given)
     return text + "\n"

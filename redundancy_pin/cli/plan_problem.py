@@ -448,7 +448,7 @@ def _motion(data: Mapping[str, Any], path: Path, robot: Robot) -> tuple[Platform
             raise InputError(f"check_rates is {shown(check)}.", remedy="Write true or false.", key="check_rates")
         chosen = options.MotionOptions(str(path.parent / word("motion", data["motion"])), check)
         return chosen.follow("A plan", robot), chosen.described
-    given = dict(_mapping(data["trajectory"], "trajectory"))
+    given = dict(_mapping(data["trajectory"], "trajectory", "{name: circle, speed: 0.6}, or {name: points.csv}"))
     if "name" not in given:
         raise InputError("The trajectory lacks the key 'name'.", remedy="Write {name: circle, speed: 0.6}.")
     name = given.pop("name")
@@ -487,7 +487,7 @@ def _baseline(given: Mapping[str, Any], data: Mapping[str, Any], folder: Path) -
     return _robot({**own, **given, "set": settings}, folder)
 
 
-def _mapping(value: object, name: str) -> Mapping[str, Any]:
+def _mapping(value: object, name: str, form: str = "{key: value}") -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise InputError(f"{name} is {shown(value)}, not a mapping.", remedy=f"Write {name}: {{key: value}}.", key=name)
+        raise InputError(f"{name} is {shown(value)}, not a mapping.", remedy=f"Write {name}: {form}.", key=name)
     return value

@@ -19,7 +19,7 @@ from redundancy_pin.robot.checks import too_few_motors
 from redundancy_pin.robot.declaration import read_declaration, require_conditions
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
 from redundancy_pin.robot.formats.urdf import WITHOUT_INERTIAL
-from redundancy_pin.robot.model_files import is_model_file, is_urdf, open_model
+from redundancy_pin.robot.model_files import is_model_file, open_model
 from redundancy_pin.robot.propose import propose
 from redundancy_pin.robot.urdf import declaration_path, is_shipped, known_values
 
@@ -144,14 +144,15 @@ def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
     """Load a mechanism with what a declaration adds to it, or without one."""
     opened = OpenedModel(request.path, data, gravity=request.gravity, working_mode=request.working_mode)
     file = opened.file
-    if data and is_urdf(file):
+    if data and file.suffix.lower() == ".xacro":
         # before xacro runs, which would make a cryptic error of a length that is negative
         require_conditions(data, known_values(file, request.arguments))
     parameters, read = open_model(file, request.arguments, trust=request.trust, untrusted=request.untrusted)
     require_conditions(data, parameters)
     opened = replace(opened, parameters=parameters)
     if data:
-        robot = opened.robot(read(opened.declaration().joint_types if data.get("joint_types") else {}))
+        kinds = opened.declaration().joint_types if data.get("joint_types") else {}
+        robot = opened.robot(read(kinds, opened.named))
     else:
         proposal = propose(read(None))
         require_decided(proposal, file)

@@ -187,6 +187,15 @@ class OpenedModel:
         """The declaration, with defaults for what may be left out."""
         return {"name": self.path.resolve().parent.name, "reference": {}, **self.data}
 
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The joints that the declaration drives or has as independent ones."""
+        roles = (
+            self.data.get("actuated"),
+            of.get("joints") if isinstance(of := self.data.get("independent"), dict) else (),
+        )
+        return tuple(str(name) for names in roles if isinstance(names, list) for name in names)
+
     def declaration(self) -> Declaration:
         """Return the declaration, checked."""
         return parse(self.complete_data, self.parameters)
@@ -208,6 +217,8 @@ class OpenedModel:
     def _build(self, mechanism: Mechanism) -> Robot:
         """Return the robot, its roles those of the declaration, otherwise those of the file."""
         given = self.complete_data if self.data else {"name": mechanism.name, "reference": {}}
+        if mechanism.carriers:
+            given = {"carriers": [{"joint": name} for name in mechanism.carriers], **given}
         if mechanism.independent:
             given = {"independent": {"joints": list(mechanism.independent)}, **given}
         given = {"urdf": self.file.name, "actuated": list(mechanism.actuated), **given}

@@ -15,7 +15,8 @@ from redundancy_pin.errors import InputError, shown
 from redundancy_pin.loading.mechanism import build_robot, warn_once
 from redundancy_pin.robot import Closure, Coupling, Platform, Robot
 from redundancy_pin.robot.checks import too_few_motors
-from redundancy_pin.robot.formats.mechanism import NO_MOMENT, Mechanism
+from redundancy_pin.robot.formats.mechanism import Mechanism
+from redundancy_pin.robot.inertia import negative_inertia
 from redundancy_pin.robot.lookup import has_link
 from redundancy_pin.robot.loop_joints import ROWS
 from redundancy_pin.robot.rebuild import rebuilt, span
@@ -147,14 +148,9 @@ def _require_sound(model: pin.Model) -> None:
         name, inertia, place = str(model.names[index]), model.inertias[index], model.jointPlacements[index]
         if not np.isfinite(place.homogeneous).all():
             raise InputError(f"The joint {name!r} is not placed by finite numbers.", remedy="Correct it.", joint=name)
-        body = np.array([inertia.mass, *inertia.lever, *inertia.inertia.flat])
-        if not np.isfinite(body).all() or inertia.mass < 0.0 or np.linalg.eigvalsh(inertia.inertia)[0] < -NO_MOMENT:
-            raise InputError(
-                f"What the joint {name!r} carries has the mass {inertia.mass:g} and the inertia "
-                f"{inertia.inertia.tolist()}, negative or not finite.",
-                remedy="Correct it.",
-                joint=name,
-            )
+        off = "" if np.isfinite(inertia.lever).all() else "a centre of mass that is not finite"
+        if what := off or negative_inertia(inertia.mass, inertia.inertia):
+            raise InputError(f"What the joint {name!r} carries has {what}.", remedy="Correct it.", joint=name)
         if index == 0:
             continue
         armature = model.armature[joint.idx_v : joint.idx_v + joint.nv]

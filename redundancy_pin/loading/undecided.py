@@ -24,9 +24,11 @@ from redundancy_pin.robot.propose import Proposal, propose
 
 def propose_robot(
     path: Path,
+    arguments: Mapping[str, object] = MappingProxyType({}),
     *,
     close: Sequence[str] = (),
     actuate: Sequence[str] = (),
+    carriers: Sequence[str] = (),
     independent: Sequence[str] = (),
     guess: Mapping[str, float] = MappingProxyType({}),
     is_open: bool = False,
@@ -37,8 +39,10 @@ def propose_robot(
 
     Args:
         path: a file of ``load_robot`` that needs no declaration.
+        arguments: of the file, as of ``load_robot``.
         close: as of ``propose``.
         actuate: as of ``propose``.
+        carriers: as of ``propose``.
         independent: names of independent joints; chosen where it is empty.
         guess: positions of joints, rad or m; the loops are closed near them.
         is_open: as of ``propose``.
@@ -51,8 +55,9 @@ def propose_robot(
     Example:
         >>> proposal, robot = propose_robot(Path("five_bar.urdf"), close=["ltip,rtip"], actuate=["a", "c"])
     """
-    parameters, read = open_model(path, {}, trust=trust, untrusted=untrusted)
-    proposal = propose(read(None), close=close, actuate=actuate, is_open=is_open)
+    parameters, read = open_model(path, arguments, trust=trust, untrusted=untrusted)
+    named = (*actuate, *independent)
+    proposal = propose(read(None, named), close=close, actuate=actuate, carriers=carriers, is_open=is_open)
     mechanism = proposal.mechanism
     if proposal.questions:
         return proposal, None

@@ -26,7 +26,7 @@ from redundancy_pin.io.schema import Schema, bad_value, require_known_keys, vali
 from redundancy_pin.io.yaml_file import LARGEST_FILE, YamlFile, parse_yaml
 from redundancy_pin.robot.formats.expressions import FUNCTIONS, Evaluator
 from redundancy_pin.robot.formats.urdf import KINDS
-from redundancy_pin.robot.formats.xml_files import FORMATS, format_of
+from redundancy_pin.robot.formats.xml_files import format_of, remedy_of_format
 from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring, Wrench
 from redundancy_pin.robot.loop_joints import LoopJoint, joint_between, placed
 from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform, WorkingModes
@@ -456,12 +456,8 @@ def read_declaration(path: Path) -> YamlFile:
     """
     text = read_text(path, ModelFileError, largest=LARGEST_FILE)
     if other := format_of(text):  # before YAML chokes on it
-        remedy = "Convert it to URDF, and name that under `urdf` of a robot.yaml."
-        if other == FORMATS["robot"]:
-            remedy = "Pass the robot.yaml that names it under `urdf`; `redundancy-pin new` writes one."
-        elif other in FORMATS.values():
-            remedy = "Such files are read by their names: call it .xml, .mjcf or .sdf."
-        raise DeclarationError(f"{path} is {other}, not a declaration.", remedy=remedy, format=other)
+        message, remedy = f"{path} is {other}, not a declaration.", remedy_of_format(other)
+        raise DeclarationError(message, remedy=remedy, format=other)
     file = parse_yaml(text, str(path), ModelFileError)
     data = file.data
     known = [*Declaration.model_fields, UNDECIDED]

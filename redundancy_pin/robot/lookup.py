@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import pinocchio as pin
 
-from redundancy_pin.errors import InputError, did_you_mean
+from redundancy_pin.errors import InputError, one_of
 
 
 def joint_names(model: pin.Model) -> tuple[str, ...]:
@@ -64,5 +64,4 @@ def find_link(model: pin.Model, name: str) -> pin.Frame:
 
 
 def _refuse(kind: str, name: str, known: Sequence[str]) -> int:
-    remedy = f"{did_you_mean(name, known)}It has: {', '.join(known)}."
-    raise InputError(f"The model has no {kind} {name!r}.", remedy=remedy, name=name)
+    raise InputError(f"The model has no {kind} {name!r}.", remedy=one_of(name, known), name=name)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
-from redundancy_pin.errors import InputError, ModelFileError, did_you_mean, shown
+from redundancy_pin.errors import InputError, ModelFileError, one_of, shown
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.formats.mechanism import Mechanism
 from redundancy_pin.robot.formats.mjcf import read_mjcf
 from redundancy_pin.robot.formats.parallel_yaml import is_parallel_yaml, read_parallel_yaml
 from redundancy_pin.robot.formats.sdf import read_sdf
 from redundancy_pin.robot.formats.urdf import SEVERAL_FREEDOMS, read_urdf, urdf_mechanism
-from redundancy_pin.robot.formats.xml_files import FORMATS, format_of, read_model
+from redundancy_pin.robot.formats.xml_files import FORMATS, format_of, read_model, remedy_of_format
 from redundancy_pin.robot.urdf import Argument, known_values, render
 
 _URDF = (".urdf", ".xacro")
@@ -50,8 +51,18 @@ def _format(path: Path) -> str:
     return format_of(text)
 
 
-Reader = Callable[[Mapping[str, str] | None], Mechanism]
-"""Reads a file, given the kinds that replace those of some of its joints; None without a declaration."""
+class Reader(Protocol):
+    """Reads the mechanism of a file."""
+
+    def __call__(self, kinds: Mapping[str, str] | None, named: Sequence[str] = ()) -> Mechanism:
+        """Return the mechanism.
+
+        Args:
+            kinds: by joint, the kind that replaces its own; None without a declaration.
+            named: joints that have a role, which the tree must contain. SDF does not say which of its joints these are,
+                and one that closes a loop is no joint of the tree otherwise.
+        """
+        ...
 
 
 def open_model(
@@ -78,24 +89,24 @@ def open_model(
     if (defaults := _ARGUMENTS.get(found := _format(path))) is None:
         raise ModelFileError(
             f"{path} is {found or 'no model'}, and by its name no URDF.",
-            remedy="Models are read by their names: call it .urdf, .xacro, .xml, .mjcf or .sdf.",
+            remedy=remedy_of_format(found),
             path=str(path),
         )
     for name in arguments:
         if name not in defaults:
-            remedy = f"{did_you_mean(name, defaults)}Its arguments: {', '.join(defaults)}."
+            remedy = one_of(name, defaults, "Its arguments")
             raise InputError(f"{path.name} has no argument {name!r}.", remedy=remedy, argument=name)
     given = {name: _text(arguments.get(name, default)) for name, default in defaults.items()}
     _require_base(given["base"])
 
-    def read(kinds: Mapping[str, str] | None) -> Mechanism:
+    def read(kinds: Mapping[str, str] | None, named: Sequence[str] = ()) -> Mechanism:
         if kinds:
             raise InputError(f"`joint_types` are of joints of a URDF; {path.name} is none.", remedy="Leave them out.")
         base, driven = given["base"], given["actuated"]
         if found == FORMATS["mujoco"]:
             made = read_mjcf(path, base=base, keyframe=given["keyframe"], trust=trust, untrusted=untrusted)
         elif found == FORMATS["sdf"]:
-            made = read_sdf(path, base=base, actuated=_names(driven))
+            made = read_sdf(path, base=base, named=(*_names(driven), *named))
         else:
             made = read_parallel_yaml(path, base=base)
         return _driving(made, driven)
@@ -129,7 +140,7 @@ def _open_urdf(
     others = {name: value for name, value in arguments.items() if name not in own}
     known_values(path, others)
     text, values = render(path, others, trust=trust, untrusted=untrusted)
-    return {**values, **own}, lambda kinds: mechanism_of_urdf(text, path, own, kinds)
+    return {**values, **own}, lambda kinds, named=(): mechanism_of_urdf(text, path, own, kinds)
 
 
 def mechanism_of_urdf(

@@ -170,7 +170,7 @@ class Proposal:
         return replace(self, motors=how).asking(*asked)
 
     def listed(self) -> tuple[str, ...]:
-        """Return a line on each loop, the motors, and marks that close no loop."""
+        """Return a line on each loop, the motors, the carriers, and marks that close no loop."""
         loops = [
             f"loop: {each.kind} of {' and '.join(each.links)}, {self.found.get(each.name, 'stated by the file')}"
             for each in self.mechanism.loop_joints
@@ -178,11 +178,17 @@ class Proposal:
         motors = f"motors: {', '.join(self.mechanism.actuated)}, {self.motors}" if self.motors else "motors: not known"
         frames = [f"links that close no loop: {', '.join(self.frames)}"] if self.frames else []
         none = "loops: none; where links meet in a joint that the file leaves out, name it: --close A,B"
-        return (*(loops or [none]), motors, *frames)
+        carriers = [f"carriers: {', '.join(self.mechanism.carriers)}"] if self.mechanism.carriers else []
+        return (*(loops or [none]), motors, *carriers, *frames)
 
 
 def propose(
-    mechanism: Mechanism, *, close: Sequence[str] = (), actuate: Sequence[str] = (), is_open: bool = False
+    mechanism: Mechanism,
+    *,
+    close: Sequence[str] = (),
+    actuate: Sequence[str] = (),
+    carriers: Sequence[str] = (),
+    is_open: bool = False,
 ) -> Proposal:
     """Find the ends of loops and the motors of a mechanism.
 
@@ -190,6 +196,7 @@ def propose(
         mechanism: what a file states.
         close: pairs of links, "a,b", or "a,b,kind"; without a kind they meet in a ball.
         actuate: names of joints.
+        carriers: names of joints with an actuated mass that changes the dynamics and not the pose.
         is_open: no other marks are ends of loops.
 
     Returns:
@@ -211,7 +218,9 @@ def propose(
     loops += given
     found |= {joint.name: _BY_FLAG for joint in given}
     questions = list[str]()
-    mechanism, motors = _with_motors(mechanism, actuate)
+    for name in (*actuate, *carriers):
+        find_joint_index(mechanism.model, name)
+    mechanism, motors = _with_motors(replace(mechanism, carriers=tuple(carriers)), actuate)
     if not is_open:
         is_driven = bool(motors) and len(mechanism.actuated) >= mechanism.model.nv - len(mechanism.couplings)
         pairs, questions = _cut_ends(mechanism, loops, is_stated=is_stated, is_driven=is_driven)
@@ -457,13 +466,11 @@ def _which_meet(marks: Sequence[str], at_zero: Sequence[tuple[str, str]], tree: 
 
 def _with_motors(mechanism: Mechanism, actuate: Sequence[str]) -> tuple[Mechanism, str]:
     """Return the mechanism with its motors, and how they were found; with all joints where that is not known."""
-    for name in actuate:
-        find_joint_index(mechanism.model, name)
     if actuate:
         return replace(mechanism, actuated=tuple(actuate)), "by --actuate"
-    if mechanism.actuated:
-        is_marked = set(mechanism.actuated) <= set(mechanism.independent)
-        return mechanism, "marked as independent by the file" if is_marked else "stated by the file"
+    if stated := tuple(name for name in mechanism.actuated if name not in mechanism.carriers):
+        how = "marked as independent by the file" if set(stated) <= set(mechanism.independent) else "stated by the file"
+        return replace(mechanism, actuated=stated), how
     joints = _could_be_driven(mechanism)
     passive = {name for name in joints if _PASSIVE.intersection(_words(name))}
     named = [name for name in joints if _is_motor(name) and name not in passive]
@@ -484,10 +491,10 @@ def _is_motor(joint: str) -> bool:
 
 
 def _could_be_driven(mechanism: Mechanism) -> tuple[str, ...]:
-    """Return the joints of one degree of freedom that follow no other."""
-    follow = {coupling.joint for coupling in mechanism.couplings}
+    """Return the joints of one degree of freedom that follow no other and are no carriers."""
+    others = {*mechanism.carriers, *(coupling.joint for coupling in mechanism.couplings)}
     model = mechanism.model
-    return tuple(name for name in joint_names(model) if find_joint(model, name).nv == 1 and name not in follow)
+    return tuple(name for name in joint_names(model) if find_joint(model, name).nv == 1 and name not in others)
 
 
 def _usual_places(model: pin.Model, joints: Sequence[str]) -> dict[str, list[str]]:

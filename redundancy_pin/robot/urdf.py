@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
 from redundancy_pin.arrays import decimal
-from redundancy_pin.errors import InputError, ModelFileError, did_you_mean, shown
+from redundancy_pin.errors import InputError, ModelFileError, did_you_mean, one_of, shown
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.formats.packages import may_include, own_folders
 from redundancy_pin.robot.formats.xacro_engine import expand
@@ -57,10 +57,9 @@ def known_values(path: Path, arguments: Mapping[str, object]) -> dict[str, Argum
 def _unknown(path: Path, name: str, known: Iterable[str]) -> InputError:
     """Return the error for an argument that a file does not have."""
     known = tuple(known)
-    remedy = f"{did_you_mean(name, known)}Its arguments: {', '.join(known)}."
     return InputError(
         f"{path.name} has no argument {name!r}{'' if known else ', nor any other'}.",
-        remedy=remedy if known else _without_arguments(path, name),
+        remedy=one_of(name, known, "Its arguments") if known else _without_arguments(path, name),
         argument=name,
     )
 

@@ -165,3 +165,53 @@ def test_the_package_runs_as_a_module() -> None:
     )
     assert done.returncode == 0
     assert done.stdout.startswith("redundancy-pin, version ")
+
+
+def test_a_joint_of_sdf_that_closes_the_loop_may_be_driven(tmp_path):
+    """It is a joint of the tree then, whose end is welded: the torques are those of the file with that motor."""
+    out = tmp_path / "robot.yaml"
+    assert call("new", FILES / "sdf/good/plain.sdf", "--actuate", "pin", "--out", out).exit_code == 0
+    robot, alone = rp.load_robot(out), rp.load_robot(FILES / "sdf/good/plain.sdf", actuated="pin")
+    assert (robot.actuated, robot.independent_joints, robot.n) == (("pin",), ("pin",), 1)
+    motion = rp.PlatformMotion([0.0], [[0.1]], [[0.7]], [[-0.4]])
+    torques = [rp.inverse_dynamics(rp.RneaDynamics(each), motion).efforts.tau for each in (robot, alone)]
+    assert np.abs(torques[0]).max() > 1e-3
+    assert torques[0] == pytest.approx(torques[1], rel=1e-9)
+
+
+FIVE_BAR = """<mujoco><compiler angle="radian"/><worldbody>
+<body><joint name="left" axis="0 0 1"/><inertial pos=".2 0 0" mass="1" diaginertia=".01 .01 .01"/>
+  <body><joint name="car" type="slide" axis="1 0 0" range="-.05 .05"/>
+    <inertial pos=".1 0 0" mass=".5" diaginertia=".001 .001 .001"/></body>
+  <body pos=".4 0 0"><joint name="elbow" axis="0 0 1"/><inertial pos=".2 0 0" mass="1" diaginertia=".01 .01 .01"/>
+    <site name="a" pos=".5 0 0"/></body></body>
+<body pos=".3 0 0"><joint name="right" axis="0 0 1"/><inertial pos=".2 0 0" mass="1" diaginertia=".01 .01 .01"/>
+  <body pos=".4 0 0"><joint name="knee" axis="0 0 1"/><inertial pos=".2 0 0" mass="1" diaginertia=".01 .01 .01"/>
+    <site name="b" pos=".5 0 0"/></body></body>
+</worldbody><equality><connect site1="a" site2="b"/></equality>
+<actuator><motor joint="left"/><motor joint="right"/><motor joint="car"/></actuator></mujoco>"""
+
+
+def test_carriers_are_declared(tmp_path):
+    path = tmp_path / "five.xml"
+    path.write_text(FIVE_BAR)
+    run = call("new", path, "--carrier", "car", "--guess", "left=1.8,elbow=-1.2,right=1.2,knee=1.2", "--json")
+    facts = json.loads(run.stdout)
+    assert (run.exit_code, facts["carriers"], facts["actuated"]) == (0, ["car"], ["left", "right"])
+    robot = rp.load_robot(tmp_path)
+    assert (robot.n, robot.m, robot.carriers) == (2, 2, ("car",))
+    mistake = refused("new", path, "--carrier", "cat", "--out", tmp_path / "other.yaml")
+    assert "no moving joint 'cat'. Did you mean 'car'?" in mistake
+
+
+@pytest.mark.parametrize(("setting", "freedoms"), [("base=fixed", 1), ("base=free", 7)])
+def test_arguments_of_the_file_are_given_again_when_it_is_loaded(setting, freedoms, tmp_path):
+    """A free base has six degrees of freedom more; the robot.yaml says that it was written for one."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf_of([J("turn", "revolute", "base", "arm")]))
+    name, value = setting.split("=")
+    run = call("new", path, "--actuate", "turn", "--open", "--set", setting)
+    assert f"n = {freedoms}, m = 1" in run.stdout
+    assert f"# Written for --set {setting}: pass the same" in (tmp_path / "robot.yaml").read_text()
+    assert rp.load_robot(tmp_path, **{name: value}).n == freedoms
+    assert "has no argument 'bas'" in refused("new", path, "--set", "bas=free", "--out", tmp_path / "other.yaml")

@@ -147,7 +147,7 @@ BAD_PROBLEMS: dict[str, tuple[dict[str, Any], str]] = {
     "no motion": ({"trajectory": None, "motion": 3}, "either a trajectory or a motion"),
     "trajectory whose name is none": ({"trajectory": {"name": {"": ""}}}, "The trajectory is {'': ''}"),
     "trajectory without a name": ({"trajectory": {"speed": 1}}, "'name'"),
-    "trajectory that is a word": ({"trajectory": "corner"}, "not a mapping"),
+    "trajectory that is a word": ({"trajectory": "corner"}, "or {name: points.csv}"),
     "trajectory that lacks a key": ({"trajectory": {"name": "polygon", "radius": 1}}, "'vertices'"),
     "points that are none": (
         {"trajectory": {"name": "points", "points": [[1, 2], [3]], "speed": 1, "ramp_time": 1}},

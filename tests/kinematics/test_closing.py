@@ -23,8 +23,8 @@ from redundancy_pin.kinematics.closing import close, closed_near
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, working_modes
 from redundancy_pin.kinematics.multistart import multistart, wrapped
+from redundancy_pin.loading import with_limits
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.changes import with_limits
 from redundancy_pin.robot.scales import position_unit, row_scale, velocity_scale
 
 TURN = 2.0 * np.pi

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError
+from redundancy_pin.robot.inertia import impossible_inertia
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, joint_names
 from redundancy_pin.robot.loop_joints import LoopJoint
@@ -22,12 +23,6 @@ MOST_LINKS = 2000
 
 MOST_FREEDOMS = 120
 """Joint velocities. Pinocchio's data grow with their cube: 0.1 GB with 100 of them, 1.6 GB with 300."""
-
-TRIANGLE_TOLERANCE = 1e-6
-"""A moment of inertia may exceed the sum of the other two by this fraction: files carry six digits."""
-
-NO_MOMENT = 1e-12
-"""kg·m². Less is zero: exporters leave products of 1e-35 beside moments of nothing, as for iCub's head."""
 
 NOT_IN_FORCE = "Not in force, though the file says it:"
 """How the note begins that names forces which are left out."""
@@ -46,6 +41,7 @@ class Mechanism:
         loop_joints: what closes the loops.
         couplings: joints that follow others.
         actuated: names of the joints that are driven; empty where the file states none.
+        carriers: names of the carrier joints, which no file states.
         forces: friction and springs in joints of one freedom, in force.
         notes: what is not in force though the file says it, and what is taken in one of several ways.
         shapes: a URDF with the shapes of the bodies, for drawing.
@@ -67,6 +63,7 @@ class Mechanism:
     independent: tuple[str, ...] = ()
     marks: Mapping[str, float] = field(default_factory=dict)
     presumed: tuple[str, ...] = ()
+    carriers: tuple[str, ...] = ()
 
     def with_joints(
         self, replaced: Mapping[str, Sequence[tuple[str, pin.JointModel]]], start: Mapping[str, float] | None = None
@@ -170,17 +167,19 @@ def impossible_moments(links: Iterable[LinkEntry]) -> tuple[str, ...]:
     No body has such moments, but files have. With masses and moments that are not negative the mass matrix still has
     no negative eigenvalue, so that they are taken as they stand; negative ones are refused.
     """
-    notes = []
-    for link in links:
-        moments = np.linalg.eigvalsh(link.inertia)
-        allowed = TRIANGLE_TOLERANCE * float(np.abs(moments).max()) + NO_MOMENT
-        if moments[2] > moments[0] + moments[1] + allowed:
-            text = np.array2string(moments, precision=4)
-            notes.append(
-                f"The link {link.name!r} has principal moments of inertia {text} that no body can have, the largest "
-                "exceeds the sum of the other two; taken as they stand."
-            )
-    return tuple(notes)
+    return tuple(
+        f"The link {link.name!r} has principal moments of inertia {moments} that no body can have, the largest "
+        "exceeds the sum of the other two; taken as they stand."
+        for link in links
+        if (moments := impossible_inertia(link.inertia))
+    )
+
+
+def mimic_coupling(
+    joint: str, of: str, multiplier: float = 1.0, offset: float = 0.0, reference: float = 0.0
+) -> Coupling:
+    """Return the coupling that <mimic> states: joint = multiplier · (of − reference) + offset, rad or m."""
+    return Coupling(f"{joint} of {of}", joint, of, (offset - multiplier * reference, multiplier))
 
 
 def drawn(shapes: Mapping[str, Sequence[str]]) -> str:

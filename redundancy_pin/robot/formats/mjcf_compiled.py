@@ -21,7 +21,7 @@ from redundancy_pin.errors import ModelFileError, optional, shown
 from redundancy_pin.io.limited import answer, run_limited
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.formats.packages import is_within
-from redundancy_pin.robot.formats.xml_files import MOST_ELEMENTS, Element, parsed
+from redundancy_pin.robot.formats.xml_files import MOST_ELEMENTS, Element, Part, parsed
 
 MUJOCO = ("mujoco", "Models of MuJoCo (MJCF) need", "Install it with `pip install 'redundancy_pin[mjcf]'`.")
 """What ``errors.optional`` takes."""
@@ -103,15 +103,19 @@ def _require_bounded(path: Path, trust: bool) -> None:
         read.add(file.resolve())
         for element, count in _multiplied(parsed(file), times):
             total += count
+            part = Part(element, file, file.name)
             if total > MOST_ELEMENTS:
-                raise _refused(file, element, f"more than {MOST_ELEMENTS} elements, counted as often as they are made")
+                part.refuse(
+                    f"{file.name} has more than {MOST_ELEMENTS} elements, counted as often as they are made",
+                    "Make it smaller.",
+                )
             if element.tag == "flexcomp":
-                raise _refused(file, element, "<flexcomp> is a soft body, which is not covered", "Take it out.")
+                part.refuse("<flexcomp> is a soft body, which is not covered", "Take it out.")
             if element.tag in ("include", "model") and (named := element.get("file")):
                 places = (folder / named, file.parent / named)
                 place = next((at for at in places if is_file(at)), places[0])
                 if not (trust or is_within(place, (folder,))):
-                    raise _refused(file, element, f"file={shown(named)} {_OUTSIDE}", _MOVE)
+                    part.refuse(f"file={shown(named)} {_OUTSIDE}", _MOVE)
                 waiting.append((place, count))
 
 
@@ -128,12 +132,6 @@ def _multiplied(element: Element, times: int) -> Iterator[tuple[Element, int]]:
     for child in element:
         if isinstance(child, Element):
             yield from _multiplied(child, times)
-
-
-def _refused(file: Path, element: Element, what: str, remedy: str = "Make it smaller.") -> ModelFileError:
-    return ModelFileError(
-        f"{file}, line {element.line}: {what}.", remedy=remedy, path=str(file), line=int(element.line)
-    )
 
 
 # --- MuJoCo -----------------------------------------------------------------------------------------------------------

@@ -19,7 +19,6 @@ from redundancy_pin.arrays import Array, decimal
 from redundancy_pin.errors import shown
 from redundancy_pin.robot.formats.mechanism import (
     MOST_FREEDOMS,
-    NO_MOMENT,
     NOT_IN_FORCE,
     SIX,
     UNLIMITED,
@@ -27,10 +26,12 @@ from redundancy_pin.robot.formats.mechanism import (
     Mechanism,
     impossible_moments,
     in_a_row,
+    mimic_coupling,
     six_positions,
 )
 from redundancy_pin.robot.formats.sdf_frames import WORLD, Frame, Frames, SdfPart
-from redundancy_pin.robot.formats.urdf_parts import ZEROS
+from redundancy_pin.robot.formats.xml_files import ZEROS
+from redundancy_pin.robot.inertia import negative_inertia
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, has_joint
 from redundancy_pin.robot.loop_joints import LoopJoint, joint_between
@@ -75,18 +76,18 @@ _LOOP_KINDS = {
 """Joints that close loops by rows of their own."""
 
 
-def read_sdf(path: Path, *, actuated: Sequence[str] = (), base: str = "fixed") -> Mechanism:
+def read_sdf(path: Path, *, named: Sequence[str] = (), base: str = "fixed") -> Mechanism:
     """Read a model of Gazebo, or a world with one model that moves.
 
     Args:
         path: the file.
-        actuated: names of the joints that are driven; SDF itself does not say.
+        named: joints that the tree must contain, as driven ones; one of them that closes a loop ends in a weld.
         base: "fixed" to hold the first link, or that on the world, where it is; "free" to let it move.
 
     Raises:
         ModelFileError: naming file and line: the file is no SDF, or has an element that this reader does not cover.
     """
-    return _Reader(Frames(path), base).mechanism(actuated)
+    return _Reader(Frames(path), base).mechanism(named)
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,7 @@ class _Reader:
         self._carriers: dict[str, tuple[int, pin.SE3]] = {WORLD: (0, pin.SE3.Identity())}
         """By full name of a link, the joint of the tree that carries it, and its place there."""
 
-    def mechanism(self, driven: Sequence[str]) -> Mechanism:
+    def mechanism(self, named: Sequence[str]) -> Mechanism:
         """Return what the file describes."""
         frames = self.frames
         links = {full: self._link(frame) for full, frame in frames.links.items()}
@@ -167,7 +168,7 @@ class _Reader:
             else:
                 index, place = self._add_joint(above, carrier, turned_round=turned_round)
                 self._add_link(links[carried], carried, index, place * self._from(above, carried))
-        counted = {*driven, *self.loads, *(name for coupling in self.couplings for name in coupling.joints)}
+        counted = {*named, *self.loads, *(name for coupling in self.couplings for name in coupling.joints)}
         loop_joints = tuple(self._loop_joint(joint, counted) for joint in loops)
         self._add_marks()
         model, _ = rebuilt(self.model)
@@ -181,9 +182,8 @@ class _Reader:
             q,
             loop_joints,
             tuple(self.couplings),
-            tuple(driven),
-            tuple(self.loads.values()),
-            tuple(self.notes),
+            forces=tuple(self.loads.values()),
+            notes=tuple(self.notes),
         )
 
     # --- links and joints ---------------------------------------------------------------------------------------------
@@ -215,9 +215,8 @@ class _Reader:
         missing = [key for key in _MOMENTS if tensor is None or tensor.one(key) is None]
         if missing or inertial is None or inertial.one("mass") is None:
             self._assumed.append(name)
-        moments = np.linalg.eigvalsh(inertia)
-        if mass < 0.0 or moments[0] < -NO_MOMENT:
-            part.refuse(f"{part.owner} has the mass {mass:g} and the moments {moments}", "Correct it.")
+        if what := negative_inertia(mass, inertia):
+            part.refuse(f"{part.owner} has {what}", "Correct it.")
         turn = place[:3, :3]
         return LinkEntry(name, mass, place[:3, 3], turn @ inertia @ turn.T)
 
@@ -349,9 +348,8 @@ class _Reader:
             if which not in turns or number >= len(joint.turns):
                 what = f"{mimic.owner} mimics the {shown(which)} of {shown(mimic.text_of('joint'))}, which it cannot"
                 mimic.refuse(what, "Name another joint of one or two axes.")
-            slope, name = mimic.value("multiplier", 1.0), joint.turns[number]
-            constant = mimic.value("offset", 0.0) - slope * mimic.value("reference", 0.0)
-            self.couplings.append(Coupling(f"mimic of {name}", name, turns[which], (constant, slope)))
+            law = {key: mimic.value(key) for key in ("multiplier", "offset", "reference") if mimic.one(key)}
+            self.couplings.append(mimic_coupling(joint.turns[number], turns[which], **law))
 
     def _gears(self, gear: _Joint, joints: Iterable[_Joint]) -> Coupling:
         """Return θ₂ = −ratio θ₁: angles from the reference body to parent (θ₁, about axis) and child (about axis2)."""

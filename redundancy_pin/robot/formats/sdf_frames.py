@@ -20,8 +20,7 @@ from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.formats.mechanism import MOST_LINKS
 from redundancy_pin.robot.formats.packages import is_within
 from redundancy_pin.robot.formats.urdf_loops import not_understood
-from redundancy_pin.robot.formats.urdf_parts import DRAKE, LONGEST_NAME, Part, short
-from redundancy_pin.robot.formats.xml_files import MOST_ELEMENTS, parsed
+from redundancy_pin.robot.formats.xml_files import DRAKE, LONGEST_NAME, MOST_ELEMENTS, Part, parsed, short
 from redundancy_pin.robot.loop_joints import placed
 
 WORLD = "world"
@@ -79,7 +78,7 @@ class SdfPart(Part):
     version: int = 0
     remedy: ClassVar[str] = "Take it out, or write the model without it."
 
-    def unknown_parts(self) -> list[SdfPart]:  # type: ignore[override]
+    def unknown_parts(self) -> list[SdfPart]:
         """Return the elements of other namespaces in the element, those of Drake that change the mechanics refused.
 
         Raises:

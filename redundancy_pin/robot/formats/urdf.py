@@ -17,25 +17,24 @@ from types import MappingProxyType
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.errors import DeclarationError, did_you_mean, shown
+from redundancy_pin.errors import DeclarationError, did_you_mean, one_of, shown
 from redundancy_pin.robot.formats.mechanism import (
     MOST_FREEDOMS,
-    NO_MOMENT,
     NOT_IN_FORCE,
     SIX,
-    TRIANGLE_TOLERANCE,
     LinkEntry,
     Mechanism,
     impossible_moments,
     in_a_row,
+    mimic_coupling,
 )
 from redundancy_pin.robot.formats.urdf_loops import not_understood, read_loops
-from redundancy_pin.robot.formats.urdf_parts import DRAKE, FRICTION, ZEROS, Part, short
-from redundancy_pin.robot.formats.xml_files import FORMATS, parsed_text
+from redundancy_pin.robot.formats.urdf_parts import FRICTION, UrdfPart
+from redundancy_pin.robot.formats.xml_files import DRAKE, FORMATS, ZEROS, parsed_text, remedy_of_format, short
+from redundancy_pin.robot.inertia import negative_inertia
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.lookup import find_joint, find_joint_index
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.loop_joints import LoopJoint
-from redundancy_pin.robot.rebuild import axis_of, joint_along
 from redundancy_pin.robot.types import Coupling
 
 DEEPEST_CHAIN = 200
@@ -86,7 +85,7 @@ class Urdf:
     """
 
     text: str
-    top: Part
+    top: UrdfPart
     root: str
     links: Mapping[str, LinkEntry]
     joints: tuple[JointEntry, ...]
@@ -106,12 +105,12 @@ def read_urdf(text: str, path: Path) -> Urdf:
             missing, there twice or misspelt; names that are; negative masses and moments of inertia; links that make no
             tree; a joint that mimics none; more links or freedoms than a model may have.
     """
-    robot, notes = Part(parsed_text(text, str(path)), path, "The robot"), list[str]()
+    robot, notes = UrdfPart(parsed_text(text, str(path)), path, "The robot"), list[str]()
     if robot.element.tag != "robot":
         known = FORMATS.get(robot.element.tag)
         what = f": it is {known}" if known else ""
-        remedy = "Convert it to URDF, or call it .xml, .mjcf or .sdf." if known else ""
-        robot.refuse(f"The top element of {path.name} is <{short(robot.element.tag)}>, not <robot>{what}", remedy)
+        top = f"The top element of {path.name} is <{short(robot.element.tag)}>, not <robot>{what}"
+        robot.refuse(top, remedy_of_format(known) if known else "")
     if (version := robot.text_of("version")) not in _VERSIONS:
         robot.refuse(f"The robot has the version {short(version)!r} of URDF", "There are 1.0, 1.1 and 1.2.")
     if _needs_world(robot):
@@ -142,14 +141,14 @@ def read_urdf(text: str, path: Path) -> Urdf:
     return Urdf(text, robot, *ordered, tuple(independent) if any(marks.values()) else (), tuple(notes))
 
 
-def _needs_world(robot: Part) -> bool:
+def _needs_world(robot: UrdfPart) -> bool:
     """Return whether a joint is on the link ``world``, which Drake has without a ``<link>``."""
     joints = (*robot.children("joint"), *robot.children(DRAKE + "joint"))
     parents = {parent.get("link") for joint in joints for parent in joint.findall("parent")}
     return "world" in parents and "world" not in {each.get("name") for each in robot.children("link")}
 
 
-def _passed_over(parts: Mapping[str, Mapping[str, Part]]) -> list[str]:
+def _passed_over(parts: Mapping[str, Mapping[str, UrdfPart]]) -> list[str]:
     """Return notes on what links and joints have beside what the specification knows."""
     notes, lines = [], dict[str, list[str]]()
     for part in (*parts["link"].values(), *parts["joint"].values()):
@@ -199,31 +198,25 @@ def links_without_inertial(
     return (f"{WITHOUT_INERTIAL} {', '.join(names)}. {remedy}",) if names else ()
 
 
-def _link(name: str, part: Part) -> LinkEntry:
+def _link(name: str, part: UrdfPart) -> LinkEntry:
     inertial = part.one("inertial")
     has_shape = any(child.tag in ("visual", "collision") for child in part.element)
     if inertial is None:
         return LinkEntry(name, 0.0, np.zeros(3), np.zeros((3, 3)), False, has_shape)
     mass, inertia = inertial.required("mass"), inertial.required("inertia")
     kilograms = mass.number("value", "mass")
-    if kilograms < 0.0:
-        mass.refuse(f"{part.owner} has a negative mass, {kilograms:g} kg")
     matrix = np.array([[inertia.number("i" + "".join(sorted(a + b))) for b in "xyz"] for a in "xyz"])
-    moments = np.linalg.eigvalsh(matrix)
-    allowed = TRIANGLE_TOLERANCE * float(np.abs(moments).max()) + NO_MOMENT
-    if moments[0] < -allowed:
-        text = np.array2string(moments, precision=4)
-        inertia.refuse(f"{part.owner} has principal moments of inertia {text} that no body can have: a negative one")
+    if what := negative_inertia(kilograms, matrix):
+        (mass if kilograms < 0.0 else inertia).refuse(f"{part.owner} has {what}")
     placement = inertial.placement()
     turn = placement[:3, :3]
     return LinkEntry(name, kilograms, placement[:3, 3], turn @ matrix @ turn.T, True, has_shape)
 
 
-def _joint(name: str, part: Part, links: Mapping[str, LinkEntry]) -> JointEntry:
+def _joint(name: str, part: UrdfPart, links: Mapping[str, LinkEntry]) -> JointEntry:
     kind, known = part.element.get("type", ""), _JOINTS_OF_DRAKE if part.tag == DRAKE + "joint" else _FREEDOMS
     if kind not in known:
-        remedy = f"{did_you_mean(kind, known)}There are: {', '.join(known)}."
-        part.refuse(f"{part.owner} has the type {short(kind)!r}", remedy)
+        part.refuse(f"{part.owner} has the type {short(kind)!r}", one_of(kind, known, "There are"))
     if part.tag == DRAKE + "joint":
         kind = _JOINTS_OF_DRAKE[kind]
     part.unknown_parts()
@@ -248,20 +241,17 @@ def _joint(name: str, part: Part, links: Mapping[str, LinkEntry]) -> JointEntry:
     return JointEntry(name, kind, ends[0], ends[1], _is_bounded(part, kind), _dynamics(part), _mimic(name, kind, part))
 
 
-def _mimic(name: str, kind: str, part: Part) -> Coupling | None:
+def _mimic(name: str, kind: str, part: UrdfPart) -> Coupling | None:
     given = part.one("mimic")
     if given is None or not _FREEDOMS.get(kind, 3):  # a joint that is fixed follows nothing, whatever it says
         return None
     if not (of := given.element.get("joint", "")):
         given.refuse(f"{part.owner} has a mimic without the name of a joint")
-    multiplier, offset = (
-        given.number(key, f"{key} of its mimic") if key in given.element.attrib else default
-        for key, default in (("multiplier", 1.0), ("offset", 0.0))
-    )
-    return Coupling(f"{name} of {of}", name, of, (offset, multiplier))
+    keys = [key for key in ("multiplier", "offset") if key in given.attributes]
+    return mimic_coupling(name, of, **{key: given.number(key, f"{key} of its mimic") for key in keys})
 
 
-def _dynamics(part: Part) -> Mapping[str, float]:
+def _dynamics(part: UrdfPart) -> Mapping[str, float]:
     """Return damping and friction of a joint, those that are not zero."""
     given = part.one("dynamics")
     friction = {} if given is None else {key: given.number(key) for key in FRICTION if key in given.element.attrib}
@@ -271,7 +261,7 @@ def _dynamics(part: Part) -> Mapping[str, float]:
     return {key: value for key, value in friction.items() if value}
 
 
-def _is_bounded(part: Part, kind: str) -> bool:
+def _is_bounded(part: UrdfPart, kind: str) -> bool:
     """Return whether a joint has limits of position."""
     limit = part.one("limit")
     if limit is None:
@@ -288,7 +278,7 @@ def _is_bounded(part: Part, kind: str) -> bool:
 
 
 def _in_order(
-    robot: Part, links: Mapping[str, LinkEntry], joints: Mapping[str, JointEntry], parts: Mapping[str, Part]
+    robot: UrdfPart, links: Mapping[str, LinkEntry], joints: Mapping[str, JointEntry], parts: Mapping[str, UrdfPart]
 ) -> tuple[str, Mapping[str, LinkEntry], tuple[JointEntry, ...]]:
     """Return the root, the links, and the joints from the root outwards."""
     carried: dict[str, str] = {}
@@ -391,10 +381,9 @@ def urdf_mechanism(
     named = {joint.name: joint for joint in file.joints}
     for own, kind in kinds.items():
         if own not in named:
-            remedy = f"{did_you_mean(own, named)}It has: {', '.join(named)}."
-            raise DeclarationError(f"The URDF has no joint {own!r}.", remedy=remedy, name=own)
+            raise DeclarationError(f"The URDF has no joint {own!r}.", remedy=one_of(own, named), name=own)
         if kind not in KINDS:
-            remedy = f"{did_you_mean(kind, KINDS)}There are: {', '.join(KINDS)}."
+            remedy = one_of(kind, KINDS, "There are")
             raise DeclarationError(f"The joint {own!r} cannot be made {shown(kind)}.", remedy=remedy, name=own)
     kinds = {joint.name: joint.kind for joint in file.joints if joint.kind in _JOINTS_OF_DRAKE.values()} | {**kinds}
     model = _tree(file, kinds, base)
@@ -411,10 +400,6 @@ def urdf_mechanism(
             replaced[joint.name] = [(joint.name, pin.JointModelSpherical())]
         elif kind in ROWS_OF_JOINTS:
             replaced[joint.name] = in_a_row(joint.name, ROWS_OF_JOINTS[kind])
-        elif joint.kind == "continuous" and joint.name in counted:
-            # Pinocchio has cosine and sine of it, which forget the turns
-            axis = axis_of(model, find_joint_index(model, joint.name))
-            replaced[joint.name] = [(joint.name, joint_along("revolute", axis))]
     single = {joint.name for joint in file.joints if joint.kind in _SINGLE and joint.name not in kinds}
     for each in couplings:
         if not {*each.joints} <= single:
@@ -462,7 +447,7 @@ def urdf_mechanism(
         if joint.kind in ("revolute", "prismatic") and joint.name in single and not joint.is_bounded:
             at = find_joint(model, joint.name).idx_q
             model.lowerPositionLimit[at], model.upperPositionLimit[at] = -np.inf, np.inf
-    return made.with_joints(replaced) if replaced else made
+    return (made.with_joints(replaced) if replaced else made).counting_turns(counted)
 
 
 def _marks(file: Urdf, kinds: Mapping[str, str]) -> Mapping[str, float]:

@@ -26,9 +26,10 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import DeclarationError, did_you_mean
+from redundancy_pin.errors import DeclarationError, did_you_mean, one_of
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
-from redundancy_pin.robot.formats.urdf_parts import DRAKE, ZEROS, Part
+from redundancy_pin.robot.formats.urdf_parts import UrdfPart
+from redundancy_pin.robot.formats.xml_files import DRAKE, ZEROS
 from redundancy_pin.robot.lookup import find_link_index, joint_names, link_names
 from redundancy_pin.robot.loop_joints import LoopJoint, joint_between, placed
 from redundancy_pin.robot.types import Coupling
@@ -90,7 +91,7 @@ class Loops:
     notes: tuple[str, ...]
 
 
-def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.Model) -> Loops:
+def read_loops(robot: UrdfPart, carriers: Mapping[str, tuple[str, str]], model: pin.Model) -> Loops:
     """Read the extensions of a URDF.
 
     Args:
@@ -147,7 +148,7 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
     return Loops(tuple(joints), tuple(couplings), tuple(motors), armature, closing, tuple(notes))
 
 
-def _left_out(part: Part, known: tuple[str, ...]) -> list[str]:
+def _left_out(part: UrdfPart, known: tuple[str, ...]) -> list[str]:
     """Return notes on elements of a joint that closes a loop, such as limits and friction, except those of zeros."""
     return [
         f"{NOT_IN_FORCE} {each.place}, of a joint that closes a loop."
@@ -170,12 +171,12 @@ PASSED_OVER = "Passed over:"
 """How the note begins that says so."""
 
 
-def _loop(part: Part, links: set[str]) -> LoopJoint:
+def _loop(part: UrdfPart, links: set[str]) -> LoopJoint:
     """Return a loop whose ends are two elements, each with its place in it or beside it."""
     name = part.name()
     kind = _KINDS.get(part.text_of("type"), "")
     if not kind:
-        remedy = f"{did_you_mean(part.text_of('type'), _KINDS)}There are: {', '.join(_KINDS)}."
+        remedy = one_of(part.text_of("type"), _KINDS, "There are")
         part.refuse(f"{part.owner} has the type {part.text_of('type')!r}", remedy)
     ends = [end for tag in _ENDS[part.tag] for end in part.parts(tag)]  # Isaac's manual has link1 twice
     ends = ends or [end for tag in ("parent", "child") for end in part.parts(tag)]
@@ -192,7 +193,7 @@ def _loop(part: Part, links: set[str]) -> LoopJoint:
     return _joint(part, name, kind, names, places, _axes(part))
 
 
-def _axes(part: Part) -> list[Array]:
+def _axes(part: UrdfPart) -> list[Array]:
     """Return the axis of a loop in each of its two frames."""
     given = [part.one(tag) for tag in ("parent_axis", "child_axis")]
     both = part.one("axis")
@@ -203,7 +204,7 @@ def _axes(part: Part) -> list[Array]:
 
 
 def _joint(
-    part: Part, name: str, kind: str, links: list[str], places: list[Array], axes: list[Array], length: float = 0.0
+    part: UrdfPart, name: str, kind: str, links: list[str], places: list[Array], axes: list[Array], length: float = 0.0
 ) -> LoopJoint:
     """Return a joint that closes a loop; what makes none is refused at its line."""
     try:
@@ -212,7 +213,7 @@ def _joint(
         part.refuse(error.message.rstrip("."), error.remedy)
 
 
-def _of_drake(part: Part, tag: str, links: set[str]) -> LoopJoint:
+def _of_drake(part: UrdfPart, tag: str, links: set[str]) -> LoopJoint:
     """Return a ball, or a rod where a distance is held by an infinite stiffness; by another it is a spring."""
     names, places, kind, length = [], [], "ball", 0.0
     for body, point in (("body_A", "p_AP"), ("body_B", "p_BQ")):
@@ -231,7 +232,7 @@ def _of_drake(part: Part, tag: str, links: set[str]) -> LoopJoint:
     return _joint(part, f"{kind} {' = '.join(names)}", kind, names, places, [np.eye(3)[2]] * 2, length)
 
 
-def _of_gazebo(part: Part, model: pin.Model, links: set[str]) -> LoopJoint:
+def _of_gazebo(part: UrdfPart, model: pin.Model, links: set[str]) -> LoopJoint:
     """Return a loop of Gazebo: its frame is given in the child, and there in the parent at the zero configuration."""
     name, kind = part.name(), _KINDS.get(part.text_of("type"), "")
     if not kind or kind == "universal":
@@ -254,7 +255,7 @@ def _of_gazebo(part: Part, model: pin.Model, links: set[str]) -> LoopJoint:
     return _joint(part, name, kind, [parent, child], [in_parent, place], [along, along])
 
 
-def _coupling(part: Part, carriers: Mapping[str, tuple[str, str]], moving: set[str]) -> Coupling:
+def _coupling(part: UrdfPart, carriers: Mapping[str, tuple[str, str]], moving: set[str]) -> Coupling:
     """Return a coupling of URDF+: ratio times the angles to the predecessor are those to the successor.
 
     Both are sums over the joints from the nearest link that carries both.
@@ -278,7 +279,7 @@ def _coupling(part: Part, carriers: Mapping[str, tuple[str, str]], moving: set[s
     return Coupling(name, own, of, (0.0, ratio), also)
 
 
-def _driven(part: Part) -> list[str]:
+def _driven(part: UrdfPart) -> list[str]:
     """Return the joints that a transmission names, or those of ros2_control that take commands."""
     names = []
     for joint in part.deep("joint"):
@@ -288,7 +289,7 @@ def _driven(part: Part) -> list[str]:
     return names
 
 
-def _rotor_inertia(part: Part) -> float:
+def _rotor_inertia(part: UrdfPart) -> float:
     """Return the inertia of the rotor of a transmission as its joint feels it, as in Drake; 0 without one."""
     values = {}
     for key, default in (("rotor_inertia", 0.0), ("gear_ratio", 1.0)):
@@ -299,7 +300,7 @@ def _rotor_inertia(part: Part) -> float:
     return values["gear_ratio"] ** 2 * values["rotor_inertia"]
 
 
-def _closing(robot: Part, links: set[str]) -> tuple[tuple[str, str], ...]:
+def _closing(robot: UrdfPart, links: set[str]) -> tuple[tuple[str, str], ...]:
     """Return the pairs of links closing_NAME_1 and closing_NAME_2."""
     ends: dict[str, dict[str, str]] = {}
     for link in sorted(links):
@@ -312,7 +313,7 @@ def _closing(robot: Part, links: set[str]) -> tuple[tuple[str, str], ...]:
     return tuple((pair["1"], pair["2"]) for pair in ends.values())
 
 
-def _link(part: Part, name: str, links: set[str]) -> str:
+def _link(part: UrdfPart, name: str, links: set[str]) -> str:
     if name not in links:
         what = f"names {name!r}, which is no link" if name else "names no link"
         part.refuse(f"{part.owner} {what}", did_you_mean(name, sorted(links)).strip() or "Name a link of the file.")

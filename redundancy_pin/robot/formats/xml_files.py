@@ -1,15 +1,24 @@
-"""XML of models: read with limits, so that a hostile file is refused before a parser chokes on it."""
+"""XML of models: read with limits, so that a hostile file is refused before a parser chokes on it; elements strictly.
+
+URDF (``urdf_parts``), SDF (``sdf_frames``) and MJCF before MuJoCo reads it (``mjcf_compiled``) share this layer. What
+is no number, is there twice or is misspelt is an error with its file and line.
+"""
 
 from __future__ import annotations
 
+import math
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import cast
+from typing import ClassVar, NoReturn, TypeVar, cast
 from xml.parsers import expat
 
-from redundancy_pin.errors import ModelFileError, shortened
+import numpy as np
+
+from redundancy_pin.arrays import LARGEST, Array
+from redundancy_pin.errors import ModelFileError, did_you_mean, shortened
 from redundancy_pin.io.reading import read_text
 
 MOST_BYTES = 2_000_000
@@ -30,6 +39,14 @@ DEEPEST = 100
 
 FORMATS = {"robot": "a URDF", "mujoco": "an MJCF model of MuJoCo", "sdf": "an SDF model of Gazebo"}
 """What a file is, by its top element."""
+
+
+def remedy_of_format(found: str) -> str:
+    """Return what to do with a file that is something else than its name says; ``found`` as of ``format_of``."""
+    if not found or found in FORMATS.values():
+        return "Models are read by their names: call it .urdf, .xacro, .xml, .mjcf or .sdf."
+    return "Convert it to URDF, MJCF or SDF."
+
 
 _BEFORE_TOP = (("<?", "?>"), ("<!--", "-->"), ("<!", ">"))
 _SPACE = re.compile(r"\s*")
@@ -146,3 +163,155 @@ def parsed_text(text: str, where: str) -> Element:
 def _name(name: str) -> str:
     """Return a name as ElementTree writes it: {namespace}name."""
     return "{" + name if "}" in name else name
+
+
+# --- elements, read strictly -----------------------------------------------------------------------------------------
+
+
+_P = TypeVar("_P", bound="Part")
+
+DRAKE = "{http://drake.mit.edu}"
+"""Namespace of the elements that Drake adds."""
+
+ZEROS = ("", "0", "0.0", "false")
+"""Texts of elements and attributes that change nothing."""
+
+LONGEST_NAME = 255
+"""Characters of a name of a link or joint."""
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Part:
+    """An element, the file that it is in, and the link or joint that it belongs to: for messages and their details.
+
+    It is read strictly: what is no number, is there twice or is misspelt is an error with file and line.
+    """
+
+    element: Element
+    path: Path
+    owner: str
+    details: Mapping[str, str] = field(default_factory=dict)
+    remedy: ClassVar[str] = "Correct the file."
+    attributes_of: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    """By element, the attributes that its format knows: one that is nearly called so is an error."""
+
+    def refuse(self, message: str, remedy: str = "", **details: object) -> NoReturn:
+        """Refuse the file, at the line of the element."""
+        line = self.element.line
+        place = f"line {line}" + (" of what xacro makes of it" if self.path.suffix == ".xacro" else "")
+        raise ModelFileError(
+            f"{message} ({place if self.path.name in message else f'{self.path.name}, {place}'}).",
+            remedy=remedy or self.remedy,
+            path=str(self.path),
+            line=line,
+            **self.details,
+            **details,
+        )
+
+    @property
+    def tag(self) -> str:
+        """The name of the element, with the namespace in braces before it."""
+        return str(self.element.tag)
+
+    @property
+    def place(self) -> str:
+        """The element and its line, for messages."""
+        return f"<{self.tag.rpartition('}')[2]}> in line {self.element.line}"
+
+    @property
+    def attributes(self) -> Mapping[str, str]:
+        """The attributes of the element."""
+        return self.element.attrib
+
+    def children(self, tag: str) -> Iterator[Element]:
+        """Give the elements of that name in the element."""
+        return (part for part in self.element if part.tag == tag and isinstance(part, Element))
+
+    def parts(self: _P, tag: str = "") -> list[_P]:
+        """Return the elements in the element, those of one name or all, each named by itself in messages."""
+        found = [each for each in self.element if isinstance(each, Element) and tag in ("", each.tag)]
+        return [self._named_by_itself(each) for each in found]
+
+    def deep(self: _P, tag: str) -> list[_P]:
+        """Return the elements of that name in the element and in what is in it."""
+        return [self._named_by_itself(each) for each in self.element.iter(tag) if isinstance(each, Element)]
+
+    def _named_by_itself(self: _P, element: Element) -> _P:
+        label = str(element.tag).rpartition("}")[2]
+        name = f" {element.get('name', '')!r}" if element.get("name") else ""
+        return replace(self, element=element, owner=f"The <{label}>{name} of {self.path.name}", details={})
+
+    def name(self) -> str:
+        """Return the name of the element.
+
+        Raises:
+            ModelFileError: none, one that is blank, or one that is too long.
+        """
+        name = self.element.get("name", "")
+        if not name or not name.isprintable() or name != name.strip():
+            self.refuse(f"{self.owner} has the name {short(repr(self.element.get('name')))}", "Give it one.")
+        if len(name) > LONGEST_NAME:
+            self.refuse(f"{self.owner} has a name of {len(name)} characters", f"There may be {LONGEST_NAME}.")
+        return name
+
+    def text_of(self, key: str) -> str:
+        """Return an attribute, empty where it is left out."""
+        return self.element.get(key, "").strip()
+
+    def content(self) -> str:
+        """Return the text in the element."""
+        return (self.element.text or "").strip()
+
+    def one(self: _P, tag: str) -> _P | None:
+        """Return a part of which there is at most one.
+
+        Raises:
+            ModelFileError: more of them, or an attribute that is nearly, but not quite, one that is left out.
+        """
+        parts = [replace(self, element=element) for element in self.children(tag)]
+        if len(parts) > 1:
+            parts[1].refuse(f"{self.owner} has <{tag}> {len(parts)} times")
+        known = self.attributes_of.get(tag, ())
+        for key in parts[0].element.attrib if parts and known else ():
+            left_out = [each for each in known if each not in parts[0].element.attrib]
+            if key not in known and (hint := did_you_mean(key.lower(), left_out)):
+                parts[0].refuse(f"{self.owner} has <{tag}> with the attribute {short(key)!r}", hint.strip())
+        return parts[0] if parts else None
+
+    def required(self: _P, tag: str) -> _P:
+        """Return a part that has to be there."""
+        return self.one(tag) or self.refuse(f"{self.owner} has no {tag}")
+
+    def number(self, key: str, what: str = "", most: float = LARGEST) -> float:
+        """Return the number of an attribute."""
+        text = self.element.get(key)
+        number = _as_number((text or "").strip(), most)
+        if number is None:
+            shown = text if text is None else short(text)
+            self.refuse(f"{self.owner} has the {what or key} {shown!r}, which is not a finite number")
+        return number
+
+    def numbers(self, text: str, count: int, what: str) -> Array:
+        """Return the (count,) numbers of a text."""
+        numbers = [_as_number(part, LARGEST) for part in text.split()]
+        if len(numbers) != count or None in numbers:
+            wanted = {1: "one finite number", 3: "three finite numbers"}.get(count, f"{count} finite numbers")
+            remedy = "Write numbers with blanks between them."
+            self.refuse(f"{self.owner} has {what} {short(text)!r}, which is not {wanted}", remedy)
+        return np.array(numbers, dtype=float)
+
+    def triple(self, key: str, what: str) -> Array:
+        """Return the (3,) numbers of an attribute."""
+        return self.numbers(self.element.get(key, ""), 3, what)
+
+
+def _as_number(text: str, most: float) -> float | None:
+    number = float(text) if _NUMBER.fullmatch(text) else math.nan
+    return number if abs(number) <= most else None
+
+
+def short(text: str) -> str:
+    """Return a text, or its beginning where it is long."""
+    return text if len(text) <= 80 else f"{text[:77]}..."
