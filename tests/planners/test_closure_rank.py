@@ -62,7 +62,7 @@ def test_two_loops_that_are_flat_at_once_are_one_pose() -> None:
 def test_a_linkage_that_is_never_flat_has_none() -> None:
     """A crank that turns: the shortest and the longest side are together shorter than the other two."""
     dynamics, motion = rp.RneaDynamics(four_bar((1.0, 3.0, 3.0, 4.0), 1.2, 1)), swing(1.2, 7.0)
-    assert closure_rank_losses(dynamics, dynamics.along(motion), as_motion(motion)) == []
+    assert closure_rank_losses(dynamics, dynamics.along(motion), as_motion(motion)) == ()
 
 
 def test_plans_and_their_check_name_it() -> None:
