@@ -22,7 +22,7 @@ from redundancy_pin.planners.intersample_check import (
     imbalance,
     intersample_check,
 )
-from redundancy_pin.planners.limits import LIMIT_TOLERANCE, QUANTITIES, LimitEvent, LimitReport, Limits
+from redundancy_pin.planners.limits import LIMIT_TOLERANCE, QUANTITIES, LimitEvent, LimitReport, Limits, worst_events
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import record_difference, robot_record
 from redundancy_pin.robot import Robot
@@ -309,7 +309,9 @@ def _other_peak(plan: Plan, again: Plan) -> Deviation | None:
 def _other_limits(plan: Plan, again: Plan) -> list[Deviation]:
     """Return where a plan reports limits as exceeded that are not, or not as much, or leaves one out."""
     deviations = []
-    reported, found = _worst_events(plan), _worst_events(again)
+    reported, found = (
+        {(event.carrier, event.quantity): event for event in worst_events(one.limits.violated)} for one in (plan, again)
+    )
     for key in sorted({*reported, *found}):
         event = found[key] if key in found else reported[key]
         stated, true = (events[key].amount if key in events else 0.0 for events in (reported, found))
@@ -320,9 +322,3 @@ def _other_limits(plan: Plan, again: Plan) -> list[Deviation]:
             by = f", not by {stated:.4g}." if key in reported else "."
             deviations.append(Deviation("limits", event.worst, abs(true - stated), message + by))
     return deviations
-
-
-def _worst_events(plan: Plan) -> dict[tuple[str, str], LimitEvent]:
-    """Return the largest excess over each limit that a plan violates, by joint and quantity."""
-    by_amount = sorted(plan.limits.violated, key=lambda event: event.amount)
-    return {(event.carrier, event.quantity): event for event in by_amount}

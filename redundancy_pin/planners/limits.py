@@ -212,6 +212,19 @@ class LimitEvent:
     amount: float
 
 
+Events = tuple[LimitEvent, ...]
+
+
+def worst_events(events: Events) -> Events:
+    """Return the event with the largest excess for each quantity of each joint, in the order of the first ones."""
+    worst: dict[tuple[str, str], LimitEvent] = {}
+    for event in events:
+        key = event.carrier, event.quantity
+        if key not in worst or event.amount > worst[key].amount:
+            worst[key] = event
+    return tuple(worst.values())
+
+
 @dataclass(frozen=True)
 class LimitReport:
     """Limits that a plan breaks, and those it only touches.
@@ -256,9 +269,6 @@ class LimitedQuantity:
     exceeding: float = LIMIT_TOLERANCE
     touching: float = LIMIT_TOLERANCE
     unit: Array | None = None
-
-
-Events = tuple[LimitEvent, ...]
 
 
 def limit_events(quantities: Iterable[LimitedQuantity]) -> tuple[Events, Events]:
