@@ -14,7 +14,7 @@ from redundancy_pin.cli import options, output, plan_problem
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.planners.limits import LimitEvent
+from redundancy_pin.planners.limits import LimitEvent, worst_events
 from redundancy_pin.planners.plan import REVERSAL, Plan
 from redundancy_pin.robot.joint_ranges import beyond_limits
 from redundancy_pin.status import ResultStatus
@@ -184,7 +184,8 @@ def _phases(phases: list[dict[str, Any]]) -> str:
 
 
 def _events(plan: Plan, events: tuple[LimitEvent, ...], between: str = "\n", *, broken: bool) -> str:
-    return output.listed([_event(plan, event, broken=broken) for event in events], _LISTED, between) or "none"
+    shown = [_event(plan, event, broken=broken) for event in worst_events(events)]
+    return output.listed(shown, _LISTED, between) or "none"
 
 
 def _event(plan: Plan, event: LimitEvent, *, broken: bool) -> str:

@@ -354,7 +354,7 @@ def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
         own = slice(first, first + len(names))
         rows.append(LimitedQuantity(quantity, names, time[:, own], value[:, own], -limit, limit))
         first += len(names)
-    rows += [*motion_quantities(limits, planned.functions.carriers), *joint_ranges_of(planned)]
+    rows += [*motion_quantities(limits, planned.functions.carriers, t), *joint_ranges_of(planned)]
     violated, touched = limit_events(rows)
     with np.errstate(invalid="ignore"):  # infinite efforts without a limit
         use = np.nan_to_num(size / np.concatenate([limit for *_, limit in columns]), nan=0.0, posinf=np.inf)

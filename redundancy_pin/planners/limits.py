@@ -115,6 +115,19 @@ class LimitEvent:
     amount: float
 
 
+Events = tuple[LimitEvent, ...]
+
+
+def worst_events(events: Events) -> Events:
+    """Return the event with the largest excess for each quantity of each joint, in the order of the first ones."""
+    worst: dict[tuple[str, str], LimitEvent] = {}
+    for event in events:
+        key = event.carrier, event.quantity
+        if key not in worst or event.amount > worst[key].amount:
+            worst[key] = event
+    return tuple(worst.values())
+
+
 @dataclass(frozen=True)
 class LimitReport:
     """Limits that a plan breaks, and those it only touches.
@@ -161,9 +174,6 @@ class LimitedQuantity:
     unit: Array | None = None
 
 
-Events = tuple[LimitEvent, ...]
-
-
 def limit_events(quantities: Iterable[LimitedQuantity]) -> tuple[Events, Events]:
     """Return the limits that are exceeded, and those that are touched, both by time.
 
@@ -195,17 +205,25 @@ def limit_events(quantities: Iterable[LimitedQuantity]) -> tuple[Events, Events]
     return tuple(violated), tuple(touched)
 
 
-def motion_quantities(limits: ResolvedLimits, position: PiecewisePolynomial) -> tuple[LimitedQuantity, ...]:
+def motion_quantities(
+    limits: ResolvedLimits, position: PiecewisePolynomial, samples: Array | None = None
+) -> tuple[LimitedQuantity, ...]:
     """Return track, speed, acceleration and jerk of carriers whose positions (k,), m, are a function of time.
 
     Evaluated at all extremes, from both sides where s̈ jumps. A jump of s̈ is a jerk within the shorter of the pieces
     that meet there.
+
+    Args:
+        limits: of the carriers.
+        position: of the carriers.
+        samples: (N,) further times, s: extremes tell how much is exceeded, these from when to when.
     """
-    inside = np.linspace(0.0, 1.0, 5)[:-1]  # that an event has a start and an end; the extremes decide
+    inside = np.linspace(0.0, 1.0, 5)[:-1]
     edges, step = position.edges, np.diff(position.edges)
     even = edges[:-1, None] + step[:, None] * inside
     extremes = [position.derivative(order).extremes() for order in range(3)]
-    times = np.unique(np.concatenate([even.ravel(), edges[-1:], *extremes]))
+    further = edges[:0] if samples is None else samples[(samples >= edges[0]) & (samples <= edges[-1])]
+    times = np.unique(np.concatenate([even.ravel(), edges[-1:], further, *extremes]))
     sides = [carriers_at(position, times, side) for side in ("left", "right")]
     t, (lower, upper) = np.repeat(times, 2), limits.bounds
     rows = [

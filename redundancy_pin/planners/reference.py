@@ -304,5 +304,7 @@ def _deviation(plan: Plan, tau: PiecewisePolynomial) -> float:
     """Return the largest distance of the efforts from those at the samples of a plan; NaN where it has none."""
     two_sided = plan.motion.jumps | np.append(plan.motion.jumps[1:], False)
     finite = np.isfinite(plan.tau).all(axis=1) & ~two_sided
+    # a sample belongs to the step that it ends, and the first one to none: a plan by steps may set off with a jump
+    finite[0] = False
     distances = np.abs(tau(plan.t[finite], "left") - plan.tau[finite])
     return float(distances.max()) if distances.size else float("nan")

@@ -87,8 +87,9 @@ class SingularInstant(Frozen):
         left, values, _ = np.linalg.svd(scaled(W[None], *scales)[0])
         lost = max(int((values <= LOST * size).sum()), 1)
         u = left[:, n - lost :].T / reduced.row_scale
-        parts = (read_only(part) for part in (u, W, W_rate, f, f_rate))
-        return SingularInstant(t, *parts, size, reduced.row_scale, float(edges[-1] - edges[0]))
+        u, W, W_rate, f, f_rate = (read_only(part) for part in (u, W, W_rate, f, f_rate))
+        duration = float(edges[-1] - edges[0])
+        return SingularInstant(t, u, W, W_rate, f, f_rate, size, reduced.row_scale, duration)
 
     @property
     def equation(self) -> tuple[Array, Array]:

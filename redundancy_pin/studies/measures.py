@@ -14,6 +14,7 @@ from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.limits import worst_events
 from redundancy_pin.planners.plan import Plan, effort_reversals
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
@@ -370,13 +371,9 @@ def square_integral(t: Array, values: Array) -> float:
 
 def broken_limits(plan: Plan) -> str:
     """Return the limits broken, the worst of each carrier and quantity: ``"track of carrier_1 by 0.05 at 0.9 s"``."""
-    worst: dict[tuple[str, str], Any] = {}
-    for event in plan.limits.violated:
-        key = (event.quantity, event.carrier)
-        if key not in worst or event.amount > worst[key].amount:
-            worst[key] = event
     return "; ".join(
-        f"{what} of {carrier} by {event.amount:.3g} at {event.worst:.2f} s" for (what, carrier), event in worst.items()
+        f"{event.quantity} of {event.carrier} by {event.amount:.3g} at {event.worst:.2f} s"
+        for event in worst_events(plan.limits.violated)
     )
 
 

@@ -244,3 +244,19 @@ def test_an_effort_exceeded_at_samples_and_between_them_is_one_broken_limit(whol
     ):
         j = whole.robot.actuated.index(event.carrier)
         assert event.amount == pytest.approx(tight[j], rel=1e-3)
+
+
+def test_a_plan_that_is_no_optimum_and_unresolved_is_not_converged() -> None:
+    """No sample of a corner shows its jump from both sides; the step that does not end at a minimum is graver."""
+    dynamics = rp.VirtualWork(zoo.robot_of("3rrr"))
+    plan = rp.plan_stepwise(dynamics, reference.corner().sample(0.02, two_sided=False))
+    assert (plan.status, plan.between.passed) == (ResultStatus.UNRESOLVED, False)
+    worse = replace(plan, findings=replace(plan.findings, optimal=False))
+    assert rp.check_plan(worse, dynamics).status is ResultStatus.NOT_CONVERGED
+
+
+def test_the_acceleration_of_the_first_sample_is_judged(whole: Plan) -> None:
+    sdd = np.array(whole.carriers.sdd)
+    sdd[0] += 2e-3 * np.abs(sdd).max()
+    check = rp.check_plan(replace(whole, carriers=replace(whole.carriers, sdd=sdd)), other(whole))
+    assert ("carrier motion sdd", 0.0) in {(one.quantity, one.time) for one in check.deviations}

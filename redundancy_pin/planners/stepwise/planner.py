@@ -199,15 +199,14 @@ def _above_rounding(rate: Array) -> BoolArray:
 def _samples(motion: PlatformMotion, course: Course, planned: int) -> tuple[CarrierMotion, IntArray]:
     """Return the carriers and phases at the samples of the motion, and at those added to it.
 
-    The first sample, and the second one of a jump, show the acceleration of the step that follows. ``planned``: number
-    of instants of the course that are samples of the motion.
+    The second sample of a jump shows the acceleration of the step that follows. ``planned``: number of instants of the
+    course that are samples of the motion.
     """
     follows = np.minimum(np.arange(len(course.t)) + 1, len(course.t) - 1)
     after = np.where((course.phase[follows] == RETURN)[:, None], course.sdd, course.sdd[follows])
     added = np.arange(planned, len(course.t))
     which = np.concatenate([np.cumsum(~motion.jumps) - 1, added])
     second = np.pad(motion.jumps, (0, len(added)))
-    second[0] = True
     acceleration: Array = np.where(second[:, None], after[which], course.sdd[which])
     return (
         CarrierMotion(course.s[which], course.sd[which], acceleration, check_rates=False),
