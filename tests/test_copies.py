@@ -31,7 +31,7 @@ from redundancy_pin.planners.receding_horizon.run import OnLineRun
 from redundancy_pin.simulation import ForwardDynamics, closed_state, inverse_derivatives, linearise
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.studies.cases import SINGULAR
-from redundancy_pin.studies.co_design import CoDesign, DesignTask
+from redundancy_pin.planners.optimal.co_design import CoDesign, DesignTask
 from redundancy_pin.studies.trade import TradeOff
 from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial

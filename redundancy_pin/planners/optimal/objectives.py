@@ -19,7 +19,6 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.base_wrench import point_of, weights_of
-from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.limits import Limits, ResolvedLimits
 from redundancy_pin.planners.optimal.nlp import Progress, casadi
 from redundancy_pin.robot import Robot
@@ -274,7 +273,6 @@ def checked_settings(
     at_most: Mapping[str, float] | None = None,
 ) -> Settings:
     """Return the settings after checking every option."""
-    require_carriers(robot)
     one_of(end, "end", get_args(End))
     weights, lam = weights_of(objective.weights, OBJECTIVES), fraction(objective.lam, "lam")
     if "tracking" in weights and lam > 0.0 and objective.baseline is None:

@@ -14,6 +14,7 @@ from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import IntersampleCheck
 from redundancy_pin.planners.limits import Limits, grouped
@@ -146,6 +147,7 @@ def plan_whole_trajectory(
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
     dynamics = as_dynamics(dynamics)
+    require_carriers(dynamics.robot)
     if isinstance(objective, Objective):
         goal = grouped("objective", objective, Objective, lam=lam, baseline=baseline, base_point=base_point, calm=calm)
     else:

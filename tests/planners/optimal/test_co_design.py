@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import redundancy_pin as rp
-import redundancy_pin.studies.co_design as studied
+import redundancy_pin.planners.optimal.co_design as studied
 from redundancy_pin.errors import InputError
+from redundancy_pin.planners.optimal.co_design import DesignTask, Search, co_design
 from redundancy_pin.robot import Robot
-from redundancy_pin.studies.co_design import DesignTask, Search, co_design
 from redundancy_pin.trajectory import reference
 
 LIGHT = {"acceleration": 20.0, "dt": 0.02}
