@@ -145,7 +145,7 @@ def test_a_search_stopped_by_machines_that_cannot_is_no_optimum(monkeypatch: pyt
         def machine(self, u: np.ndarray, near: object = None) -> Any:
             cost = 1.0 + float(self.slope @ u)
             return SimpleNamespace(u=u, cost=cost, slope=self.slope, values=[cost], gradients=self.slope[None],
-                                   solved=(), at_bound=(False, False), parameters={})  # fmt: skip
+                                   costs=(), at_bound=(False, False), parameters={})  # fmt: skip
 
         def machine_or_none(self, u: np.ndarray, near: object) -> Any:
             return self.machine(u) if u[0] <= self.most else None
