@@ -30,6 +30,7 @@ from redundancy_pin.errors import InfeasiblePlanError, SingularPoseError, Unreac
 from redundancy_pin.planners.receding_horizon import Preview, RecedingHorizon, run_online
 from redundancy_pin.simulation.controllers import Encoders, NoisyAmplifier, OnlinePlanning, Sampling, joint_friction
 from redundancy_pin.simulation.state import closed_state
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.studies.trial import MASSES, Imperfections, draw
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.paths import circle_path
@@ -124,7 +125,9 @@ def crosses(dynamics, trajectory):
 def off_line(dynamics, trajectory, **limits):
     """Return the least peak known, None where nothing keeps the limits."""
     try:
-        plan = rp.plan_whole_trajectory(dynamics, trajectory, objective="peak", **OFF_LINE, **limits)
+        plan = rp.plan_whole_trajectory(
+            dynamics, trajectory, **in_groups(rp.plan_whole_trajectory, dict(objective="peak", **OFF_LINE, **limits))
+        )
     except InfeasiblePlanError:
         return None
     return float(plan.peak_effort.max())
@@ -197,7 +200,7 @@ def outside(plan, robot):
 
 
 def on_line(dynamics, trajectory, **settings):
-    return run_online(RecedingHorizon(dynamics, **settings), trajectory).plan
+    return run_online(RecedingHorizon(dynamics, **in_groups(RecedingHorizon, settings)), trajectory).plan
 
 
 def switched_off(dynamics, trajectory):
@@ -214,8 +217,12 @@ def switched_off(dynamics, trajectory):
 
 
 METHODS = {
-    "off line, least peak": lambda *given: rp.plan_whole_trajectory(*given, objective="peak", **OFF_LINE),
-    "off line, least effort": lambda *given: rp.plan_whole_trajectory(*given, objective="effort", **OFF_LINE),
+    "off line, least peak": lambda *given: rp.plan_whole_trajectory(
+        *given, **in_groups(rp.plan_whole_trajectory, dict(objective="peak", **OFF_LINE))
+    ),
+    "off line, least effort": lambda *given: rp.plan_whole_trajectory(
+        *given, **in_groups(rp.plan_whole_trajectory, dict(objective="effort", **OFF_LINE))
+    ),
     "switch-off": switched_off,
     "on line, peak": lambda *given: on_line(*given, objective="peak"),
     "on line, effort": lambda *given: on_line(*given, objective="effort"),
@@ -273,7 +280,9 @@ def preview(count=8):
             planned, ticks, whole, over = 0, 0, 0, []
             for path, least in zip(paths, best, strict=True):
                 try:
-                    run = run_online(RecedingHorizon(dynamics, horizon=horizon, acceleration=most), path)
+                    run = run_online(
+                        RecedingHorizon(dynamics, horizon=horizon, limits=rp.Limits(acceleration=most)), path
+                    )
                 except InfeasiblePlanError:
                     continue
                 planned, ticks = planned + run.counts["ok"], ticks + len(run.commands)
@@ -290,7 +299,7 @@ def milliseconds(dynamics, paths, period, **settings):
     """Return what each tick but the first took of the processor, ms, and how many were not planned."""
     spent, unplanned = [], 0
     for path in paths:
-        planner = RecedingHorizon(dynamics, **settings)
+        planner = RecedingHorizon(dynamics, **in_groups(RecedingHorizon, settings))
         planner.update(0.0, path, 0.0, 0.0)
         for t in np.arange(period, path.duration, period).tolist():
             before = time.thread_time()
@@ -347,7 +356,7 @@ def imperfect(number, times, **settings):
     wrong = ("mass", "length", "start_position", "start_speed", "noise", *FRICTION)
     bounds = replace(one, **{name: times * getattr(one, name) for name in wrong})
     drawn, limits = draw(known, bounds, 0, number), {"effort_limit": 20.0, "carrier_force_limit": 40.0}
-    planner = RecedingHorizon(dynamics, track=(-0.16, 0.16))
+    planner = RecedingHorizon(dynamics, limits=rp.Limits(track=(-0.16, 0.16)))
     control = OnlinePlanning(planner, LOOP, sampling, effort_scale=2.0, dynamics=dynamics, **limits, **settings)
     true, point = rp.load_robot("2rpr", **{**MASSES, **drawn.arguments}), control.reference.at(0.0)
     home = closed_state(true, point.x, point.xd, point.s, point.sd).q - point.q

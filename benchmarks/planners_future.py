@@ -15,6 +15,7 @@ import path_timing
 
 import redundancy_pin as rp
 from redundancy_pin.planners.optimal.co_design import DesignTask, Search
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import reference
 
 REPEATS = 3
@@ -63,7 +64,7 @@ def least_time():
     carrying = rp.VirtualWork(rp.load_robot("3rrr", carrier_mass=3.0, **MODE))
 
     def alone():
-        return rp.plan_time_optimal(bare, path, effort=EFFORT).t[-1]
+        return rp.plan_time_optimal(bare, path, limits=rp.Limits(effort=EFFORT)).t[-1]
 
     yield compared(
         "least time round the corner, no carriers, against toppra on 400 steps",
@@ -73,7 +74,10 @@ def least_time():
         lambda theirs, ours: abs(ours / theirs - 1.0),
     )
     spent = statistics.median(
-        seconds(lambda: rp.plan_time_optimal(carrying, path, effort=EFFORT, **WIDE))[0] for _ in range(REPEATS)
+        seconds(
+            lambda: rp.plan_time_optimal(carrying, path, **in_groups(rp.plan_time_optimal, dict(effort=EFFORT, **WIDE)))
+        )[0]
+        for _ in range(REPEATS)
     )
     what = "least time round the corner, carriers parked at both ends"
     print(f"{what}: {spent:.2f} s (target {MOST:g})")
@@ -86,7 +90,10 @@ def base_wrench():
 
     def plan(objective):
         return rp.plan_whole_trajectory(
-            dynamics, corner, objective=objective, base_point=CENTRE, end="free", dt=0.01, **WIDE
+            dynamics,
+            corner,
+            end="free",
+            **in_groups(rp.plan_whole_trajectory, dict(objective=objective, base_point=CENTRE, dt=0.01, **WIDE)),
         )
 
     yield compared(
@@ -102,12 +109,12 @@ def gradient():
     """Slopes of a least cost by three numbers of the machine, against plans made anew."""
     design = {"carrier_mass": (0.5, 2.0), "track_offset": (0.05, 0.15), "end_effector_mass": (0.1, 1.0)}
     circle = reference.circle(speed=0.5, ramp_time=0.2, ramp_length=0.05)
-    options = {"objective": "effort", "calm": 0.0, "acceleration": 20.0, "dt": 0.02, "refinements": 0}
-    robot = rp.load_robot("2rpr", end_effector_mass=0.5)
+    options = {"limits": rp.Limits(acceleration=20.0), "mesh": rp.Mesh(dt=0.02, refinements=0)}
+    robot, least = rp.load_robot("2rpr", end_effector_mass=0.5), rp.Objective("effort", calm=0.0)
 
     def value(**changed):
         dynamics = rp.VirtualWork(rp.with_parameters(robot, **changed))
-        return rp.plan_whole_trajectory(dynamics, circle, **options).diagnostics["objective"]["effort"]
+        return rp.plan_whole_trajectory(dynamics, circle, objective=least, **options).diagnostics["objective"]["effort"]
 
     def differences():
         slopes = []

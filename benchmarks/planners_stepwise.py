@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 import redundancy_pin as rp
 from redundancy_pin.planners.carrier_model import effort_model
 from redundancy_pin.planners.carrier_return import CarrierState
-from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.stepwise.planner import LEAST_MARGIN, plan_stepwise
 from redundancy_pin.planners.stepwise.step import AccelerationBox, optimise
 

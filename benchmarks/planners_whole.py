@@ -19,10 +19,11 @@ import symbolic_plans
 import redundancy_pin as rp
 from redundancy_pin.planners.optimal.mesh import grid_of
 from redundancy_pin.planners.optimal.nlp import solve_nlp
-from redundancy_pin.planners.optimal.objectives import Mesh, Objective, Solver, checked_settings
 from redundancy_pin.planners.optimal.problem import Task, read_problem
+from redundancy_pin.planners.optimal.settings import checked_settings
 from redundancy_pin.planners.optimal.solve import solve
 from redundancy_pin.planners.optimal.transcription import transcribe
+from redundancy_pin.planners.options import Mesh, Objective, Solver
 from redundancy_pin.trajectory.continuous_motion import as_motion
 
 REPEATS = 5
@@ -48,7 +49,7 @@ def problem_of(trajectory, nodes, objective):
         robot, Objective(objective), mesh=Mesh(trajectory.duration / nodes, 0), solver=Solver(seconds=600.0)
     )
     source = as_motion(trajectory)
-    grid = grid_of(source, [], settings.mesh.dt)
+    grid = grid_of(source, [], settings.dt)
     task = Task(rp.VirtualWork(robot), source, settings)
     return seconds(lambda: read_problem(task, grid)[0])
 
@@ -107,8 +108,7 @@ def compared(radius, objective):
         rp.VirtualWork(rp.load_robot("3rrr")),
         trajectory,
         objective=objective,
-        dt=trajectory.duration / NODES,
-        refinements=0,
+        mesh=rp.Mesh(dt=trajectory.duration / NODES, refinements=0),
     )
     # a fresh mechanism each time, as a plan of another machine would need
     figures, (expected, _), _ = paired(

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from redundancy_pin.planners.optimal.co_design import co_design
     from redundancy_pin.planners.optimal.time_optimal import plan_time_optimal
     from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
+    from redundancy_pin.planners.options import Limits, Mesh, Objective, Solver
     from redundancy_pin.planners.plan import Plan, load_plan, load_robot_of
     from redundancy_pin.planners.receding_horizon import RecedingHorizon
     from redundancy_pin.planners.stepwise.planner import plan_stepwise
@@ -63,6 +64,7 @@ _PLACES = {
         "loading": "load_robot robot_from_model with_parameters",
         "motion": "CarrierMotion PlatformMotion",
         "planners.check": "check_plan",
+        "planners.options": "Limits Mesh Objective Solver",
         "planners.plan": "Plan load_plan load_robot_of",
         "planners.receding_horizon": "RecedingHorizon",
         "planners.stepwise.planner": "plan_stepwise",
@@ -93,12 +95,16 @@ __all__ = [
     "CarrierMotion",
     "CompiledDynamics",
     "JointForces",
+    "Limits",
+    "Mesh",
+    "Objective",
     "Payload",
     "Plan",
     "PlatformMotion",
     "RecedingHorizon",
     "RneaDynamics",
     "Robot",
+    "Solver",
     "Spring",
     "VirtualWork",
     "Wrench",

@@ -24,14 +24,14 @@ from redundancy_pin.dynamics.contacts import closure_forces
 from redundancy_pin.dynamics.virtual_work import three_rrr, two_rpr
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.planners.carrier_return import CarrierState
-from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.optimal.co_design import CoDesign, DesignTask
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import Command
 from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.planners.receding_horizon.run import OnLineRun
 from redundancy_pin.simulation import ForwardDynamics, closed_state, inverse_derivatives, linearise
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.studies.cases import SINGULAR
-from redundancy_pin.planners.optimal.co_design import CoDesign, DesignTask
 from redundancy_pin.studies.trade import TradeOff
 from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -83,7 +83,7 @@ def objects() -> dict[str, Any]:
         "slower preview": Preview.of(motion).scaled(slower := TimeScaling.none(0.0).changed(0.1, 0.5, 0.2)),
         "slower motion": ScaledMotion(as_motion(motion), slower),
         "on-line run": OnLineRun(
-            (stepwise := rp.plan_stepwise(dynamics, trajectory, lam=0.0)),
+            (stepwise := rp.plan_stepwise(dynamics, trajectory)),
             (Command(0.0, UpdateStatus.OK, "", *[polynomial] * 3, 0.0, 0.0, three, 0.1, 0.0, 0.0),),
         ),
         "trade-off": TradeOff(SINGULAR[0], "effort", "energy", ()),
@@ -119,7 +119,7 @@ def objects() -> dict[str, Any]:
         "sampled poses": as_motion(rp.trajectory.reference.pose(poses[0], poses[1]).sample(0.1)),
         "timed spline": rp.trajectory.from_points([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]], [0.0, 1.0, 2.0]),
         "pose spline": rp.trajectory.from_points(poses, speed=[0.0, 0.1]),
-        "table": rp.plan_stepwise(dynamics, trajectory.sample(dt=0.1), lam=0.0).table(robot=robot),
+        "table": rp.plan_stepwise(dynamics, trajectory.sample(dt=0.1)).table(robot=robot),
         "carrier state": CarrierState(0.0, *np.zeros((3, 3))),
         "crossing plan": rp.plan_switch_off(rp.VirtualWork(small), circle, threshold=5.0),
         "stepwise plan": stepwise,

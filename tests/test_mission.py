@@ -27,6 +27,7 @@ import xacro
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.studies.case import in_groups
 
 ROOT = Path(__file__).parents[1]
 reference = rp.trajectory.reference
@@ -322,18 +323,20 @@ def stepwise(backend: str, motion: Motion, lam: float, active: str = "always") -
     baseline = dynamics_of(backend, motion.robot, carriers=False)
     samples = motion.make().sample(5e-3, two_sided=True)
     options = {"lam": lam, "baseline": baseline, "active": active, "return_time": 0.6}
-    return rp.plan_stepwise(dynamics_of(backend, motion.robot), samples, **options)
+    return rp.plan_stepwise(dynamics_of(backend, motion.robot), samples, **in_groups(rp.plan_stepwise, options))
 
 
 def whole_trajectory(backend: str, motion: Motion, objective: str, dt: float) -> Any:
     dynamics = dynamics_of(backend, motion.robot)
-    return rp.plan_whole_trajectory(dynamics, motion.make(**motion.smooth), objective=objective, dt=dt)
+    return rp.plan_whole_trajectory(dynamics, motion.make(**motion.smooth), objective=objective, mesh=rp.Mesh(dt=dt))
 
 
 def least_time(backend: str, motion: Motion, steps: int) -> Any:
     # limits of the motors, N and N·m, of the size of those that the thesis's motions need
     effort = 0.5 if motion.robot == "2rpr" else 2.0
-    return rp.plan_time_optimal(dynamics_of(backend, motion.robot), motion.make(), effort=effort, steps=steps)
+    return rp.plan_time_optimal(
+        dynamics_of(backend, motion.robot), motion.make(), limits=rp.Limits(effort=effort), mesh=rp.Mesh(steps=steps)
+    )
 
 
 SEARCHED = 1e-6
@@ -501,7 +504,7 @@ def test_three_of_eight_working_modes_meet_no_limit(lam: float) -> None:
             rp.VirtualWork(rp.load_robot("3rrr", working_mode=mode, carriers=carriers)) for carriers in (True, False)
         )
         samples = reference.corner(0.025).sample(0.01, two_sided=False)
-        plan = rp.plan_stepwise(moving, samples, lam=lam, baseline=bare)
+        plan = rp.plan_stepwise(moving, samples, objective=rp.Objective(lam=lam, baseline=bare))
         if plan.diagnostics["bounds"]:
             continue
         free.append(mode)
@@ -651,7 +654,10 @@ def test_a_users_robot_is_planned_alike_by_each_backend_it_has(hoist: Path) -> N
     robot = rp.load_robot(hoist)
     path = rp.trajectory.Line((0.45, 0.75), (0.6, 0.85))
     lift = rp.trajectory.Trajectory(path, rp.trajectory.RestToRest(path.length, duration=0.6))
-    plans = [rp.plan_whole_trajectory(by(robot), lift, dt=2e-2) for by in (rp.RneaDynamics, rp.CompiledDynamics)]
+    plans = [
+        rp.plan_whole_trajectory(by(robot), lift, mesh=rp.Mesh(dt=2e-2))
+        for by in (rp.RneaDynamics, rp.CompiledDynamics)
+    ]
     one, other = map(values_of, plans)
     for name in one:
         np.testing.assert_allclose(other[name], one[name], rtol=0.0, atol=SEARCHED * np.abs(one[name]).max())

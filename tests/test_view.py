@@ -18,7 +18,7 @@ from redundancy_pin.visualisation.viewer.scene import Scene
 def plan() -> rp.Plan:
     robot = zoo.robot_of("3rrr")
     motion = rp.trajectory.reference.corner()
-    return rp.plan_stepwise(rp.RneaDynamics(robot), motion, lam=0.0)
+    return rp.plan_stepwise(rp.RneaDynamics(robot), motion)
 
 
 def _effort(scene: Scene, name: str) -> np.ndarray:

@@ -20,6 +20,7 @@ from redundancy_pin.loading import load_robot
 from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, run_online
 from redundancy_pin.robot import Robot
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory, reference
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 
@@ -64,9 +65,11 @@ def prepare(case: Case, backend: Callable[[Robot], Dynamics]) -> Drive:
     if robot.k == 0:
         return drive_of_motion(dynamics, motion)
     if case.on_line:
-        plan = run_online(RecedingHorizon(CompiledDynamics(robot), **case.planner), motion).plan
+        plan = run_online(
+            RecedingHorizon(CompiledDynamics(robot), **in_groups(RecedingHorizon, case.planner)), motion
+        ).plan
     else:
-        plan = plan_whole_trajectory(dynamics, motion, **case.planner)
+        plan = plan_whole_trajectory(dynamics, motion, **in_groups(plan_whole_trajectory, case.planner))
     return drive_of_plan(dynamics, plan, motion)
 
 

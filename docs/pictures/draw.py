@@ -40,7 +40,7 @@ def crossing() -> rp.Plan:
 
 def corner() -> rp.Plan:
     """The 3-RRR around the thesis's corner, its carriers moving for least torque."""
-    return rp.plan_stepwise(rp.load_robot("3rrr"), rp.trajectory.reference.corner(radius=0.025), lam=0.0)
+    return rp.plan_stepwise(rp.load_robot("3rrr"), rp.trajectory.reference.corner(radius=0.025))
 
 
 def animate(scene: Scene, path: Path, *, title: str) -> None:
@@ -134,7 +134,7 @@ def delta_crossing() -> Figure:
     robot = rp.load_robot("delta", rod_length=0.35, rod_carriers=True)
     line = rp.trajectory.Line((-0.04, 0.02, -0.25), (0.05, 0.0, -0.05))
     motion = rp.trajectory.Trajectory(line, rp.trajectory.RestToRest(line.length, 0.5, "4-5-6-7"))
-    plan = rp.plan_whole_trajectory(robot, motion, objective="peak", dt=0.01)
+    plan = rp.plan_whole_trajectory(robot, motion, objective="peak", mesh=rp.Mesh(dt=0.01))
     (singular,) = plan.diagnostics["singular_instants"]
     with figure(9.0, 2.2) as drawn:
         for panel, t in enumerate((singular - 0.1, singular, singular + 0.1), 1):
@@ -155,7 +155,7 @@ def on_line() -> Figure:
     dynamics = rp.CompiledDynamics(rp.load_robot("2rpr"))
     plans = {
         "off line, least peak": rp.plan_whole_trajectory(
-            dynamics, motion, objective="peak", end="free", start=0.0, dt=0.01
+            dynamics, motion, objective="peak", end="free", start=0.0, mesh=rp.Mesh(dt=0.01)
         ),
         "switched off near the line": rp.plan_switch_off(dynamics, motion, threshold=4.0, return_time="shortest"),
         "on line, half a second ahead": run_online(rp.RecedingHorizon(dynamics), motion).plan,

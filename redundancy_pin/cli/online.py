@@ -15,6 +15,7 @@ from redundancy_pin.cli.plan_problem import flags_of, number, numbers, parameter
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, run_online
 from redundancy_pin.status import UpdateStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.view import show
 from redundancy_pin.visualisation.viewer.page import require_html, require_meshcat
 
@@ -71,7 +72,7 @@ def online(
         between, at = None if tick is None else number("--tick", tick), numbers("--start", start)
         loaded = robot.load()
         followed = motion.follow("On-line planning", loaded)
-        planner = RecedingHorizon(options.dynamics_of(loaded, backend), **parameters)
+        planner = RecedingHorizon(options.dynamics_of(loaded, backend), **in_groups(RecedingHorizon, parameters))
         advance(1, 3, "ticks")
         run = run_online(planner, followed, tick=between, start=at)
         advance(2, 3, "writing")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,11 +20,12 @@ from redundancy_pin.errors import InputError, RedundancyPinError, shown
 from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.optimal import OBJECTIVES, plan_time_optimal
+from redundancy_pin.planners.options import CALM, FEWEST_STEPS, LARGEST_STEP
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon import RecedingHorizon
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import source_in
-from redundancy_pin.studies.case import BACKENDS
+from redundancy_pin.studies.case import BACKENDS, GROUPS, in_groups
 from redundancy_pin.studies.case import PLANNERS as AT_A_SPEED
 from redundancy_pin.trajectory import Trajectory
 from redundancy_pin.trajectory.trajectory import Ends
@@ -114,6 +115,9 @@ def weights(name: str, value: object) -> str | dict[str, float]:
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
+
+_LEFT_OUT = {"dt": LARGEST_STEP, "steps": FEWEST_STEPS, "calm": CALM}
+"""What planners take for fields of a group whose default is None."""
 
 PREFIX = "parameter_"
 """Of the arguments that are parameters of a planner: the speed of a trajectory is not that of a carrier."""
@@ -269,8 +273,7 @@ def planner_options(planner: str) -> Callable[[_Command], _Command]:
 
 
 def _option(planner: str, name: str, parameter: Parameter) -> Callable[[_Command], _Command]:
-    make: Callable[..., Any] = RecedingHorizon if planner == "online" else PLANNERS[planner]
-    default = inspect.signature(make).parameters[name].default
+    default = _default(RecedingHorizon if planner == "online" else PLANNERS[planner], name)
     # None stands for "not given": the planner's own default applies, and the help shows it
     written = _flag(name, parameter)
     if "/" in written:
@@ -286,12 +289,23 @@ def _option(planner: str, name: str, parameter: Parameter) -> Callable[[_Command
     )
 
 
+def _default(make: Callable[..., Any], name: str) -> object:
+    """Return the default of a parameter: the planner's own, or that of the group that has it."""
+    own = inspect.signature(make).parameters
+    if name in own:
+        return own[name].default
+    default = next(
+        one.default for group in GROUPS.keys() & own.keys() for one in fields(GROUPS[group]) if one.name == name
+    )
+    return _LEFT_OUT.get(name, default)
+
+
 @dataclass(frozen=True, eq=False)
 class PlanProblem:
     """Everything a planner needs.
 
-    ``parameters`` are its keyword arguments, ``followed`` says what the motion is, ``ends`` are those of a motion
-    through points.
+    ``parameters`` are as ``in_groups`` takes them, ``followed`` says what the motion is, ``ends`` are those of a
+    motion through points.
     """
 
     planner: str
@@ -304,8 +318,8 @@ class PlanProblem:
     def solve(self, progress: Callable[[str], None] | None = None) -> Plan:
         """Return the plan; planners that have stages call ``progress`` with a line of text at each."""
         make = PLANNERS[self.planner]
-        extra = {"progress": progress} if progress and "progress" in inspect.signature(make).parameters else {}
-        return make(self.dynamics, self.motion, **self.parameters, **extra)
+        extra = {"progress": progress} if progress and "solver" in inspect.signature(make).parameters else {}
+        return make(self.dynamics, self.motion, **in_groups(make, {**self.parameters, **extra}))
 
 
 def problem(

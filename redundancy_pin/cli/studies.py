@@ -18,7 +18,7 @@ from redundancy_pin.cli.plan_problem import PARAMETERS, read_parameters
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import expanded, write_text
 from redundancy_pin.planners.optimal.co_design import DesignTask, compare_machines
-from redundancy_pin.studies.case import VIRTUAL_WORK, WHOLE, Case, load
+from redundancy_pin.studies.case import PLANNERS, VIRTUAL_WORK, WHOLE, Case, in_groups, load
 from redundancy_pin.studies.case import options as as_options
 from redundancy_pin.studies.reproduce import reproduce as run_job
 from redundancy_pin.studies.reproduce import tables
@@ -203,7 +203,7 @@ def design(**given: Any) -> None:
         --vary carrier_mass=0.5:3 --vary track_offset=0.05:0.2 --parameter objective=peak --parameter dt=0.01
     """
     ranges = dict(map(_range, given["ranges"]))
-    parameters = _planner_parameters(given["parameters"])
+    parameters = in_groups(PLANNERS[WHOLE], _planner_parameters(given["parameters"]))
     folder = expanded(given["out"] or f"design-{Path(given['robot']).stem}")
     robot = load(given["robot"], given["mode"] or (), as_options(**given["settings"]), given["gravity"], given["trust"])
     dynamics = options.dynamics_of(robot, given["backend"] or (VIRTUAL_WORK if robot.closed_form else None))

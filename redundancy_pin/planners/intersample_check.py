@@ -139,6 +139,7 @@ class PlannedMotion:
         singular: indices of samples at which the efforts are the limits from both sides of a type II singularity.
         phase: (N,) index into ``phases`` of each sample; None where there is one phase only.
         phases: names of the phases.
+        chooses_timing: whether the planner chose the motion of the platform, and so the rates of the actuators.
         parameters: the planner's parameters, in plain data.
         diagnostics: the planner's findings, in plain data; "optimal" says whether it reached an optimum.
     """
@@ -153,6 +154,7 @@ class PlannedMotion:
     singular: IntArray | None = None
     phase: IntArray | None = None
     phases: tuple[str, ...] = ("all",)
+    chooses_timing: bool = False
     parameters: Mapping[str, object] = field(default_factory=dict)
     diagnostics: Mapping[str, object] = field(default_factory=dict)
 
@@ -223,7 +225,7 @@ class IntersampleCheck:
         touched: limits that are met, of efforts, forces, rates and jerks.
         middle: (P,) middles of the pieces, s.
         ratio: (P,) largest effort over the largest at the samples.
-        use: (P, c) used fractions of the limits of efforts, forces and rates.
+        use: (P, c) used fractions of the limits of efforts and forces, and of rates where the planner chose them.
     """
 
     peaks: IntersamplePeaks
@@ -319,6 +321,8 @@ def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
     violated, touched = (tuple(event for events in found for event in events[i]) for i in range(2))
     with np.errstate(invalid="ignore"):  # infinite efforts without a limit
         use = np.nan_to_num(size / np.concatenate([limit for *_, limit in columns]), nan=0.0, posinf=np.inf)
+    if not planned.chooses_timing:
+        use = use[:, : m + k]  # nothing that the planner can change lowers the rates of a given motion
     return IntersampleCheck(
         peaks=peaks,
         violated=(*violated, *motion_events(limits, planned.functions.carriers), *joint_range_events(planned)),

@@ -1,16 +1,15 @@
-"""Limits of a plan: as options, as arrays, and which of them a plan touches or breaks, when and by how much."""
+"""Limits of a plan as arrays, and which of them a plan touches or breaks, when and by how much."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, each, frozen, positive, runs
-from redundancy_pin.errors import InfeasiblePlanError, InputError, shown
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
+from redundancy_pin.arrays import Array, BoolArray, Frozen, each, frozen, runs
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
@@ -26,57 +25,6 @@ LIMIT_TOLERANCE = 1e-3
 """Relative excess up to which an effort, a force, a rate of an actuator or a jerk keeps its limit, at samples and
 between them: no plan with more counts as within its limits. What comes as near from below touches its limit. Position,
 speed and acceleration of carriers are polynomials, which planners keep within limits to rounding (``EXCEEDING``)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Limits(Frozen):
-    """Limits of a plan; what is None is the robot's own, or no limit where the robot declares none.
-
-    Attributes:
-        track: (2,) or (k, 2) track ends, m.
-        speed: scalar or (k,) largest |ṡ|, m/s.
-        acceleration: scalar or (k,) largest |s̈|, m/s².
-        jerk: scalar or (k,) largest |s⃛|, m/s³.
-        carrier_force: scalar or (k,) largest force of the carriers' actuators, N.
-        effort: scalar or (m,) largest |τ|, N or N·m.
-    """
-
-    track: ArrayLike | None = None
-    speed: ArrayLike | None = None
-    acceleration: ArrayLike | None = None
-    jerk: ArrayLike | None = None
-    carrier_force: ArrayLike | None = None
-    effort: ArrayLike | None = None
-
-    def resolved(self, robot: Robot) -> ResolvedLimits:
-        """Return them as arrays, with the robot's own by default.
-
-        Raises:
-            InputError: a limit that is not positive, a track whose ends are not in order, wrong shapes.
-        """
-        own, k = robot.carrier_limits, robot.k
-        track = np.array([(limit.lower, limit.upper) for limit in own]).reshape(k, 2)
-        if self.track is not None:
-            track = np.array(each(self.track, "track", (k, 2)))
-            if not (track[:, 0] < track[:, 1]).all():
-                raise InputError(
-                    f"track is {shown(np.asarray(self.track).tolist())}, but the ends of a track must increase.",
-                    remedy="Give the lower end first.",
-                    value=self.track,
-                )
-        bounds = {
-            "speed": [limit.speed for limit in own],
-            "acceleration": [limit.acceleration for limit in own],
-            "carrier_force": [limit.force for limit in own],
-            "jerk": [np.inf] * k,
-            "effort": [np.inf] * robot.m,
-            "actuator_speed": [np.inf] * robot.m,
-        }
-        for name, given in ((field.name, getattr(self, field.name)) for field in fields(self)[1:]):
-            if given is not None:
-                bounds[name] = each(given, name, (len(bounds[name]),), above_zero=True).tolist()
-        arrays = {name: frozen(values) for name, values in bounds.items()}
-        return ResolvedLimits(robot.carriers, frozen(track), **arrays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,50 +88,6 @@ class ResolvedLimits(Frozen):
                     amount=float(beyond),
                 )
         return places
-
-
-def require_motion(motion: object, *methods: str) -> None:
-    """Check that a motion is sampled, and one, or a trajectory that offers some methods."""
-    if isinstance(motion, PlatformMotion):
-        require_consistent(motion)
-    if not isinstance(motion, PlatformMotion) and not all(hasattr(motion, method) for method in methods):
-        raise InputError(
-            f"The planner was given {type(motion).__name__} for the motion.",
-            remedy="Pass a trajectory, such as trajectory.reference.circle(), or a PlatformMotion.",
-        )
-
-
-def return_duration(value: float | Literal["shortest"], name: str) -> float | Literal["shortest"]:
-    """Return how long the carriers' return takes, s, or "shortest", after checking it."""
-    if value == "shortest":
-        return "shortest"
-    if isinstance(value, str):
-        raise InputError(f"{name} is {shown(value)}.", remedy="Pass a duration in seconds or 'shortest'.", name=name)
-    return positive(value, name, "s")
-
-
-Group = TypeVar("Group", bound=Any)
-
-
-def grouped(name: str, group: Group | None, kind: type[Group], **keywords: Any) -> Group:
-    """Return a group of options, given as such or as flat keywords of the planner.
-
-    ``name``: keyword of the group, for the message; ``group``: the group, or None where the keywords count; ``kind``:
-    its dataclass; every field has a default; ``keywords``: values of its fields as flat keywords. One that equals its
-    default counts as left out.
-    """
-    if group is None:
-        built: Group = kind(**keywords)
-        return built
-    if not isinstance(group, kind):
-        raise InputError(f"{name} is {group!r}.", remedy=f"Pass {kind.__name__}({', '.join(keywords)}).", name=name)
-    default = {field.name: field.default for field in fields(kind)}
-    for key, value in keywords.items():
-        if value is not default[key] and not (np.isscalar(value) and value == default[key]):
-            raise InputError(
-                f"{key} is given twice: as a keyword and in {name}.", remedy="Leave one of them out.", name=key
-            )
-    return group
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -19,8 +20,8 @@ from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import PlannedMotion
-from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
+from redundancy_pin.planners.options import Limits, Mesh, Objective, Solver
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
@@ -62,6 +63,29 @@ PLANNERS: Mapping[str, Callable[..., Plan]] = {
     WHOLE: plan_whole_trajectory,
 }
 """Planners by the name the command line uses."""
+
+GROUPS: Mapping[str, type] = {"objective": Objective, "limits": Limits, "mesh": Mesh, "solver": Solver}
+"""Groups of options, by the keyword of a planner that takes one."""
+
+
+def in_groups(planner: Callable[..., Any], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return keyword arguments of a planner from options as flags, problem files and cases write them: in one mapping.
+
+    Fields of a group that the planner takes go there: ``{"dt": 0.02}`` is ``mesh=Mesh(dt=0.02)`` of a planner that has
+    no keyword ``dt`` itself. What is unknown stays, and the planner refuses it.
+    """
+    own = inspect.signature(planner).parameters
+    keywords = dict(options)
+    for group in GROUPS.keys() & own.keys():
+        kind = GROUPS[group]
+        names = {field.name for field in fields(kind)} - own.keys()
+        given = {name: keywords.pop(name) for name in names & keywords.keys()}
+        if given and group == "objective" and group in keywords:
+            given["weights"] = keywords[group]
+        if given:
+            keywords[group] = kind(**given)
+    return keywords
+
 
 Planner = Literal["none", "parked", "switch_off", "stepwise", "whole_trajectory"]
 """What moves the carriers: none, as there are none; nothing, as they stay at s = 0; or a planner."""
@@ -127,7 +151,8 @@ class Case:
         path: name of the trajectory in ``TRAJECTORIES``.
         path_options: its arguments, m, m/s, s, rad.
         planner: who moves the carriers.
-        options: keyword arguments of the planner; an ``objective`` of several weights as pairs.
+        options: of the planner, fields of groups beside its keywords (``in_groups``); an ``objective`` of several
+            weights as pairs.
         working_mode: ±1 a leg; as declared if empty.
         arguments: xacro arguments of the robot.
         dt: sampling interval, time step or largest step between nodes, s.
@@ -222,11 +247,13 @@ class Case:
             if not isinstance(given.get(name, ""), str):
                 given[name] = dict(given[name])
         if self.planner == "stepwise":
-            return plan_stepwise(dynamics, trajectory.sample(self.dt, two_sided=self.two_sided), **given)
+            motion = trajectory.sample(self.dt, two_sided=self.two_sided)
+            return plan_stepwise(dynamics, motion, **in_groups(plan_stepwise, given))
         if self.planner == "whole_trajectory":
             # tables state least costs and peaks, and compare them: a calm plan may cost a hundredth more
             given = {"calm": 0.0, **given}
-        return PLANNERS[self.planner.replace("_", "-")](dynamics, trajectory, dt=self.dt, **given)
+        planner = PLANNERS[self.planner.replace("_", "-")]
+        return planner(dynamics, trajectory, **in_groups(planner, {"dt": self.dt, **given}))
 
     def as_dict(self) -> dict[str, object]:
         """Return the configuration as plain data, for JSON."""

@@ -16,7 +16,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.simulation.replay import replay
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.case import Case, Plans, options
+from redundancy_pin.studies.case import Case, Plans, in_groups, options
 from redundancy_pin.studies.cases import Extent
 from redundancy_pin.studies.measures import numbers
 from redundancy_pin.studies.planned import Chapter, Tell
@@ -148,10 +148,9 @@ def coarsened(case: Case, extent: Extent) -> Case:
 def least_time(task: str, method: str, case: Case) -> Record:
     """Return the record of a plan of least time."""
     settings = {name: value for name, value in case.options if case.planner != "none"}
-    dynamics = case.dynamics()
-    return task_record(
-        task, method, case, plan_time_optimal(dynamics, case.trajectory().path, effort=TORQUE, **settings)
-    )
+    keywords = in_groups(plan_time_optimal, {"effort": TORQUE, **settings})
+    plan = plan_time_optimal(case.dynamics(), case.trajectory().path, **keywords)
+    return task_record(task, method, case, plan)
 
 
 def task_record(task: str, method: str, case: Case, outcome: Plan | InfeasiblePlanError) -> Record:

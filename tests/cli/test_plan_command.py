@@ -75,11 +75,10 @@ def test_stepwise_is_that_of_the_python_api(tmp_path: Path) -> None:
     expected = plan_stepwise(
         rp.load_robot("3rrr", working_mode=(1, 1, 1)),
         reference.corner(radius=0.03).sample(0.02),
-        lam=0.5,
-        baseline=rp.CompiledDynamics(rp.load_robot("3rrr", working_mode=(1, 1, 1), carriers=False)),
-        speed=0.8,
-        acceleration=[6.0, 7.0, 8.0],
-        track=[-0.9, 0.9],
+        objective=rp.Objective(
+            lam=0.5, baseline=rp.CompiledDynamics(rp.load_robot("3rrr", working_mode=(1, 1, 1), carriers=False))
+        ),
+        limits=rp.Limits(speed=0.8, acceleration=[6.0, 7.0, 8.0], track=[-0.9, 0.9]),
         brake_time=0.4,
         anticipate=False,
     )

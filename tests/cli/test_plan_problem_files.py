@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import re
 from pathlib import Path
@@ -13,11 +14,11 @@ from command_line import call, refused, write_motion
 from plan_cases import PROBLEM, same, write_problem
 
 import redundancy_pin as rp
-from redundancy_pin.cli.plan_problem import STEPWISE, SWITCH_OFF, WHOLE_TRAJECTORY
-from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
+from redundancy_pin.cli.plan_problem import STEPWISE, SWITCH_OFF, TIME_OPTIMAL, WHOLE_TRAJECTORY
+from redundancy_pin.planners.optimal import plan_time_optimal, plan_whole_trajectory
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
-from redundancy_pin.studies.case import TRAJECTORIES
+from redundancy_pin.studies.case import GROUPS, TRAJECTORIES
 from redundancy_pin.trajectory import reference
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "problem.yaml"
@@ -33,10 +34,8 @@ def test_the_documented_problem_is_that_of_the_python_api(tmp_path: Path) -> Non
     expected = plan_stepwise(
         rp.VirtualWork(rp.load_robot("3rrr", **mode)),
         motion,
-        lam=0.5,
-        baseline=rp.VirtualWork(rp.load_robot("3rrr", carriers=False, **mode)),
-        speed=[1.0, 1.2, 1.0],
-        acceleration=[7.0, 12.0, 7.0],
+        objective=rp.Objective(lam=0.5, baseline=rp.VirtualWork(rp.load_robot("3rrr", carriers=False, **mode))),
+        limits=rp.Limits(speed=[1.0, 1.2, 1.0], acceleration=[7.0, 12.0, 7.0]),
         start=[0.0, 0.1, 0.0],
     )
     same(rp.load_plan(out), expected)
@@ -58,7 +57,8 @@ def test_every_parameter_of_the_planners_can_be_written() -> None:
     for planner, known in (
         (plan_switch_off, set(SWITCH_OFF)),
         (plan_stepwise, {*STEPWISE, "baseline"}),
-        (plan_whole_trajectory, {*WHOLE_TRAJECTORY, "baseline", "progress"}),
+        (plan_whole_trajectory, {*WHOLE_TRAJECTORY, "baseline", "progress", "objective"}),
+        (plan_time_optimal, {*TIME_OPTIMAL, "progress"}),
     ):
         keywords = {
             name
@@ -66,10 +66,13 @@ def test_every_parameter_of_the_planners_can_be_written() -> None:
             if parameter.kind is inspect.Parameter.KEYWORD_ONLY
         }
         # the command line samples the trajectory of a stepwise plan itself, with --step
-        sampled_here = {"dt"} if planner is plan_stepwise else set()
-        # groups of what can be written one by one
-        groups = {"limits", "mesh", "solver"}
-        assert known == keywords - sampled_here - groups
+        keywords -= {"dt"} if planner is plan_stepwise else set()
+        # fields of groups are written one by one, except those that the planner refuses or only judges
+        groups = keywords & GROUPS.keys()
+        fields = {field.name for group in groups for field in dataclasses.fields(GROUPS[group])}
+        one_by_one = keywords - groups
+        assert one_by_one <= known
+        assert known - one_by_one - {"objective"} <= fields
 
 
 def test_paths_in_a_problem_are_seen_from_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

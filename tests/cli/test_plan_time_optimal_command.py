@@ -24,7 +24,10 @@ def test_flags_and_problem_files_give_the_plan_of_the_function(tmp_path: Path) -
     told = json.loads(call(*BARE, *flags, "--json").stdout)
     robot = rp.load_robot("3rrr", carriers=False, working_mode=(1, 1, 1))
     mine = rp.plan_time_optimal(
-        rp.RneaDynamics(robot), reference.corner().path, effort=3.0, actuator_speed=0.5, steps=40
+        rp.RneaDynamics(robot),
+        reference.corner().path,
+        limits=rp.Limits(effort=3.0, actuator_speed=0.5),
+        mesh=rp.Mesh(steps=40),
     )
     assert told["end"] == pytest.approx(mine.t[-1], rel=1e-9)
     problem = {
@@ -60,8 +63,9 @@ def test_least_time_keeps_its_limit_and_names_it(tmp_path: Path) -> None:
 
 
 def test_mistakes_end_with_one_line(tmp_path: Path) -> None:
-    assert "Nothing limits the time. Limit the efforts, as by --max-effort 2.0, or" in (said := refused(*BARE))
-    assert "as by --actuator-speed 1.0;" in said
+    said = refused(*BARE, "--max-effort", "inf", "--actuator-speed", "inf")
+    assert "Nothing limits the time. Limit the efforts, as by --max-effort 2.0, or" in said
+    assert "as by --actuator-speed 1.0." in said
     assert "closed path" in refused(*BARE, "--max-effort", "3", "--lap")
     assert "--begin" in refused(*CORNER, "--max-effort", "3", "--begin", "somehow")
     motion = tmp_path / "motion.csv"

@@ -59,24 +59,23 @@ def test_every_flag_reaches_the_planner(tmp_path: Path) -> None:
     expected = rp.plan_whole_trajectory(
         _corner_robot(),
         reference.corner(),
-        objective={"effort": 1.0, "peak": 0.5, "tracking": 2.0},
-        lam=0.3,
-        calm=0.02,
-        baseline=_corner_robot(carriers=False),
+        objective=rp.Objective(
+            {"effort": 1.0, "peak": 0.5, "tracking": 2.0}, lam=0.3, calm=0.02, baseline=_corner_robot(carriers=False)
+        ),
         start=[0.01, 0.0, -0.01],
         start_speed=0.02,
         end="rest",
         datum=0.001,
-        track=[-0.5, 0.6],
-        speed=[0.9, 0.8, 0.7],
-        acceleration=6.0,
-        jerk=3000.0,
-        effort=[20.0, 30.0, 40.0],
-        carrier_force=60.0,
-        dt=0.03,
-        starts=2,
-        seconds=30.0,
-        refinements=1,
+        limits=rp.Limits(
+            track=[-0.5, 0.6],
+            speed=[0.9, 0.8, 0.7],
+            acceleration=6.0,
+            jerk=3000.0,
+            effort=[20.0, 30.0, 40.0],
+            carrier_force=60.0,
+        ),
+        mesh=rp.Mesh(dt=0.03, refinements=1),
+        solver=rp.Solver(starts=2, seconds=30.0),
     )
     plan = rp.load_plan(out)
     _same(plan, expected)
@@ -158,7 +157,7 @@ def test_the_picture_of_a_plan_that_stopped_early_says_so() -> None:
     from redundancy_pin.visualisation.figures.curves import plan_title
 
     dynamics = rp.VirtualWork(rp.load_robot("2rpr"))
-    plan = rp.plan_whole_trajectory(dynamics, reference.circle(ramp_length=0.05), dt=0.05)
+    plan = rp.plan_whole_trajectory(dynamics, reference.circle(ramp_length=0.05), mesh=rp.Mesh(dt=0.05))
     assert plan_title(plan) == "2rpr: whole trajectory, not converged, NOT an optimum"
 
 

@@ -29,11 +29,11 @@ from redundancy_pin.errors import (
     SingularPoseError,
     UnreachablePoseError,
 )
+from redundancy_pin.planners.optimal.co_design import DesignTask
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation import motion_reference
 from redundancy_pin.simulation.controllers import controller_by_name
 from redundancy_pin.status import ResultStatus, SampleStatus
-from redundancy_pin.planners.optimal.co_design import DesignTask
 from redundancy_pin.trajectory import reference
 
 BACKENDS = [rp.RneaDynamics, rp.VirtualWork, rp.CompiledDynamics]
@@ -324,12 +324,16 @@ TAKERS: dict[str, Callable[[Any], Any]] = {
     "inverse_dynamics": lambda dynamics: rp.inverse_dynamics(dynamics, MOTION).efforts.tau,
     "plan_switch_off": lambda dynamics: rp.plan_switch_off(dynamics, CIRCLE, threshold=20.0, dt=0.05).tau,
     "plan_stepwise": lambda dynamics: rp.plan_stepwise(dynamics, AWAY, dt=0.05).tau,
-    "plan_stepwise, baseline": lambda dynamics: rp.plan_stepwise("2rpr", AWAY, dt=0.05, lam=0.5, baseline=dynamics).tau,
-    "plan_whole_trajectory, baseline": lambda dynamics: (
-        rp.plan_whole_trajectory("2rpr", AWAY, dt=0.05, objective="tracking", lam=0.5, baseline=dynamics).tau
+    "plan_stepwise, baseline": lambda dynamics: (
+        rp.plan_stepwise("2rpr", AWAY, dt=0.05, objective=rp.Objective(lam=0.5, baseline=dynamics)).tau
     ),
-    "plan_whole_trajectory": lambda dynamics: rp.plan_whole_trajectory(dynamics, AWAY, dt=0.05).tau,
-    "plan_time_optimal": lambda dynamics: rp.plan_time_optimal(dynamics, AWAY, effort=50.0).t,
+    "plan_whole_trajectory, baseline": lambda dynamics: (
+        rp.plan_whole_trajectory(
+            "2rpr", AWAY, mesh=rp.Mesh(dt=0.05), objective=rp.Objective("tracking", lam=0.5, baseline=dynamics)
+        ).tau
+    ),
+    "plan_whole_trajectory": lambda dynamics: rp.plan_whole_trajectory(dynamics, AWAY, mesh=rp.Mesh(dt=0.05)).tau,
+    "plan_time_optimal": lambda dynamics: rp.plan_time_optimal(dynamics, AWAY, limits=rp.Limits(effort=50.0)).t,
     "RecedingHorizon": lambda dynamics: rp.RecedingHorizon(dynamics).dynamics.reduce(MOTION).f,
     "check_plan": lambda dynamics: rp.check_plan(plan(), dynamics).peak_effort,
     "efforts_at": lambda dynamics: plan().efforts_at([0.1, 0.2], dynamics),

@@ -70,7 +70,7 @@ def test_carriers_that_carry_the_force_leave_the_efforts_finite() -> None:
     """A plan through the singularities: the same instants, and finite efforts at them."""
     pytest.importorskip("casadi")
     robot = zoo.robot_of("2rpr")
-    plan = rp.plan_whole_trajectory(rp.VirtualWork(robot), CIRCLE, dt=0.02)
+    plan = rp.plan_whole_trajectory(rp.VirtualWork(robot), CIRCLE, mesh=rp.Mesh(dt=0.02))
     result = rp.inverse_dynamics(rp.RneaDynamics(robot), plan.motion, plan.carriers)
     np.testing.assert_allclose([one.t for one in result.instants], base_line_instants(), atol=1e-9)
     assert [one.status for one in result.instants] == [SampleStatus.SINGULAR_CONSISTENT] * 2

@@ -72,7 +72,7 @@ def test_a_stepwise_plan_is_the_same_motion_to_an_engine_as_to_the_simulation():
     """Carriers and efforts, sample by sample and in between: two codes, one meaning of a plan."""
     robot = zoo.robot_of("3rrr")
     trajectory = rp.trajectory.reference.corner(0.025)
-    plan = rp.plan_stepwise(rp.RneaDynamics(robot), trajectory.sample(dt=0.02), lam=0.0)
+    plan = rp.plan_stepwise(rp.RneaDynamics(robot), trajectory.sample(dt=0.02))
     drive = drive_of_plan(rp.RneaDynamics(robot), plan)
     reference = plan_reference(plan, robot=robot)
     t = np.sort(np.random.default_rng(2).uniform(plan.t[0], plan.t[-1], 200))

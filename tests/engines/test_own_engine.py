@@ -101,7 +101,7 @@ def test_planned_efforts_too(engine, planned, name):
 @pytest.mark.long_for("exudyn")
 def test_a_stepwise_plan_too_whose_carriers_jump_in_acceleration_at_every_sample(engine):
     robot, trajectory = zoo.robot_of("3rrr"), rp.trajectory.reference.corner(0.025)
-    plan = rp.plan_stepwise(rp.RneaDynamics(robot), trajectory.sample(dt=0.02), lam=0.0)
+    plan = rp.plan_stepwise(rp.RneaDynamics(robot), trajectory.sample(dt=0.02))
     drive = drive_of_plan(rp.RneaDynamics(robot), plan, trajectory)
     assert deviation(drive, run_own(drive.task)).largest < OWN_TOLERANCE
     assert deviation(drive, engine(drive.task, step=1e-3)).largest < TOLERANCE

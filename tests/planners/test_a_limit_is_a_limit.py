@@ -24,6 +24,7 @@ from redundancy_pin.planners.receding_horizon import run_online
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import range_excess
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, SplinePath, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 
@@ -132,26 +133,39 @@ def drawn(planner: str, seed: int) -> tuple[Plan, Robot, dict[str, Any]]:
         return rp.plan_switch_off(type(dynamics)(robot), motion, return_time=back, **options), robot, given
     free = rp.plan_stepwise(dynamics, motion) if planner == "stepwise" else None
     if free is None:
-        free = rp.plan_whole_trajectory(dynamics, motion, dt=0.02, refinements=0, objective="effort")
+        free = rp.plan_whole_trajectory(dynamics, motion, mesh=rp.Mesh(dt=0.02, refinements=0), objective="effort")
     carriers = free.carriers
     limit("speed", float(np.abs(carriers.sd).max()))
     limit("acceleration", float(np.abs(carriers.sdd).max()))
     if planner == "stepwise":
-        return rp.plan_stepwise(dynamics, motion, dt=1e-2, **given), robot, given
+        return rp.plan_stepwise(dynamics, motion, dt=1e-2, **in_groups(rp.plan_stepwise, given)), robot, given
     limit("carrier_force", float(np.abs(free.carrier_force).max()), 0.3)
     limit("jerk", 1e2, 0.2)
     if planner == "on line":
         limit("effort", 2.0 * float(free.peak_effort.max()))
-        online = rp.RecedingHorizon(dynamics, slow_down=bool(rng.random() < 0.3), **given)
+        online = rp.RecedingHorizon(
+            dynamics, slow_down=bool(rng.random() < 0.3), **in_groups(rp.RecedingHorizon, given)
+        )
         return run_online(online, motion).plan, robot, given
     given["effort"] = float(free.peak_effort.max() * (rng.uniform(0.8, 1.0) if planner == "whole trajectory" else 1.0))
     if planner == "whole trajectory":
         objective, step = str(rng.choice(["effort", "peak"])), float(rng.choice([5e-3, 2e-2, 5e-2]))
-        plan = rp.plan_whole_trajectory(dynamics, motion, objective=objective, dt=step, end="free", **given)
+        plan = rp.plan_whole_trajectory(
+            dynamics,
+            motion,
+            end="free",
+            **in_groups(rp.plan_whole_trajectory, dict(objective=objective, dt=step, **given)),
+        )
         return plan, robot, given
     limit("actuator_speed", 2.0 * float(np.abs(free.actuated_rate).max()), 0.3)
     steps = int(rng.choice([20, 50, 100]))
-    return rp.plan_time_optimal(dynamics, motion.path, steps=steps, end="free", **given), robot, given
+    return (
+        rp.plan_time_optimal(
+            dynamics, motion.path, end="free", **in_groups(rp.plan_time_optimal, dict(steps=steps, **given))
+        ),
+        robot,
+        given,
+    )
 
 
 def judged(planner: str, seed: int) -> str:
@@ -192,7 +206,7 @@ def test_a_command_that_keeps_every_limit_keeps_them_between_its_nodes() -> None
     """Where ẍ jumps, the force of a carrier is larger between the nodes than at them, here by 15 %."""
     robot, corner = zoo.robot_of("3rrr", working_mode=(1, 1, 1)), reference.corner(radius=0.0236)
     most = 7.12
-    run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot), carrier_force=most), corner)
+    run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot), limits=rp.Limits(carrier_force=most)), corner)
     ends = [*(command.t for command in run.commands[1:]), run.plan.t[-1]]
     planned = 0
     for command, end in zip(run.commands, ends, strict=True):
@@ -208,7 +222,7 @@ def test_a_command_that_keeps_every_limit_keeps_them_between_its_nodes() -> None
 
 def test_the_jerk_of_a_motion_planned_on_line_is_judged() -> None:
     robot = zoo.robot_of("3rrr", working_mode=(1, 1, 1))
-    run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot), jerk=50.0), reference.corner())
+    run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot), limits=rp.Limits(jerk=50.0)), reference.corner())
     jerk = np.abs(run.plan.functions.carriers.derivative(3)(instants(run.plan))).max()
     assert jerk > 49.0
     named = {event.quantity for event in (*run.plan.limits.violated, *run.plan.limits.binding)}

@@ -14,7 +14,9 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRo
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.loading import robot_from_model
 from redundancy_pin.planners.base_wrench import base_wrench
+from redundancy_pin.planners.options import Mesh
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import from_points, reference
 
 pytest.importorskip("casadi")
@@ -35,7 +37,10 @@ def plan(
     objective: str = "base_wrench", end: str = "free", point: tuple[float, ...] = CENTRE, dt: float = 0.02
 ) -> Plan:
     return plan_whole_trajectory(
-        dynamics(), reference.corner(), objective=objective, base_point=point, end=end, dt=dt, **LIMITS
+        dynamics(),
+        reference.corner(),
+        end=end,
+        **in_groups(plan_whole_trajectory, dict(objective=objective, base_point=point, dt=dt, **LIMITS)),
     )
 
 
@@ -110,9 +115,14 @@ def test_the_moment_is_that_about_the_point() -> None:
 
 def test_effort_is_traded_for_it() -> None:
     both = plan_whole_trajectory(
-        dynamics(), reference.corner(), objective={"effort": 1.0, "base_wrench": 1.0}, base_point=CENTRE, end="free",
-        dt=0.02, **LIMITS,
-    )  # fmt: skip
+        dynamics(),
+        reference.corner(),
+        end="free",
+        **in_groups(
+            plan_whole_trajectory,
+            dict(objective={"effort": 1.0, "base_wrench": 1.0}, base_point=CENTRE, dt=0.02, **LIMITS),
+        ),
+    )
     made = [plan("effort"), both, plan()]
     efforts = [np.trapezoid((each.tau**2).sum(axis=1), each.t) for each in made]
     forces = [peaks(each.base_wrench(dynamics(), CENTRE))[0] for each in made]
@@ -123,7 +133,12 @@ def test_effort_is_traded_for_it() -> None:
 def test_weight_that_the_base_carries_anyway_does_not_count() -> None:
     """Gravity across the plane: its force is constant, and carriers cannot balance it."""
     heavy = VirtualWork(zoo.robot_of("3rrr", carrier_mass=3.0, working_mode=MODE, gravity=(0.0, 0.0, -9.81)))
-    made = plan_whole_trajectory(heavy, reference.corner(), objective="base_force", end="datum", dt=0.02, **LIMITS)
+    made = plan_whole_trajectory(
+        heavy,
+        reference.corner(),
+        end="datum",
+        **in_groups(plan_whole_trajectory, dict(objective="base_force", dt=0.02, **LIMITS)),
+    )
     level = plan("base_force", "datum")
     np.testing.assert_allclose(made.carriers.s, level.carriers.s, atol=1e-7)
     assert peaks(made.base_wrench(heavy))[0] > 100.0
@@ -144,12 +159,12 @@ def test_a_bound_counts_what_no_carrier_changes() -> None:
     gantry = RneaDynamics(robot_from_model(model, actuated=["x", "y"], carriers=[carrier], independent=["x", "y"]))
     assert gantry.robot.carrier_limits[0].force == np.inf  # Pinocchio's largest number is no limit
     line = from_points([[0.0, 0.0], [0.1, 0.2]], speed=0.5, ramp_time=0.2)
-    made = plan_whole_trajectory(gantry, line, at_most={"base_force": 1e3}, end="free", dt=0.02)
+    made = plan_whole_trajectory(gantry, line, at_most={"base_force": 1e3}, end="free", mesh=Mesh(dt=0.02))
     t = made.t
     least = np.trapezoid(made.motion.xdd[:, 1] ** 2, t)  # of 1 kg, whatever the carrier does
     np.testing.assert_allclose(np.trapezoid(made.base_wrench(gantry)[:, 1] ** 2, t), least, rtol=1e-8)
     with pytest.raises(InfeasiblePlanError, match="base_force at most"):
-        plan_whole_trajectory(gantry, line, at_most={"base_force": 0.9 * least}, end="free", dt=0.02)
+        plan_whole_trajectory(gantry, line, at_most={"base_force": 0.9 * least}, end="free", mesh=Mesh(dt=0.02))
 
 
 def test_what_is_no_objective_is_named() -> None:
@@ -161,7 +176,7 @@ def test_what_is_no_objective_is_named() -> None:
         ({"objective": "base_force", "base_point": (0.0, np.nan, 0.0)}, "base_point"),
     ):
         with pytest.raises(InputError, match=word):
-            plan_whole_trajectory(dynamics(), corner, **options)  # type: ignore[arg-type]
+            plan_whole_trajectory(dynamics(), corner, **in_groups(plan_whole_trajectory, options))  # type: ignore[arg-type]
 
 
 def test_other_terms_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,8 @@ from redundancy_pin.planners.carrier_return import (
     return_polynomial,
     shortest_return,
 )
-from redundancy_pin.planners.limits import Limits, motion_events
+from redundancy_pin.planners.limits import motion_events
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.trajectory.functions_of_time import carriers_at
 

@@ -67,7 +67,7 @@ def test_a_linkage_that_is_never_flat_has_none() -> None:
 
 def test_plans_and_their_check_name_it() -> None:
     dynamics, motion = rp.RneaDynamics(parallelogram("carrier")), swing(1.2, -0.9)
-    plan = rp.plan_stepwise(dynamics, motion, acceleration=50.0, brake_time=0.1)
+    plan = rp.plan_stepwise(dynamics, motion, limits=rp.Limits(acceleration=50.0), brake_time=0.1)
     (loss,) = plan.diagnostics["closure_rank"]  # type: ignore[misc]
     assert loss["time"] == pytest.approx(when(1.2, -0.9, 0.0), abs=EXACT)
     assert loss["x"] == pytest.approx([0.0], abs=EXACT)

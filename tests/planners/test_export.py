@@ -32,7 +32,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     pytest.importorskip("casadi")
     path = tmp_path_factory.mktemp("plan") / "plan.npz"
     line = rp.trajectory.reference.line(speed=0.2)
-    rp.plan_whole_trajectory(rp.RneaDynamics(rp.load_robot("2rpr")), line, dt=0.1).save(path)
+    rp.plan_whole_trajectory(rp.RneaDynamics(rp.load_robot("2rpr")), line, mesh=rp.Mesh(dt=0.1)).save(path)
     return rp.load_plan(path)
 
 
@@ -41,7 +41,7 @@ def corner(turning: Robot) -> Plan:
     """With efforts that jump where straights meet the arc."""
     dynamics = rp.RneaDynamics(turning)
     motion = rp.trajectory.reference.corner().sample(dt=0.02)
-    return rp.plan_stepwise(dynamics, motion, lam=0.0, speed=1e-3, acceleration=1e-2)  # carriers hardly move
+    return rp.plan_stepwise(dynamics, motion, limits=rp.Limits(speed=1e-3, acceleration=1e-2))  # carriers hardly move
 
 
 @pytest.fixture(scope="module")

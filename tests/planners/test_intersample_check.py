@@ -17,7 +17,8 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, RedundancyPinError
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import ALLOWED, extremes_between, jerk_events, least_effort
-from redundancy_pin.planners.limits import Limits, motion_events
+from redundancy_pin.planners.limits import motion_events
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus
@@ -94,7 +95,9 @@ def test_the_spike_of_a_cusp_between_two_samples_is_the_peak_and_the_status_says
     path = with_constant(cusp(3e-3), 0.0)
     motion = Trajectory(path, RestToRest(path.length, 2.0))
     samples = motion.sample(times=np.linspace(0.0, 2.0, 101))
-    plan = rp.plan_stepwise(rp.VirtualWork(robot), motion, dt=0.02, speed=1e3, acceleration=1e9, track=(-1e3, 1e3))
+    plan = rp.plan_stepwise(
+        rp.VirtualWork(robot), motion, dt=0.02, limits=rp.Limits(speed=1e3, acceleration=1e9, track=(-1e3, 1e3))
+    )
     t = np.linspace(0.0, 2.0, 200_001)
     spike = np.abs(motion.sample_at(t).xdd).max()
     assert spike > 20.0 * np.abs(samples.xdd).max()
@@ -260,11 +263,10 @@ def planned(dynamics: Dynamics, motion: Trajectory, random: np.random.Generator)
     return rp.plan_whole_trajectory(
         dynamics,
         motion,
-        dt=float(random.choice([0.02, 0.05])),
+        mesh=rp.Mesh(dt=float(random.choice([0.02, 0.05])), refinements=int(random.choice([0, 1, 3]))),
         objective=str(random.choice(["effort", "effort", "peak"])),
         end=str(random.choice(["free", "datum"])),
-        refinements=int(random.choice([0, 1, 3])),
-        seconds=5.0,
+        solver=rp.Solver(seconds=5.0),
     )
 
 

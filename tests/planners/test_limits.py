@@ -19,13 +19,13 @@ from redundancy_pin.planners.limits import (
     BINDING,
     EXCEEDING,
     LimitEvent,
-    Limits,
     ResolvedLimits,
     check_limits,
     limit_events,
     motion_events,
     range_events,
 )
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.robot.joint_ranges import joint_ranges
@@ -226,7 +226,9 @@ def test_an_event_replaces_one_that_it_overlaps_where_it_exceeds_by_more():
 @cache
 def planned(jerk: float | None = None) -> Plan:
     dynamics = rp.VirtualWork(zoo.robot_of("3rrr", carrier_mass=3.0))
-    return rp.plan_whole_trajectory(dynamics, reference.corner(), dt=0.05, refinements=0, jerk=jerk)
+    return rp.plan_whole_trajectory(
+        dynamics, reference.corner(), mesh=rp.Mesh(dt=0.05, refinements=0), limits=rp.Limits(jerk=jerk)
+    )
 
 
 @pytest.mark.parametrize("beyond", [False, True])

@@ -9,7 +9,8 @@ import redundancy_pin as rp
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import PlannedMotion
-from redundancy_pin.planners.limits import Limits, check_limits
+from redundancy_pin.planners.limits import check_limits
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.status import SampleStatus
 
 

@@ -30,12 +30,12 @@ def corner() -> rp.trajectory.Trajectory:
 
 @functools.cache
 def stepwise_plan() -> Plan:
-    return rp.plan_stepwise(rp.CompiledDynamics(zoo.robot_of("3rrr")), corner(), lam=0.0)
+    return rp.plan_stepwise(rp.CompiledDynamics(zoo.robot_of("3rrr")), corner())
 
 
 @functools.cache
 def whole_plan() -> Plan:
-    return rp.plan_whole_trajectory(rp.CompiledDynamics(zoo.robot_of("3rrr")), corner(), dt=0.01)
+    return rp.plan_whole_trajectory(rp.CompiledDynamics(zoo.robot_of("3rrr")), corner(), mesh=rp.Mesh(dt=0.01))
 
 
 @functools.cache

@@ -64,7 +64,7 @@ def test_a_robot_made_in_python_is_passed() -> None:
         plain.model, closures=plain.closures, actuated=plain.actuated, carriers=plain.carriers,
         independent=plain.platform, reference=np.array(plain.q_reference),
     )  # fmt: skip
-    plan = rp.plan_stepwise(rp.RneaDynamics(robot), rp.trajectory.reference.corner(radius=0.025), lam=0.0, dt=0.1)
+    plan = rp.plan_stepwise(rp.RneaDynamics(robot), rp.trajectory.reference.corner(radius=0.025), dt=0.1)
     with pytest.raises(PlanFileError, match=r"made in Python. .*show\(plan, robot=robot\)"):
         load_robot_of(plan)
 

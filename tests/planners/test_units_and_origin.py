@@ -17,9 +17,10 @@ import pytest
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon import run_online
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, circle_path
 
 ROUNDED = 1e-10
@@ -106,20 +107,24 @@ def stepwise(units: Units) -> Plan:
     motion = moving(line(units, singular=False), units)
     times = dict.fromkeys(("return_time", "brake_time"), 0.5 * units.time)
     return rp.plan_stepwise(
-        dynamics_in(units), motion, dt=0.01 * units.time, limits=limits(units, forces=False), **times
+        dynamics_in(units),
+        motion,
+        dt=0.01 * units.time,
+        limits=limits(units, forces=False),
+        **in_groups(rp.plan_stepwise, times),
     )
 
 
 def whole(objective: str, units: Units) -> Plan:
     motion = moving(line(units), units)
     return rp.plan_whole_trajectory(
-        dynamics_in(units), motion, dt=0.03 * units.time, limits=limits(units), objective=objective
+        dynamics_in(units), motion, mesh=rp.Mesh(dt=0.03 * units.time), limits=limits(units), objective=objective
     )
 
 
 def least_time(units: Units) -> Plan:
     path = line(units).path
-    return rp.plan_time_optimal(dynamics_in(units), path, steps=30, limits=limits(units))
+    return rp.plan_time_optimal(dynamics_in(units), path, mesh=rp.Mesh(steps=30), limits=limits(units))
 
 
 def online(units: Units) -> Plan:

@@ -14,7 +14,7 @@ import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, UnreachablePoseError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.case import Case
+from redundancy_pin.studies.case import Case, in_groups
 from redundancy_pin.studies.feasibility import (
     STEPWISE,
     SWITCH_OFF,
@@ -55,7 +55,7 @@ def bend(request: pytest.FixtureRequest) -> FeasibilityMap:
 
 def _whole(dynamics: Any, motion: Any, **given: Any) -> Plan | None:
     try:
-        return rp.plan_whole_trajectory(dynamics, motion, **given)
+        return rp.plan_whole_trajectory(dynamics, motion, **in_groups(rp.plan_whole_trajectory, given))
     except InfeasiblePlanError:
         return None
 
@@ -122,7 +122,9 @@ def test_switching_off_is_tried_as_the_thesis_does_it_first() -> None:
 def test_stepwise_cells_are_those_of_the_planner(bend: FeasibilityMap) -> None:
     dynamics = rp.VirtualWork(rp.load_robot("3rrr", working_mode=(1, 1, 1)))
     for cell in bend.of(STEPWISE):
-        plan = rp.plan_stepwise(dynamics, reference.corner(speed=cell.x), dt=5e-3, track=[-0.5 * cell.y, 0.5 * cell.y])
+        plan = rp.plan_stepwise(
+            dynamics, reference.corner(speed=cell.x), dt=5e-3, limits=rp.Limits(track=[-0.5 * cell.y, 0.5 * cell.y])
+        )
         kept = plan.status is ResultStatus.OK and plan.peak_effort_at_samples.max() <= 5.0
         assert cell.verdict is (ResultStatus.OK if kept else ResultStatus.INFEASIBLE), cell
         if not kept:

@@ -31,7 +31,9 @@ def closed_loop(
     """
     bounds, nominal, sampling = Imperfections(), rp.load_robot("2rpr", **MASSES), Sampling(1e-3, 1e-3)
     dynamics, drawn = rp.CompiledDynamics(nominal), draw(nominal, bounds, 0, number)
-    planner = rp.RecedingHorizon(dynamics, track=(-0.16, 0.16), acceleration=weak, slow_down=weak is not None)
+    planner = rp.RecedingHorizon(
+        dynamics, limits=rp.Limits(track=(-0.16, 0.16), acceleration=weak), slow_down=weak is not None
+    )
     control = OnlinePlanning(planner, ACROSS, sampling, effort_scale=2.0, dynamics=dynamics, **settings)
     machine = rp.load_robot("2rpr", **{**MASSES, **drawn.arguments})
     point = control.reference.at(0.0)

@@ -18,7 +18,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.crosscheck.cases import Masses, random_robot
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus
@@ -105,9 +105,14 @@ def solved(number: int) -> tuple[Plan, Robot, Dynamics]:
         plan = rp.plan_stepwise(dynamics, trajectory, dt=step, limits=limits, anticipate=bool(rng.random() < 0.5))
     else:
         plan = rp.plan_whole_trajectory(
-            dynamics, trajectory, dt=step, limits=limits, seconds=15.0, objective=str(rng.choice(["effort", "peak"])),
-            end=str(rng.choice(["datum", "free", "rest"])), refinements=int(rng.choice([0, 3])),
-        )  # fmt: skip
+            dynamics,
+            trajectory,
+            mesh=rp.Mesh(dt=step, refinements=int(rng.choice([0, 3]))),
+            limits=limits,
+            solver=rp.Solver(seconds=15.0),
+            objective=str(rng.choice(["effort", "peak"])),
+            end=str(rng.choice(["datum", "free", "rest"])),
+        )
     return plan, robot, second(robot)
 
 

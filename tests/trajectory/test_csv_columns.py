@@ -268,7 +268,7 @@ def test_exported_plans_and_simulations_are_motions(tmp_path: Path) -> None:
     """Carriers that move, a turning platform, jumps of the acceleration: efforts are those that the files say."""
     robot = rp.load_robot("3rrr", working_mode=(1, 1, 1))
     motion = reference.corner().sample(0.01)
-    plan = rp.plan_stepwise(rp.RneaDynamics(robot), motion, lam=0.0)
+    plan = rp.plan_stepwise(rp.RneaDynamics(robot), motion)
     plan.save(tmp_path / "plan.npz")
     for name, flags in (("samples.csv", ()), ("rate.csv", ("--rate", "500", "--two-sided"))):
         done = call("export", tmp_path / "plan.npz", "--to", tmp_path / name, *flags)

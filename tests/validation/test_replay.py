@@ -18,14 +18,14 @@ FOLLOWED = 1e-6
 def crossing():
     """The 2-RPR with mass through two type II poses, and the circle it was planned for."""
     robot, circle = rp.load_robot("2rpr", end_effector_mass=0.5), rp.trajectory.reference.circle(speed=0.5)
-    return robot, circle, rp.plan_whole_trajectory(rp.RneaDynamics(robot), circle, dt=0.01)
+    return robot, circle, rp.plan_whole_trajectory(rp.RneaDynamics(robot), circle, mesh=rp.Mesh(dt=0.01))
 
 
 @cache
 def stepwise_corner():
     """The 3-RRR around a corner step by step, without regard to efforts."""
     robot, corner = rp.load_robot("3rrr"), rp.trajectory.reference.corner(radius=0.025)
-    return robot, corner, rp.plan_stepwise(rp.RneaDynamics(robot), corner, dt=0.01, lam=0.0)
+    return robot, corner, rp.plan_stepwise(rp.RneaDynamics(robot), corner, dt=0.01)
 
 
 def largest_error(run, reference):
@@ -60,7 +60,7 @@ def test_a_whole_trajectory_plan_through_two_singular_poses(with_trajectory):
 def test_a_whole_trajectory_plan_of_the_corner():
     robot = rp.load_robot("3rrr")
     corner = rp.trajectory.reference.corner(radius=0.025)
-    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), corner, dt=0.01)
+    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), corner, mesh=rp.Mesh(dt=0.01))
     run = rp.simulate(robot, plan, dt=0.01)
     assert run.status.value == "ok"
     np.testing.assert_allclose(run.x, corner.evaluate(np.minimum(run.t, corner.duration)).x, atol=FOLLOWED)

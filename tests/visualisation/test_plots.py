@@ -34,7 +34,8 @@ def plan() -> rp.Plan:
 @cache
 def corner() -> rp.Plan:
     return rp.plan_stepwise(
-        rp.RneaDynamics(zoo.robot_of("3rrr")), rp.trajectory.reference.corner(radius=0.025), lam=0.0
+        rp.RneaDynamics(zoo.robot_of("3rrr")),
+        rp.trajectory.reference.corner(radius=0.025),
     )
 
 

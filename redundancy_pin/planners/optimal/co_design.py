@@ -40,6 +40,7 @@ from redundancy_pin.loading import with_parameters
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.optimal.least_cost import DesignedRobot, LeastCost, least_cost
 from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
+from redundancy_pin.planners.options import Objective, refuse_fields
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus
@@ -78,7 +79,8 @@ class DesignTask(Frozen):
         dynamics: a backend of the robot to begin with; made by ``as_dynamics`` where a robot, its name or its path is
             given. With carriers the task is planned; without, the motion determines the efforts.
         motion: of the platform, as for ``plan_whole_trajectory``.
-        options: keywords of ``plan_whole_trajectory``. Without carriers those of their motion have no effect.
+        options: keywords of ``plan_whole_trajectory``: objective, limits, mesh, solver and the others. Without carriers
+            those of the carriers' motion have no effect.
         weight: of its least cost, over what that is for the robot to begin with.
     """
 
@@ -285,8 +287,7 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
     tasks = tuple(one if isinstance(one, DesignTask) else DesignTask(*one) for one in given)
     if not tasks:
         raise InputError("There is no task to design for.", remedy=remedy)
-    grouped = {"dynamics", "motion", "limits", "mesh", "solver", "calm"}
-    known = set(inspect.signature(plan_whole_trajectory).parameters) - grouped
+    known = set(inspect.signature(plan_whole_trajectory).parameters) - {"dynamics", "motion"}
     for task in tasks:
         require_type(task.options, Mapping, "A mapping of a task's options", remedy)
         positive(task.weight, "weight", "")
@@ -297,6 +298,9 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
                     remedy=f"{did_you_mean(name, known)}Options are those of plan_whole_trajectory.",
                     name=name,
                 )
+        refuse_fields(
+            Objective.of(task.options.get("objective", "effort")), {"calm": "machines are compared by least costs"}
+        )
     return tasks
 
 

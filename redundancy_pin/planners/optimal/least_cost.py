@@ -13,7 +13,7 @@ continuous motion. That the instant moves with p adds nothing to the derivative,
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -30,24 +30,16 @@ from redundancy_pin.planners.carrier_model import TERMS, CarrierModel, require_c
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions, apart
 from redundancy_pin.planners.intersample_check import PlannedMotion, intersample_check
-from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, with_nodes
 from redundancy_pin.planners.optimal.nlp import casadi
-from redundancy_pin.planners.optimal.objectives import (
-    OBJECTIVES,
-    Mesh,
-    Objective,
-    Quantities,
-    Scales,
-    Settings,
-    Solver,
-    checked_settings,
-)
+from redundancy_pin.planners.optimal.objectives import OBJECTIVES, Quantities, Scales
 from redundancy_pin.planners.optimal.problem import Task, scales_of
 from redundancy_pin.planners.optimal.sensitivity import MOVED, DesignSlopes, Moved, base_slopes, design_gradient
+from redundancy_pin.planners.optimal.settings import Settings, checked_settings
 from redundancy_pin.planners.optimal.solve import Outcome
 from redundancy_pin.planners.optimal.transcription import objective_values
 from redundancy_pin.planners.optimal.whole_trajectory import optimise
+from redundancy_pin.planners.options import Objective
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus, SampleStatus, solved_status
@@ -135,13 +127,8 @@ def least_cost(
 def settings_of(robot: Robot, options: Mapping[str, Any]) -> Settings:
     """Return the settings that keywords of ``plan_whole_trajectory`` stand for: least costs, no calmer plans."""
     rest = dict(options)
-    weights = rest.pop("objective", "effort")
-    groups: list[Any] = [
-        kind(**{key: rest.pop(key) for key in {one.name for one in fields(kind)} & rest.keys()})
-        for kind in (Limits, Mesh, Solver)
-    ]
-    given = {key: rest.pop(key) for key in ("lam", "baseline", "base_point") if key in rest}
-    return checked_settings(robot, Objective(weights, **given, calm=0.0), *groups, **rest)
+    objective = Objective.of(rest.pop("objective", "effort"))
+    return checked_settings(robot, replace(objective, calm=0.0), **rest)
 
 
 # --- with carriers: a plan to choose ----------------------------------------------------------------------------------
@@ -221,7 +208,7 @@ def follow(task: Task) -> FollowedCost:
         InfeasiblePlanError: the motion meets a type II singularity, or has no finite efforts for another reason; or a
             limit is exceeded.
     """
-    grid = first_mesh(task.dynamics, task.source, task.settings.mesh.dt)
+    grid = first_mesh(task.dynamics, task.source, task.settings.dt)
     if len(grid.singular):
         raise _without_efforts(float(grid.t[grid.singular[0]]), "meets a type II singularity")
     # its peaks become nodes

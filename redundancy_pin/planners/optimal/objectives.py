@@ -1,4 +1,4 @@
-"""What a whole-trajectory plan minimises, and the options of the planner, in groups and checked.
+"""What a whole-trajectory plan minimises.
 
 To add an objective, add one entry to ``OBJECTIVES``: its formula and its size. Derivatives are the solver library's,
 the same formula gives the number in ``diagnostics["objective"]``, and ``plan_whole_trajectory`` accepts the name.
@@ -7,21 +7,14 @@ the same formula gives the number in ``diagnostics["objective"]``, and ``plan_wh
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, get_args
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, each, fraction, frozen, one_of, positive, require_type, whole
-from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
-from redundancy_pin.errors import InputError
-from redundancy_pin.planners.base_wrench import point_of, weights_of
-from redundancy_pin.planners.limits import Limits, ResolvedLimits
-from redundancy_pin.planners.optimal.nlp import Progress, casadi
-from redundancy_pin.robot import Robot
+from redundancy_pin.arrays import Array
+from redundancy_pin.planners.optimal.nlp import casadi
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,143 +160,3 @@ OBJECTIVES: dict[str, ObjectiveTerm] = {
     "energy": ObjectiveTerm(_energy, lambda u: u.duration * u.power),
 }
 """All objectives by name."""
-
-
-End = Literal["free", "rest", "datum", "periodic"]
-"""How the carriers end: anyhow; at rest; at rest where they park; or as they began (s, ṡ and s̈)."""
-
-CALM = 0.01
-"""Fraction of the least cost that a plan may cost more to have fewer reversals, unless the user asks for another."""
-
-# Each start is solved, and each refinement doubles nodes: more of them would never end
-MOST_STARTS, MOST_REFINEMENTS = 1000, 30
-
-
-@dataclass(frozen=True, eq=False)
-class Objective:
-    """What a plan minimises.
-
-    Attributes:
-        weights: name of an objective (``OBJECTIVES``), or weights of several.
-        lam: λ of "tracking", 0 to 1.
-        baseline: the robot whose efforts are τ̂, or its name or path; or a backend of it.
-        base_point: (3,) point about which the moment on the base is taken, m; the world origin when left out.
-        calm: fraction of the least cost that may be spent on fewer reversals of the efforts; 0 for none.
-    """
-
-    weights: str | Mapping[str, float] = "effort"
-    lam: float = 0.0
-    baseline: DynamicsLike | None = None
-    base_point: ArrayLike | None = None
-    calm: float = CALM
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """The nodes of a plan.
-
-    Attributes:
-        dt: largest step between nodes, s.
-        refinements: how often the mesh may be refined where efforts between the nodes exceed those at the nodes.
-    """
-
-    dt: float = 0.005
-    refinements: int = 3
-
-
-@dataclass(frozen=True, eq=False)
-class Solver:
-    """How long and from where the solver works.
-
-    Attributes:
-        starts: number of first guesses.
-        seconds: time bound of the search, s: all first guesses and meshes, and why there is no plan.
-        progress: called with a line of text at each stage.
-    """
-
-    starts: int = 1
-    seconds: float = 60.0
-    progress: Progress | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Settings:
-    """Checked options of ``plan_whole_trajectory``, see there: weights by name, one number a carrier or actuator."""
-
-    objective: Mapping[str, float]
-    lam: float
-    baseline: Dynamics | None
-    base_point: Array
-    calm: float
-    limits: ResolvedLimits
-    start: Array
-    start_speed: Array
-    end: End
-    datum: Array
-    mesh: Mesh
-    solver: Solver
-    at_most: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def parameters(self) -> dict[str, object]:
-        """The settings as plain data, for the plan."""
-        return {
-            "objective": dict(self.objective),
-            **({"at_most": dict(self.at_most)} if self.at_most else {}),
-            "lam": self.lam,
-            "calm": self.calm,
-            **{name: getattr(self, name).tolist() for name in ("start", "start_speed", "datum", "base_point")},
-            **{name: getattr(self.solver, name) for name in ("starts", "seconds")},
-            "end": self.end,
-            **asdict(self.mesh),
-        }
-
-
-def checked_settings(
-    robot: Robot,
-    objective: Objective = Objective(),  # frozen
-    limits: Limits = Limits(),  # noqa: B008 # frozen
-    mesh: Mesh = Mesh(),  # frozen
-    solver: Solver = Solver(),  # frozen
-    *,
-    start: ArrayLike | None = None,
-    start_speed: ArrayLike = 0.0,
-    end: End = "datum",
-    datum: ArrayLike = 0.0,
-    at_most: Mapping[str, float] | None = None,
-) -> Settings:
-    """Return the settings after checking every option."""
-    one_of(end, "end", get_args(End))
-    weights, lam = weights_of(objective.weights, OBJECTIVES), fraction(objective.lam, "lam")
-    if "tracking" in weights and lam > 0.0 and objective.baseline is None:
-        raise InputError(
-            f"lam = {lam:g} asks for a fraction of the baseline effort, and there is no baseline.",
-            remedy='Pass baseline=load_robot("3rrr", carriers=False).',
-        )
-    resolved = limits.resolved(robot)
-    park = resolved.on_track(datum, "datum")
-    return Settings(
-        objective=weights,
-        lam=lam,
-        baseline=None if objective.baseline is None else as_dynamics(objective.baseline),
-        base_point=point_of(objective.base_point),
-        calm=fraction(objective.calm, "calm"),
-        limits=resolved,
-        start=park if start is None else resolved.on_track(start, "start"),
-        start_speed=frozen(each(start_speed, "start_speed", (robot.k,), finite=True)),
-        end=end,
-        datum=park,
-        mesh=Mesh(positive(mesh.dt, "dt", "s"), whole(mesh.refinements, "refinements", 0, MOST_REFINEMENTS)),
-        solver=Solver(
-            whole(solver.starts, "starts", 1, MOST_STARTS), positive(solver.seconds, "seconds", "s"), solver.progress
-        ),
-        at_most=_bounds(at_most or {}),
-    )
-
-
-def _bounds(at_most: Mapping[str, float]) -> dict[str, float]:
-    require_type(at_most, Mapping, "A mapping of objectives to bounds", 'Pass at_most={"carrier_force": 60.0}.')
-    for name, bound in at_most.items():
-        one_of(name, "at_most", tuple(OBJECTIVES))
-        positive(bound, f"at_most of {name}", "")
-    return {name: float(bound) for name, bound in at_most.items()}

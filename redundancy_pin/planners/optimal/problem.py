@@ -40,7 +40,8 @@ from redundancy_pin.planners.carrier_model import (
     turning_model,
 )
 from redundancy_pin.planners.optimal.mesh import Grid, resample
-from redundancy_pin.planners.optimal.objectives import Scales, Settings
+from redundancy_pin.planners.optimal.objectives import Scales
+from redundancy_pin.planners.optimal.settings import Settings
 from redundancy_pin.spectrum import scaled
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import Motion
@@ -294,7 +295,7 @@ def singular_nodes(task: Task, grid: Grid, read: Reader) -> tuple[SingularNode, 
     def node(i: int) -> SingularNode:
         # of a jump, which has two nodes, the first one has its derivatives from the left
         side: Side = "left" if i < len(grid.h) and grid.h[i] == 0.0 else "right"
-        return singular_node(task.dynamics, task.source, i, float(grid.t[i]), read, side, dt=task.settings.mesh.dt)
+        return singular_node(task.dynamics, task.source, i, float(grid.t[i]), read, side, dt=task.settings.dt)
 
     return tuple(node(i) for i in grid.singular.tolist())
 

@@ -65,6 +65,7 @@ class Planning:
             prescribed=prescribed,
             singular=nodes.singular,
             phases=PHASES,
+            chooses_timing=problem.timing is not None,
         )
 
 
@@ -135,7 +136,7 @@ def plan_and_refine(planning: Planning, problem: Problem, guess: Mapping[str, Ar
 
     def is_coarse(solution: Solution) -> bool:
         _, found = check(solution)
-        return refined < settings.mesh.refinements and not found.passed and bool(found.too_coarse([]).any())
+        return refined < settings.refinements and not found.passed and bool(found.too_coarse([]).any())
 
     while True:
         report(f"{len(problem.grid.t)} nodes, {len(problem.grid.singular)} of them singular: solving")
@@ -156,7 +157,7 @@ def plan_and_refine(planning: Planning, problem: Problem, guess: Mapping[str, Ar
         ratios.append(float(found.worst.max(initial=1.0)))
         last = Planned(solutions, motion, found, tuple(ratios))
         marked = found.too_coarse(ratios if lowered else [])
-        finer = bool(marked.any()) and refined < settings.mesh.refinements
+        finer = bool(marked.any()) and refined < settings.refinements
         if found.passed or not solution.optimal or not (finer or (not found.within_limits and lowered < LOWERED)):
             return last
         if time.perf_counter() > deadline:

@@ -24,8 +24,9 @@ from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.optimal.nlp import casadi
-from redundancy_pin.planners.optimal.objectives import OBJECTIVES, Settings
+from redundancy_pin.planners.optimal.objectives import OBJECTIVES
 from redundancy_pin.planners.optimal.problem import Problem, SingularNode, Task, times_beside
+from redundancy_pin.planners.optimal.settings import Settings
 from redundancy_pin.planners.optimal.solve import Outcome
 from redundancy_pin.planners.optimal.transcription import transcribe
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial

@@ -11,20 +11,20 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, each, frozen, one_of, positive, whole
+from redundancy_pin.arrays import Array, BoolArray, frozen, one_of
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import IntersampleCheck
-from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, widened, with_nodes
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
-from redundancy_pin.planners.optimal.objectives import MOST_REFINEMENTS, End, Mesh, Settings, Solver
 from redundancy_pin.planners.optimal.path_problem import read_path_problem
 from redundancy_pin.planners.optimal.problem import Problem, Task, required
 from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
+from redundancy_pin.planners.optimal.settings import End, Settings
 from redundancy_pin.planners.optimal.solve import Multistart, multistart
+from redundancy_pin.planners.options import FEWEST_STEPS, Limits, Mesh, Solver, group_of, refuse_fields
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.trajectory.continuous_motion import Motion, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -50,22 +50,13 @@ def plan_time_optimal(
     dynamics: DynamicsLike,
     path: Path | Trajectory,
     *,
-    effort: ArrayLike | None = None,
-    actuator_speed: ArrayLike | None = None,
+    limits: Limits | None = None,
+    mesh: Mesh | None = None,
+    solver: Solver | None = None,
     begin: Begin = "datum",
     end: End = "datum",
     datum: ArrayLike = 0.0,
     lap: bool = False,
-    track: ArrayLike | None = None,
-    speed: ArrayLike | None = None,
-    acceleration: ArrayLike | None = None,
-    jerk: ArrayLike | None = None,
-    carrier_force: ArrayLike | None = None,
-    steps: int = 100,
-    seconds: float = 60.0,
-    refinements: int = 3,
-    progress: Callable[[str], None] | None = None,
-    limits: Limits | None = None,
 ) -> Plan:
     """Plan the timing along a path, the carriers' motion and the main efforts such that the time is least.
 
@@ -79,31 +70,24 @@ def plan_time_optimal(
         dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
             The robot need not have carriers, and may have more actuators than degrees of freedom.
         path: a path; of a trajectory its path.
-        effort: scalar or (m,) limit of |τ|, N or N·m.
-        actuator_speed: scalar or (m,) limit of the main actuators' rates, m/s or rad/s.
+        limits: in place of the robot's own. Without a limit of efforts or of the actuators' rates there is no least
+            time.
+        mesh: ``steps`` and ``refinements``: how often steps may be halved whose efforts or rates exceed their limits
+            inside.
+        solver: ``seconds`` and ``progress``.
         begin: "datum" (at rest there), "rest" (at rest anywhere) or "free" (carriers in motion).
         end: "free", "rest", "datum", or "periodic": s, ṡ, s̈ as at the start.
         datum: scalar or (k,) where the carriers park, m.
         lap: the platform goes on and on: ṗ and p̈ at the end are those at the start, and need not be zero. The path is
             closed.
-        track: (2,) or (k, 2) track ends in place of the robot's own, m.
-        speed: scalar or (k,) limits of |ṡ| in place of the robot's own, m/s.
-        acceleration: the same for |s̈|, m/s².
-        jerk: scalar or (k,) limit of |s⃛|, m/s³.
-        carrier_force: the same for the forces of the carriers' actuators, N.
-        steps: least number of steps.
-        seconds: time bound of the search on all meshes, s. What was found by then is the plan.
-        refinements: how often steps may be halved whose efforts or rates exceed their limits inside.
-        progress: called with a line of text at each stage.
-        limits: track, speed, acceleration, jerk, effort and carrier_force as one group in place of the keywords.
 
     Returns:
         A plan whose samples are the nodes, from t = 0; ``plan.t[-1]`` is the time it takes. ``limits.binding`` names
         the limits that it touches.
 
     Raises:
-        InputError: a setting out of its domain; neither an effort nor an actuator's speed is limited; a lap of a path
-            that is not closed.
+        InputError: a setting out of its domain, or one that does not apply; neither an effort nor an actuator's speed
+            is limited; a lap of a path that is not closed.
         UnsupportedRobotError: f has terms that are not covered, as of dry friction.
         InfeasiblePlanError: no timing keeps the limits (constraint "effort"); or a singularity is touched.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
@@ -120,19 +104,17 @@ def plan_time_optimal(
         )
     one_of(begin, "begin", get_args(Begin))
     one_of(end, "end", get_args(End))
-    group = grouped("limits", limits, Limits, track=track, speed=speed, acceleration=acceleration, jerk=jerk,
-                    carrier_force=carrier_force, effort=effort)  # fmt: skip
-    resolved = group.resolved(robot)
-    rates = each(np.inf if actuator_speed is None else actuator_speed, "actuator_speed", (robot.m,), above_zero=True)
-    if not (np.isfinite(resolved.effort).any() or np.isfinite(rates).any()):
+    mesh, solver = group_of(mesh, Mesh), group_of(solver, Solver)
+    refuse_fields(mesh, {"dt": "the timing is planned, and steps is the least number of steps along the path"})
+    refuse_fields(solver, {"starts": "there is one first guess, a harmonic motion along the path"})
+    resolved = group_of(limits, Limits).resolved(robot)
+    if not (np.isfinite(resolved.effort).any() or np.isfinite(resolved.actuator_speed).any()):
         raise InputError(
             "Nothing limits the time.",
-            remedy="Limit the efforts, as by effort=2.0, or the rates of the actuators, as by actuator_speed=1.0; "
-            "limits that the robot's joints have bind no planner.",
+            remedy="Limit the efforts, as by effort=2.0, or the rates of the actuators, as by actuator_speed=1.0.",
             name="effort",
         )
-    park, count = resolved.on_track(datum, "datum"), whole(steps, "steps", 4, 100_000)
-    often, bound = whole(refinements, "refinements", 0, MOST_REFINEMENTS), positive(seconds, "seconds", "s")
+    park, count = resolved.on_track(datum, "datum"), FEWEST_STEPS if mesh.steps is None else mesh.steps
     if robot.k:
         require_carriers(robot)
     unit = as_motion(Trajectory(path, uniform_law(path.length, path.length)))
@@ -144,13 +126,14 @@ def plan_time_optimal(
         baseline=None,
         base_point=np.zeros(3),
         calm=0.0,
-        limits=replace(resolved, actuator_speed=rates),
+        limits=resolved,
         start=park,
         start_speed=np.zeros(robot.k),
         end=end,
         datum=park,
-        mesh=Mesh(path.length / count, often),
-        solver=Solver(1, bound, progress),
+        dt=path.length / count,
+        refinements=mesh.refinements,
+        solver=solver,
     )
     task = Task(dynamics, unit, settings)
     problem = read_path_problem(task, first_mesh(dynamics, unit, path.length / count, ends=not lap), begin, lap)
@@ -162,8 +145,8 @@ def plan_time_optimal(
         "lap": lap,
         "datum": park.tolist(),
         "steps": count,
-        "seconds": bound,
-        "refinements": often,
+        "seconds": solver.seconds,
+        "refinements": mesh.refinements,
     }
     found = {
         **planned.diagnostics,

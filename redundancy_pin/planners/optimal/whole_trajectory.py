@@ -17,16 +17,16 @@ from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import IntersampleCheck
-from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.optimal.calm import Chosen, calmed
 from redundancy_pin.planners.optimal.infeasible import relax, require_bounds
 from redundancy_pin.planners.optimal.mesh import first_mesh, steps_around, with_middles
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
-from redundancy_pin.planners.optimal.objectives import CALM, End, Mesh, Objective, Solver, checked_settings
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
 from redundancy_pin.planners.optimal.refine import Planned, Planning, plan_and_refine
+from redundancy_pin.planners.optimal.settings import End, checked_settings
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, solve, with_seconds
 from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
+from redundancy_pin.planners.options import Limits, Mesh, Objective, Solver, require_motion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
@@ -47,29 +47,14 @@ def plan_whole_trajectory(
     motion: PlatformMotion | TimedTrajectory,
     *,
     objective: str | Mapping[str, float] | Objective = "effort",
-    lam: float = 0.0,
-    baseline: DynamicsLike | None = None,
-    base_point: ArrayLike | None = None,
-    calm: float = CALM,
+    limits: Limits | None = None,
+    mesh: Mesh | None = None,
+    solver: Solver | None = None,
     start: ArrayLike | None = None,
     start_speed: ArrayLike = 0.0,
     end: End = "datum",
     datum: ArrayLike = 0.0,
     at_most: Mapping[str, float] | None = None,
-    track: ArrayLike | None = None,
-    speed: ArrayLike | None = None,
-    acceleration: ArrayLike | None = None,
-    jerk: ArrayLike | None = None,
-    effort: ArrayLike | None = None,
-    carrier_force: ArrayLike | None = None,
-    dt: float = 0.005,
-    starts: int = 1,
-    seconds: float = 60.0,
-    refinements: int = 3,
-    progress: Callable[[str], None] | None = None,
-    limits: Limits | None = None,
-    mesh: Mesh | None = None,
-    solver: Solver | None = None,
 ) -> Plan:
     """Plan the carriers' motion and the main efforts together, over the whole motion of the platform.
 
@@ -86,88 +71,58 @@ def plan_whole_trajectory(
 
     The plan is then judged by the backend between the nodes, right beside the singularities included. Where efforts
     there exceed the peak at the nodes by more than 5 %, or efforts or carrier forces their limits by more than 2 %, the
-    steps get a node in the middle across which the jerk is continuous, and the plan is made again (``refinements``).
-    What exceeds a limit by less is met by lower limits at the nodes beside it. ``diagnostics["dense_check"]`` has what
-    is left of it; limits left exceeded by more than 0.1 % make the status violates_limits, and ``limits.violated`` has
-    them.
+    steps get a node in the middle across which the jerk is continuous, and the plan is made again
+    (``Mesh.refinements``). What exceeds a limit by less is met by lower limits at the nodes beside it.
+    ``diagnostics["dense_check"]`` has what is left of it; limits left exceeded by more than 0.1 % make the status
+    limit_violated, and ``limits.violated`` has them.
 
     Args:
         dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
         motion: a trajectory, evaluated exactly wherever needed, or samples, with quintics between them.
-        objective: what to minimise, or weights of several, each in its own unit (``OBJECTIVES``; or
-            ``Objective``, with ``lam`` and ``baseline``): "effort" ∫ Σ τ² dt, "peak" max |τ|,
+        objective: what to minimise, or weights of several, each in its own unit (``OBJECTIVES``); or ``Objective``,
+            which has more to say of some: "effort" ∫ Σ τ² dt, "peak" max |τ|,
             "tracking" ∫ Σ (τ − λ τ̂)² dt, "carrier_force" ∫ Σ F² dt, "carrier_acceleration" ∫ Σ s̈² dt,
             "effort_rate" ∫ Σ τ̇² dt (0.01 of it beside "effort" calms the efforts next to singularities), "energy"
             ∫ Σ |τ q̇| + Σ |F ṡ| dt; "base_force" ∫ |F_b|² dt, "base_moment" ∫ |M_b|² dt and "base_wrench"
             ∫ |F_b|² + |M_b|²/ℓ² dt, ℓ the characteristic length: what the base feels beyond the load at rest where the
             motion begins (``planners.base_wrench``); "ripple" ∫ Σ ((τ − τ̄)/τ₀)² + 0.1 Σ ((s̈ − s̄)/s₀)² dt / T, with bars
             for the line through the neighbouring nodes and τ₀, s₀ the sizes of τ and s̈: what ``calm`` minimises.
-        lam: λ of "tracking", 0 to 1.
-        baseline: the robot whose efforts are τ̂, or its name or path; or a backend of it.
-        base_point: (3,) about which the moment on the base is taken, m; the world origin when left out.
-        calm: where an effort of the least-cost plan reverses more than 10 times (``Plan.reversals``), the plan with the
-            least ripple that costs at most 1 + ``calm`` times as much; 0 for the least-cost plan.
+            Where an effort of the least-cost plan reverses more than 10 times (``Plan.reversals``), the plan is the one
+            with the least ripple that costs at most 1 + ``calm`` times as much; 0 for the least-cost plan.
             ``plan.least_cost`` is the least cost, ``diagnostics["calm"]`` says whether a calmer plan was kept.
+        limits: in place of the robot's own. ``actuator_speed`` is judged: the motion is given.
+        mesh: ``dt`` and ``refinements``.
+        solver: of several ``starts`` the best optimum is kept. ``diagnostics["starts"]`` says how many were asked for,
+            tried and converged, which optima they led to (cost and first guesses of each, best first), which guess won,
+            and all costs and messages.
         start: scalar or (k,) positions at the start, m; the datum when left out.
         start_speed: scalar or (k,) speeds there, m/s.
         end: "free", "rest", "datum" (at rest there), or "periodic" (s, ṡ, s̈ as at the start).
         datum: scalar or (k,) where the carriers park, m.
         at_most: bounds of objectives at the nodes, by name, each in its unit, beside the one that is minimised:
             ``objective="peak", at_most={"energy": 2.0}``.
-        track: (2,) or (k, 2) track ends in place of the robot's own, m.
-        speed: scalar or (k,) limits of |ṡ| in place of the robot's own, m/s.
-        acceleration: the same for |s̈|, m/s².
-        carrier_force: the same for the forces of the carriers' actuators, N.
-        jerk: scalar or (k,) limit of |s⃛|, m/s³; with it s̈ cannot jump.
-        effort: scalar or (m,) limit of |τ|, N or N·m.
-        dt: largest step between nodes, s.
-        starts: number of first guesses; the first is parked carriers, the others are random swings (seeded). The best
-            optimum is kept. ``diagnostics["starts"]`` says how many were asked for, tried and converged, which optima
-            they led to (cost and first guesses of each, best first), which guess won, and all costs and messages.
-        seconds: time bound of the search, s: all first guesses and meshes, and why there is no plan. What was found by
-            then is the plan.
-        refinements: how often the grid may be refined.
-        progress: called with a line of text at each stage, and during it where the plan has 1000 nodes or more. What it
-            raises ends the planning.
-        limits: track, speed, acceleration, jerk, effort and carrier_force as one group in place of the keywords.
-        mesh: dt and refinements, the same.
-        solver: starts, seconds and progress, the same.
 
     Returns:
-        A plan whose samples are the nodes. ``status`` is stopped_early where the solver stopped before the conditions
+        A plan whose samples are the nodes. ``status`` is not_converged where the solver stopped before the conditions
         of a minimum held, with every limit kept; ``diagnostics["optimal"]`` says the same.
 
     Raises:
-        InputError: a setting out of its domain, or given both ways.
+        InputError: a setting out of its domain, or one that does not apply.
         UnsupportedRobotError: no carriers; or a carrier carries another, and the backend has f as no expression.
         InfeasiblePlanError: no motion of the carriers keeps every limit; carries constraint, carrier, time, amount and
             the limit that would suffice. Or the motion touches a type II singularity, rests in it or stays in it
             (constraint "singular_touch"), where no finite efforts are determined.
-        RedundancyPinError: casadi is not installed.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
     dynamics = as_dynamics(dynamics)
+    require_motion(motion, "duration", "breaks", "sample_at")
     require_carriers(dynamics.robot)
-    if isinstance(objective, Objective):
-        goal = grouped("objective", objective, Objective, lam=lam, baseline=baseline, base_point=base_point, calm=calm)
-    else:
-        goal = Objective(objective, lam, baseline, base_point, calm)
     settings = checked_settings(
         dynamics.robot,
-        goal,
-        grouped(
-            "limits",
-            limits,
-            Limits,
-            track=track,
-            speed=speed,
-            acceleration=acceleration,
-            jerk=jerk,
-            carrier_force=carrier_force,
-            effort=effort,
-        ),
-        grouped("mesh", mesh, Mesh, dt=dt, refinements=refinements),
-        grouped("solver", solver, Solver, starts=starts, seconds=seconds, progress=progress),
+        objective,
+        limits,
+        mesh,
+        solver,
         start=start,
         start_speed=start_speed,
         end=end,
@@ -183,7 +138,7 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     ``position``: of the carriers, to begin with in place of parked ones.
     """
     began = time.perf_counter()
-    nodes = first_mesh(task.dynamics, task.source, task.settings.mesh.dt)
+    nodes = first_mesh(task.dynamics, task.source, task.settings.dt)
     problem, readers = read_problem(task, nodes)
     guess = None if position is None else problem.scaled(carriers_at(position, nodes.t))
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import each, one_of, positive, require_type
+from redundancy_pin.arrays import each, one_of, positive
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.carrier_model import require_carriers
-from redundancy_pin.planners.limits import Limits, grouped
+from redundancy_pin.planners.options import Limits, group_of
 from redundancy_pin.planners.receding_horizon.ahead import Ahead
 from redundancy_pin.planners.receding_horizon.command import GOALS, Command, Goal, Weights
 from redundancy_pin.planners.receding_horizon.preview import SAME, Preview, Source
@@ -36,8 +36,7 @@ class RecedingHorizon:
         horizon: how far ahead it plans, s.
         step: between nodes, s; half of it around singular instants and where the platform turns.
         objective: "peak" max |τ| over the horizon, beside the mean square, or "effort", that alone; or ``Weights``.
-        track, speed, acceleration, jerk, effort, carrier_force: limits as of ``plan_whole_trajectory``.
-        limits: these as one group.
+        limits: in place of the robot's own. ``actuator_speed`` is judged, by ``run_online``: the motion is given.
         slow_down: where no plan keeps every limit, lead the platform along its path more slowly: ``Command.scaling``
             then says which time of the preview it is at, and the status is ``TIME_SCALED``.
         interpret: do not plan in machine code, as where there is no C compiler: the same plans, ten times as long.
@@ -58,12 +57,6 @@ class RecedingHorizon:
         horizon: float = 0.5,
         step: float = 0.02,
         objective: Goal | Weights = "peak",
-        track: ArrayLike | None = None,
-        speed: ArrayLike | None = None,
-        acceleration: ArrayLike | None = None,
-        jerk: ArrayLike | None = None,
-        effort: ArrayLike | None = None,
-        carrier_force: ArrayLike | None = None,
         limits: Limits | None = None,
         slow_down: bool = False,
         interpret: bool = False,
@@ -80,9 +73,7 @@ class RecedingHorizon:
                 f"The horizon of {horizon:g} s has {horizon / step:g} steps of {step:g} s.", remedy="Have 2 to 200."
             )
         self.weights = objective if isinstance(objective, Weights) else GOALS[objective]
-        flat = {"track": track, "speed": speed, "acceleration": acceleration}
-        flat |= {"jerk": jerk, "effort": effort, "carrier_force": carrier_force}
-        self._given_limits = grouped("limits", limits, Limits, **flat)
+        self._given_limits = group_of(limits, Limits)
         self.resolved = self._given_limits.resolved(robot)
         self._source: object = None
         self._preview: Preview | None = None
@@ -111,8 +102,8 @@ class RecedingHorizon:
 
     @limits.setter
     def limits(self, limits: Limits) -> None:
-        require_type(limits, Limits, "The limits of a planner", "Pass Limits(track=..., speed=..., ...).")
-        self._given_limits, self.resolved = limits, limits.resolved(self.robot)
+        self._given_limits = group_of(limits, Limits)
+        self.resolved = self._given_limits.resolved(self.robot)
         self.ticks.set_limits(self.resolved)
 
     def update(self, t: float, preview: Source, s: ArrayLike | None = None, sd: ArrayLike | None = None) -> Command:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -23,7 +23,8 @@ from redundancy_pin.planners.carrier_model import (
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import PlannedMotion
-from redundancy_pin.planners.limits import Limits, ResolvedLimits, grouped, require_motion
+from redundancy_pin.planners.limits import ResolvedLimits
+from redundancy_pin.planners.options import Limits, Objective, group_of, require_motion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.course import (
     PHASES,
@@ -61,9 +62,9 @@ def plan_stepwise(
     dynamics: DynamicsLike,
     motion: PlatformMotion | SampledOnDemand,
     *,
+    objective: str | Mapping[str, float] | Objective = "effort",
+    limits: Limits | None = None,
     dt: float = 5e-3,
-    lam: float = 0.0,
-    baseline: DynamicsLike | ArrayLike | None = None,
     active: Active = "always",
     start: ArrayLike = 0.0,
     datum: ArrayLike = 0.0,
@@ -71,11 +72,7 @@ def plan_stepwise(
     stop: Stop = "after",
     brake_time: float = 0.5,
     anticipate: bool = True,
-    speed: ArrayLike | None = None,
-    acceleration: ArrayLike | None = None,
-    track: ArrayLike | None = None,
     least_margin: float = LEAST_MARGIN,
-    limits: Limits | None = None,
 ) -> Plan:
     """Plan the carriers so that each time step has the least main effort (Parsa 2014, section 4.1).
 
@@ -105,10 +102,12 @@ def plan_stepwise(
     Args:
         dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
         motion: N samples of the platform motion, whose steps need not be equal; or a trajectory, which is sampled.
+        objective: "effort", λ = 0; or ``Objective(lam=..., baseline=...)``, where ``lam`` is λ, the fraction of the
+            baseline effort to aim at, and ``baseline`` is needed for λ > 0: the baseline robot, or its name or path; a
+            backend of it; or its efforts τ̂ (N, m), N or N·m.
+        limits: in place of the robot's own. Those of efforts, carrier forces and actuators' rates are judged; there is
+            none of the jerk, as accelerations jump from step to step.
         dt: the time step of a trajectory, s. Jumps of its acceleration are sampled from both sides.
-        lam: λ, fraction of the baseline effort to aim at, 0 to 1.
-        baseline: the baseline robot, or its name or path; a backend of it; or its efforts τ̂ (N, m), N or N·m. Needed
-            where λ > 0.
         active: "always", or "accelerating": while the reference acceleration is not zero.
         start: scalar or (k,) positions at the start, at rest, m.
         datum: scalar or (k,) positions to return to, m.
@@ -117,19 +116,14 @@ def plan_stepwise(
         stop: "after" or "within".
         brake_time: time in which the carriers are braked at the end, s; sooner where the track is too short.
         anticipate: see above.
-        speed: scalar or (k,) speed limits in place of the robot's own, m/s.
-        acceleration: the same for the acceleration, m/s².
-        track: (2,) or (k, 2) track ends in place of the robot's own, m.
         least_margin: smallest margin of W along the motion.
-        limits: track, speed and acceleration as one value in place of the three keywords; the planner keeps to no
-            others.
 
     Returns:
         A plan with the phases "parked", "optimise", "return", "brake". ṡ and s̈ are backward differences, except on
         returns, where they are the derivatives of the polynomial.
 
     Raises:
-        InputError: a setting out of its domain, or a baseline that does not fit.
+        InputError: a setting out of its domain, one that does not apply, or a baseline that does not fit.
         UnsupportedRobotError: no carriers, curved tracks, or too few main actuators.
         InfeasiblePlanError: the box of a step is empty; a carrier has no time to stop before the motion ends; no return
             keeps the limits; the motion comes too close to a type II singularity. Carries constraint, carrier, time and
@@ -149,10 +143,11 @@ def plan_stepwise(
             remedy=f"Sample it more finely: at least {_FEWEST_SAMPLES} samples.",
             samples=len(motion),
         )
+    goal = Objective.of(objective)
     settings = checked_settings(
         robot,
-        grouped("limits", limits, Limits, track=track, speed=speed, acceleration=acceleration),
-        lam=lam,
+        goal,
+        group_of(limits, Limits),
         active=active,
         start=start,
         datum=datum,
@@ -163,8 +158,7 @@ def plan_stepwise(
         least_margin=least_margin,
     )
     along = dynamics.along(motion)
-    if isinstance(baseline, (Robot, str, Path)):
-        baseline = as_dynamics(baseline)
+    baseline = as_dynamics(goal.baseline) if isinstance(goal.baseline, (Robot, str, Path)) else goal.baseline
     target, _ = target_effort(robot, motion, settings.lam, baseline)
     instants = np.flatnonzero(~motion.jumps)
     model = effort_model(along, settings.least_margin)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -19,7 +19,8 @@ from redundancy_pin.planners.carrier_return import CarrierState, return_polynomi
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import PlannedMotion
-from redundancy_pin.planners.limits import Limits, require_motion, return_duration
+from redundancy_pin.planners.limits import ResolvedLimits
+from redundancy_pin.planners.options import Limits, group_of, require_motion, return_duration
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off.crossing import Crossing, cross
 from redundancy_pin.singularities.roots import Interval
@@ -36,12 +37,19 @@ PHASES = ("parked", "ramp_down", "off", "return")
 class SwitchOffSettings:
     """Checked settings of the planner; see ``plan_switch_off``."""
 
+    limits: ResolvedLimits
     threshold: float
     measure: Measure
     ramp_down: float
     return_time: float | Literal["shortest"]
     datum: Array
     dt: float
+
+    @property
+    def parameters(self) -> dict[str, object]:
+        """The settings as plain data, for the plan, which has the limits apart."""
+        own = {each.name: getattr(self, each.name) for each in fields(self)[1:]}
+        return own | {"datum": self.datum.tolist()}
 
 
 Returned = tuple[Crossing, PiecewisePolynomial]
@@ -53,6 +61,7 @@ def plan_switch_off(
     dynamics: DynamicsLike,
     motion: PlatformMotion | TimedTrajectory,
     *,
+    limits: Limits | None = None,
     threshold: float = 5.0,
     measure: Measure = "condition",
     ramp_down: float = 0.03,
@@ -70,14 +79,14 @@ def plan_switch_off(
     The carriers' motion is integrated with error control (see ``carrier_equation``), so the efforts are continuous at
     switch-on. The thesis's backward differences of ṡ and s̈ make them jump there, in proportion to the step.
 
-    Limits of the carriers are not enforced (a crossing leaves no freedom to do so) but judged, at all extremes of their
-    motion (forces at the samples): see ``Plan.limits`` and ``Plan.status``. ``return_time="shortest"`` chooses the
-    return within them.
+    Limits are not enforced (a crossing leaves no freedom to do so) but judged: see ``Plan.limits`` and ``Plan.status``.
+    ``return_time="shortest"`` chooses the return within those of the carriers.
 
     Args:
         dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
             The robot has at least as many carriers as coordinates.
         motion: a trajectory, evaluated exactly wherever needed, or samples, with quintics between them.
+        limits: in place of the robot's own.
         threshold: the condition number of the scaled W above which, or its smallest singular value (no unit) below
             which, the actuators are off.
         measure: which of the two the threshold is.
@@ -105,12 +114,14 @@ def plan_switch_off(
             coordinates=robot.n,
         )
     require_carriers(robot)
+    resolved = group_of(limits, Limits).resolved(robot)
     settings = SwitchOffSettings(
+        limits=resolved,
         threshold=positive(threshold, "threshold", ""),
         measure=measure,
         ramp_down=positive(ramp_down, "ramp_down", "s"),
         return_time=return_duration(return_time, "return_time"),
-        datum=Limits().resolved(robot).on_track(datum, "datum"),
+        datum=resolved.on_track(datum, "datum"),
         dt=positive(dt, "dt", "s"),
     )
     source = as_motion(motion)
@@ -138,7 +149,7 @@ def _return(
     state, end = crossing.exit, source.end
     room = (min(end, later[0].start - settings.ramp_down) if later else end) - state.t
     if settings.return_time == "shortest":
-        return _shortest_return(dynamics, source, state, settings.datum, room, bool(later))
+        return _shortest_return(dynamics, source, state, settings, room, bool(later))
     duration = settings.return_time
     if duration <= room:
         return return_polynomial(state, duration, settings.datum)
@@ -155,7 +166,7 @@ def _return(
 
 
 def _shortest_return(
-    dynamics: Dynamics, source: Motion, state: CarrierState, datum: Array, room: float, later: bool
+    dynamics: Dynamics, source: Motion, state: CarrierState, settings: SwitchOffSettings, room: float, later: bool
 ) -> PiecewisePolynomial | None:
     """Return the shortest return within ``room``, s; None where none keeps the limits before a later window."""
     if room <= 0.0:
@@ -170,7 +181,7 @@ def _shortest_return(
         "and accept a plan that violates limits."
     )
     try:
-        return shortest_return(Limits().resolved(dynamics.robot), force, state, datum, room, remedy)
+        return shortest_return(settings.limits, force, state, settings.datum, room, remedy)
     except InfeasiblePlanError:
         if later:
             return None
@@ -227,12 +238,12 @@ def _assemble_plan(
         PlanFunctions(source, position.made_continuous(), tuple(off)),
         dynamics.along(source.sample_at(times)),
         CarrierMotion(after.s, after.sd, sdd, check_rates=False),
-        Limits().resolved(dynamics.robot),
+        settings.limits,
         "switch_off",
         prescribed=prescribed,
         phase=phase,
         phases=PHASES,
-        parameters={**asdict(settings), "datum": settings.datum.tolist()},
+        parameters=settings.parameters,
         diagnostics={
             "windows": [_window(dynamics, source, *each, singular) for each in crossings],
             "worst_measure": actuation.worst(settings.measure),

@@ -9,16 +9,19 @@ import zoo
 
 from redundancy_pin import RneaDynamics, VirtualWork, check_plan, load_plan, plan_whole_trajectory
 from redundancy_pin.errors import InputError
-from redundancy_pin.planners.optimal import Objective
 from redundancy_pin.planners.optimal import calm as calm_plans
+from redundancy_pin.planners.options import Mesh, Objective
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import reference
 
 
 @functools.cache
 def planned(objective, calm):
     circle = reference.circle(0.5, 0.2, 0.05)
-    return plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), circle, objective=objective, calm=calm, dt=0.01)
+    return plan_whole_trajectory(
+        VirtualWork(zoo.robot_of("2rpr")), circle, objective=Objective(objective, calm=calm), mesh=Mesh(dt=0.01)
+    )
 
 
 def efforts_between(plan, points=9):
@@ -88,7 +91,11 @@ def test_a_plan_that_cannot_be_calmed_is_that_of_least_cost(monkeypatch):
 def test_a_plan_without_many_reversals_stays_as_it_is():
     options = {"objective": "peak", "dt": 0.02}
     least, plan = (
-        plan_whole_trajectory(VirtualWork(zoo.robot_of("3rrr")), reference.corner(), calm=calm, **options)
+        plan_whole_trajectory(
+            VirtualWork(zoo.robot_of("3rrr")),
+            reference.corner(),
+            **in_groups(plan_whole_trajectory, dict(calm=calm, **options)),
+        )
         for calm in (0.0, 0.01)
     )
     assert max(reversals(least.tau)) < 10
@@ -100,7 +107,7 @@ def test_bounds_of_objectives_hold_in_a_calm_plan():
     circle = reference.circle(0.5, 0.2, 0.05)
     most = 1.001 * planned("peak", 0.0).least_cost
     plan = plan_whole_trajectory(
-        VirtualWork(zoo.robot_of("2rpr")), circle, objective="peak", at_most={"peak": most}, dt=0.01
+        VirtualWork(zoo.robot_of("2rpr")), circle, objective="peak", at_most={"peak": most}, mesh=Mesh(dt=0.01)
     )
     assert plan.diagnostics["calm"]["tried"]
     assert np.abs(plan.tau).max() <= most * (1.0 + 1e-9)

@@ -75,7 +75,7 @@ def test_the_closed_form_refuses_them(carriers):
 @pytest.mark.parametrize("mass", [0.0, 0.5])
 def test_carriers_on_the_end_effector_cross_and_are_replayed(mass):
     robot, circle = on_the_end_effector(mass), rp.trajectory.reference.circle(speed=0.5)
-    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), circle, dt=0.01)
+    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), circle, mesh=rp.Mesh(dt=0.01))
     assert plan.status.value == "ok"
     assert len(plan.diagnostics["singular_instants"]) == 2
     if mass:  # the replay of the other one takes ten seconds
@@ -104,7 +104,7 @@ def yawed(degrees):
 def crossing(dt):
     robot = rp.load_robot("gough", carriers=True)
     trajectory = rp.trajectory.reference.pose(yawed(70.0), yawed(110.0), 1.0)
-    return robot, trajectory, rp.plan_whole_trajectory(rp.RneaDynamics(robot), trajectory, dt=dt)
+    return robot, trajectory, rp.plan_whole_trajectory(rp.RneaDynamics(robot), trajectory, mesh=rp.Mesh(dt=dt))
 
 
 def test_gough_crosses_90_degrees_of_yaw_under_gravity():
@@ -219,7 +219,7 @@ def raised(**arguments):
 
 def test_a_delta_with_carriers_across_its_rods_goes_through_the_plane_of_its_elbows_under_gravity():
     robot, motion = raised(rod_carriers=True)
-    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), motion, dt=0.02)
+    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), motion, mesh=rp.Mesh(dt=0.02))
     assert plan.status.value == "ok"
     (instant,) = plan.diagnostics["singular_instants"]
     points = delta_points(motion.evaluate(np.array([instant])).x[0], np.zeros(3), "rods")[1:].reshape(3, 7, 3)
@@ -234,12 +234,14 @@ def test_a_delta_cannot_go_there_with_carriers_on_its_arms_or_light_ones():
     """Locked motors hold the arms, so nothing on them acts along the lost direction."""
     robot, motion = raised(carriers=True)
     with pytest.raises(InfeasiblePlanError, match="cannot balance this motion at all"):
-        rp.plan_whole_trajectory(rp.RneaDynamics(robot), motion, dt=0.02)
+        rp.plan_whole_trajectory(rp.RneaDynamics(robot), motion, mesh=rp.Mesh(dt=0.02))
     robot, motion = raised(rod_carriers=True, carrier_mass=0.2)
     with pytest.raises(InfeasiblePlanError, match="acceleration of rod_carrier_") as caught:
-        rp.plan_whole_trajectory(rp.RneaDynamics(robot), motion, dt=0.02)
+        rp.plan_whole_trajectory(rp.RneaDynamics(robot), motion, mesh=rp.Mesh(dt=0.02))
     wider = 1.02 * caught.value.details["limit"]
-    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), motion, dt=0.02, acceleration=wider)
+    plan = rp.plan_whole_trajectory(
+        rp.RneaDynamics(robot), motion, mesh=rp.Mesh(dt=0.02), limits=rp.Limits(acceleration=wider)
+    )
     assert plan.status.value == "ok"
 
 
@@ -248,9 +250,14 @@ def test_what_light_carriers_lack_is_said_in_numbers_that_suffice():
     trajectory = rp.trajectory.reference.pose(yawed(70.0), yawed(110.0), 1.0)
     dynamics = rp.RneaDynamics(rp.load_robot("gough", carriers=True, carrier_mass=0.5))
     with pytest.raises(InfeasiblePlanError, match="acceleration of carrier_") as caught:
-        rp.plan_whole_trajectory(dynamics, trajectory, dt=0.05)
+        rp.plan_whole_trajectory(dynamics, trajectory, mesh=rp.Mesh(dt=0.05))
     wider = 1.02 * caught.value.details["limit"]
-    assert rp.plan_whole_trajectory(dynamics, trajectory, dt=0.05, acceleration=wider).status.value == "ok"
+    assert (
+        rp.plan_whole_trajectory(
+            dynamics, trajectory, mesh=rp.Mesh(dt=0.05), limits=rp.Limits(acceleration=wider)
+        ).status.value
+        == "ok"
+    )
 
 
 @pytest.mark.long_for("2rpr")
@@ -260,7 +267,7 @@ def test_carriers_on_arms_are_replayed_and_their_masses_count(name):
     motion = rp.trajectory.reference.corner() if name == "3rrr" else rp.trajectory.reference.circle(0.5)
     robots = [rp.load_robot(name, arm_length=0.3, carrier_mass=mass, **masses) for mass in (1.0, 1.01)]
     assert robots[0].closed_form is None
-    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robots[0]), motion, dt=0.05)
+    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robots[0]), motion, mesh=rp.Mesh(dt=0.05))
     off = []
     for robot in robots:
         run = rp.simulate(robot, plan, dt=0.05, stop_at=())

@@ -16,7 +16,8 @@ from redundancy_pin.planners.optimal.co_design import DesignTask, Search, co_des
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import reference
 
-LIGHT = {"acceleration": 20.0, "dt": 0.02}
+LIGHT = {"limits": rp.Limits(acceleration=20.0), "mesh": rp.Mesh(dt=0.02)}
+WIDE = rp.Limits(acceleration=20.0, speed=5.0)
 
 
 @cache
@@ -34,8 +35,9 @@ def heavy(**options: Any) -> DesignTask:
 
 
 def turning(**options: Any) -> DesignTask:
-    limits = {"acceleration": 20.0, "speed": 5.0, "dt": 0.02}
-    return DesignTask(rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(radius=0.025), {**limits, **options})
+    return DesignTask(
+        rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(radius=0.025), {**LIGHT, "limits": WIDE, **options}
+    )
 
 
 def replanned(task: DesignTask, objective: str, robot: Robot) -> float:
@@ -74,7 +76,7 @@ def test_gradient_of_an_optimum(name: str, objective: str, closeness: dict[str, 
 def test_gradient_of_the_least_energy() -> None:
     """The rates of the main actuators change with the machine too."""
     line = rp.trajectory.from_points([[0.15, 0.3], [0.2, -0.2]], speed=0.5, ramp_time=0.2)
-    task = DesignTask(heavy().dynamics, line, {"acceleration": 20.0, "dt": 0.1, "objective": "energy"})
+    task = DesignTask(heavy().dynamics, line, {**LIGHT, "mesh": rp.Mesh(dt=0.1), "objective": "energy"})
     search = Search((task,), {"base_distance": (0.3, 0.7)})
     machines = (rp.with_parameters(task.dynamics.robot, base_distance=0.5 + by) for by in (1e-4, -1e-4))
     up, down = (replanned(task, "energy", robot) for robot in machines)
@@ -89,7 +91,7 @@ def test_gradient_where_the_singular_instant_moves(name: str) -> None:
     steps = (0.02, 0.005)
     got, want = [], []
     for dt in steps:
-        task = DesignTask(turning().dynamics, across, {"acceleration": 20.0, "speed": 5.0, "dt": dt})
+        task = DesignTask(turning().dynamics, across, {"limits": WIDE, "mesh": rp.Mesh(dt=dt)})
         search = Search((task,), {name: (0.5, 1.5)})
         got.append(search.machine(search.start).gradients[0, 0])
         machines = (rp.with_parameters(task.dynamics.robot, **{name: 1.0 + by}) for by in (1e-3, -1e-3))  # type: ignore[arg-type]
@@ -199,7 +201,11 @@ def test_twice_the_feed_round_the_corner_under_the_same_torque() -> None:
     limit, needed = (np.abs(rp.distribute(bare.reduce(m.sample(1e-3))).tau).max() for m in (slow, fast))
     robot = rp.load_robot("3rrr", carrier_mass=0.6, tail_length=0.56, working_mode=(1, 1, 1))
     plan = rp.plan_whole_trajectory(
-        rp.VirtualWork(robot), fast, objective="peak", dt=0.02, acceleration=60.0, speed=5.0, refinements=1
+        rp.VirtualWork(robot),
+        fast,
+        objective="peak",
+        mesh=rp.Mesh(dt=0.02, refinements=1),
+        limits=rp.Limits(acceleration=60.0, speed=5.0),
     )
     assert plan.status.value in ("ok", "unresolved")
     assert plan.peak_effort.max() < 0.75 * limit < 0.2 * needed

@@ -121,7 +121,7 @@ def test_gradients_against_robots_made_anew(name: str, objective: str | Mapping[
     """Lengths change the joint angles of the same motion; the last digits are those of the differences."""
     robot = driven_twice(tmp_path) if name == "two motors" else rp.load_robot(name)
     names, motion = CASES[name]
-    task = DesignTask(rp.CompiledDynamics(robot), motion, {"objective": objective, "dt": 0.02})
+    task = DesignTask(rp.CompiledDynamics(robot), motion, {"objective": objective, "mesh": rp.Mesh(dt=0.02)})
     values = {key: float(robot.parameters[key]) for key in names}  # type: ignore[arg-type]
     search = Search((task,), {key: (0.5 * value, 2.0 * value) for key, value in values.items()})
     gradient = search.machine(search.start).gradients[0]
@@ -163,7 +163,7 @@ def test_least_norm_where_there_are_more_motors_than_degrees_of_freedom(tmp_path
 @pytest.mark.parametrize(
     ("name", "motion", "options", "constraint"),
     [
-        ("four_bar", turn(), {"effort": 0.5}, "effort"),
+        ("four_bar", turn(), {"limits": rp.Limits(effort=0.5)}, "effort"),
         ("four_bar", turn(), {"at_most": {"energy": 1.0}}, "at_most"),
         ("five_bar", None, {}, "effort"),
     ],

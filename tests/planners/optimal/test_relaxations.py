@@ -17,10 +17,11 @@ from redundancy_pin.planners.optimal import infeasible
 from redundancy_pin.planners.optimal import solve as solving
 from redundancy_pin.planners.optimal.mesh import grid_of
 from redundancy_pin.planners.optimal.nlp import LEAST_SECONDS
-from redundancy_pin.planners.optimal.objectives import Limits, Mesh, Objective, checked_settings
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
+from redundancy_pin.planners.optimal.settings import checked_settings
 from redundancy_pin.planners.optimal.solve import REACH, Multistart, Outcome, first_guess
 from redundancy_pin.planners.optimal.transcription import KINDS, relaxed_bounds, slack_name
+from redundancy_pin.planners.options import Limits, Mesh, Objective
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import as_motion

@@ -26,8 +26,10 @@ from redundancy_pin import (
 )
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.planners.options import Limits, Mesh
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import Line, reference
 
 pytest.importorskip("casadi")
@@ -51,12 +53,14 @@ def carrying() -> VirtualWork:
 
 @functools.cache
 def free() -> Plan:
-    return plan_time_optimal(carrying(), CORNER, effort=EFFORT, end="free", steps=80, **LIMITS)
+    return plan_time_optimal(
+        carrying(), CORNER, end="free", **in_groups(plan_time_optimal, dict(effort=EFFORT, steps=80, **LIMITS))
+    )
 
 
 @pytest.mark.parametrize("rate", [np.inf, pytest.param(0.35, marks=pytest.mark.long)])
 def test_without_carriers_the_time_is_that_of_toppra(rate: float) -> None:
-    plan = plan_time_optimal(bare(), CORNER, effort=EFFORT, actuator_speed=rate, steps=100)
+    plan = plan_time_optimal(bare(), CORNER, limits=Limits(effort=EFFORT, actuator_speed=rate), mesh=Mesh(steps=100))
     assert plan.status is ResultStatus.OK
     expected = least_time(bare(), CORNER, EFFORT, rate, steps=200)
     assert abs(plan.t[-1] / expected - 1.0) < 5e-3
@@ -77,7 +81,7 @@ def test_a_robot_that_carries_its_weight_has_the_time_of_toppra(share: float) ->
     x = np.linspace(home, end, 41)
     at_rest = dynamics.reduce(PlatformMotion(np.arange(41.0), x, 0.0 * x, 0.0 * x, check_rates=False))
     effort = share * np.abs(distribute(at_rest).tau).max()
-    plan = plan_time_optimal(dynamics, path, effort=effort, steps=60)
+    plan = plan_time_optimal(dynamics, path, limits=Limits(effort=effort), mesh=Mesh(steps=60))
     assert plan.status is ResultStatus.OK
     assert plan.limits.binding
     assert abs(plan.t[-1] / least_time(dynamics, path, effort, steps=400) - 1.0) < 5e-3
@@ -86,9 +90,12 @@ def test_a_robot_that_carries_its_weight_has_the_time_of_toppra(share: float) ->
 def test_rates_are_looked_at_between_the_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
     """By differences of the inverse kinematics' angles: few nodes, between which rates exceed 0.35 rad/s by 6 %."""
     options = {"effort": EFFORT, "actuator_speed": 0.35, "steps": 10}
-    fine, plan = (plan_time_optimal(bare(), CORNER, refinements=often, **options) for often in (3, 0))
+    fine, plan = (
+        plan_time_optimal(bare(), CORNER, **in_groups(plan_time_optimal, dict(refinements=often, **options)))
+        for often in (3, 0)
+    )
     monkeypatch.setattr("redundancy_pin.planners.optimal.refine.LOWERED", 0)
-    coarse = plan_time_optimal(bare(), CORNER, refinements=0, **options)
+    coarse = plan_time_optimal(bare(), CORNER, **in_groups(plan_time_optimal, dict(refinements=0, **options)))
     robot, worst = bare().robot, []
     for each in (coarse, plan, fine):
         t = np.linspace(0.0, each.t[-1], 1000)
@@ -112,7 +119,7 @@ def test_more_actuators_than_freedoms_share_the_load() -> None:
     """An elbow of the 3-RRR is driven as well: the loads they balance are more."""
     robot = bare().robot
     driven = replace(robot, actuated=(*robot.actuated, "elbow_1"))
-    plan = plan_time_optimal(RneaDynamics(driven), CORNER, effort=EFFORT, steps=60)
+    plan = plan_time_optimal(RneaDynamics(driven), CORNER, limits=Limits(effort=EFFORT), mesh=Mesh(steps=60))
     assert plan.status is ResultStatus.OK
     assert plan.t[-1] < 0.97
     assert abs(plan.t[-1] / least_time(RneaDynamics(driven), CORNER, EFFORT, steps=120) - 1.0) < 5e-3
@@ -145,7 +152,9 @@ def test_carriers_make_the_corner_faster() -> None:
     ],
 )
 def test_times_round_the_corner_by_how_carriers_begin_and_end(options: Any, least: float, most: float) -> None:
-    plan = plan_time_optimal(carrying(), CORNER, effort=EFFORT, **{**LIMITS, **options})
+    plan = plan_time_optimal(
+        carrying(), CORNER, **in_groups(plan_time_optimal, dict(effort=EFFORT, **{**LIMITS, **options}))
+    )
     assert plan.status is ResultStatus.OK
     assert least < plan.t[-1] < most
     if options.get("end") == "periodic":
@@ -156,7 +165,10 @@ def test_times_round_the_corner_by_how_carriers_begin_and_end(options: Any, leas
 @pytest.mark.long
 def test_forces_and_jerks_of_carriers_are_kept() -> None:
     plan = plan_time_optimal(
-        carrying(), CORNER, effort=EFFORT, end="free", carrier_force=30.0, jerk=500.0, steps=60, **LIMITS
+        carrying(),
+        CORNER,
+        end="free",
+        **in_groups(plan_time_optimal, dict(effort=EFFORT, carrier_force=30.0, jerk=500.0, steps=60, **LIMITS)),
     )
     assert plan.status is ResultStatus.OK
     assert free().t[-1] < plan.t[-1] < 0.9
@@ -173,7 +185,7 @@ def test_a_spatial_platform_under_gravity() -> None:
     goal[:3, 3] += [0.1, 0.05, 0.1]
     goal[:3, :3] = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix() @ goal[:3, :3]
     path = reference.pose(zoo.home_of(robot), goal).path
-    plan = plan_time_optimal(RneaDynamics(robot), path, effort=80.0, steps=60)
+    plan = plan_time_optimal(RneaDynamics(robot), path, limits=Limits(effort=80.0), mesh=Mesh(steps=60))
     assert plan.status is ResultStatus.OK
     assert abs(plan.t[-1] / least_time(RneaDynamics(robot), path, 80.0, steps=200) - 1.0) < 5e-3
 
@@ -182,9 +194,14 @@ def test_a_spatial_platform_under_gravity() -> None:
 def test_a_lap_goes_on_where_it_began() -> None:
     square = reference.square().path
     plans = [
-        plan_time_optimal(bare(), square, effort=EFFORT, lap=True, steps=100),
+        plan_time_optimal(bare(), square, limits=Limits(effort=EFFORT), lap=True, mesh=Mesh(steps=100)),
         plan_time_optimal(
-            carrying(), square, effort=EFFORT, lap=True, begin="free", end="periodic", steps=100, **LIMITS
+            carrying(),
+            square,
+            lap=True,
+            begin="free",
+            end="periodic",
+            **in_groups(plan_time_optimal, dict(effort=EFFORT, steps=100, **LIMITS)),
         ),
     ]
     for plan in plans:
@@ -228,7 +245,9 @@ def test_forward_dynamics_follow_the_plan() -> None:
 @pytest.mark.long
 def test_a_singularity_is_crossed_at_the_limit_of_the_efforts() -> None:
     dynamics = VirtualWork(zoo.robot_of("2rpr", end_effector_mass=0.5))
-    plan = plan_time_optimal(dynamics, reference.line().path, effort=1.0, end="free", steps=50)
+    plan = plan_time_optimal(
+        dynamics, reference.line().path, limits=Limits(effort=1.0), end="free", mesh=Mesh(steps=50)
+    )
     assert plan.status is ResultStatus.OK
     (i,) = plan.diagnostics["singular_nodes"]
     beside = plan.efforts_at(plan.t[i] + np.array([-1e-3, 1e-3]), RneaDynamics(dynamics.robot))
@@ -251,12 +270,12 @@ def test_a_singularity_is_crossed_at_the_limit_of_the_efforts() -> None:
 )
 def test_bad_options_are_named(options: dict[str, Any], word: str) -> None:
     with pytest.raises(InputError, match=word):
-        plan_time_optimal(bare(), CORNER, **options)
+        plan_time_optimal(bare(), CORNER, **in_groups(plan_time_optimal, options))
 
 
 def test_samples_are_no_path() -> None:
     with pytest.raises(InputError, match="path"):
-        plan_time_optimal(bare(), reference.corner().sample(0.1), effort=1.0)  # type: ignore[arg-type]
+        plan_time_optimal(bare(), reference.corner().sample(0.1), limits=Limits(effort=1.0))  # type: ignore[arg-type]
 
 
 def test_what_is_not_covered_is_refused() -> None:
@@ -266,11 +285,13 @@ def test_what_is_not_covered_is_refused() -> None:
     robot = bare().robot
     for load in (JointForces("base_1", friction=1.0), Wrench(robot.platform.frame, gust)):
         with pytest.raises(UnsupportedRobotError, match="dry friction and loads that depend on time"):
-            plan_time_optimal(RneaDynamics(robot.loaded(load)), CORNER, effort=EFFORT, steps=20)
+            plan_time_optimal(
+                RneaDynamics(robot.loaded(load)), CORNER, limits=Limits(effort=EFFORT), mesh=Mesh(steps=20)
+            )
 
 
 def test_weight_beyond_the_efforts_is_infeasible() -> None:
     heavy = RneaDynamics(zoo.robot_of("3rrr", carriers=False, working_mode=MODE, gravity=(0.0, -9.81, 0.0)))
     with pytest.raises(InfeasiblePlanError) as caught:
-        plan_time_optimal(heavy, CORNER, effort=EFFORT, steps=6)
+        plan_time_optimal(heavy, CORNER, limits=Limits(effort=EFFORT), mesh=Mesh(steps=6))
     assert caught.value.details["constraint"] == "effort"

@@ -20,6 +20,7 @@ from redundancy_pin.planners.optimal.mesh import Grid, with_middles
 from redundancy_pin.planners.optimal.path_problem import read_path_problem
 from redundancy_pin.planners.optimal.problem import Problem, Task
 from redundancy_pin.planners.optimal.transcription import REGULARISATION_OF_TIME, RESERVE, transcribe
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -55,7 +56,7 @@ def problem_of(dynamics, path, **settings):
 
         patch.setattr(solving, "transcribe", stop)
         with pytest.raises(_EnoughError):
-            rp.plan_time_optimal(dynamics, path, **settings)
+            rp.plan_time_optimal(dynamics, path, **in_groups(rp.plan_time_optimal, settings))
     return seen[0]
 
 

@@ -9,7 +9,9 @@ import zoo
 from redundancy_pin import CarrierMotion, CompiledDynamics, RneaDynamics, VirtualWork, distribute, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError, InputError, RedundancyPinError, UnsupportedRobotError
 from redundancy_pin.planners.optimal import nlp
+from redundancy_pin.planners.options import Limits, Mesh, Objective, Solver
 from redundancy_pin.status import ResultStatus, SampleStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 
@@ -81,7 +83,7 @@ def require_sound(dynamics, trajectory, plan):
 )
 def test_circle(objective, speed, arguments, most):
     dynamics, trajectory = two_rpr(**arguments), circle(speed)
-    plan = plan_whole_trajectory(dynamics, trajectory, objective=objective, calm=0.0, dt=0.01)
+    plan = plan_whole_trajectory(dynamics, trajectory, objective=Objective(objective, calm=0.0), mesh=Mesh(dt=0.01))
     require_sound(dynamics, trajectory, plan)
     assert plan.peak_effort.max() <= most
 
@@ -91,7 +93,7 @@ def test_circle(objective, speed, arguments, most):
 def test_corner(radius, most):
     dynamics, trajectory = VirtualWork(zoo.robot_of("3rrr")), reference.corner(radius)
     assert dynamics.robot.working_mode == (1, 1, 1)
-    plan = plan_whole_trajectory(dynamics, trajectory, objective="peak", dt=1.8 / 280)
+    plan = plan_whole_trajectory(dynamics, trajectory, objective="peak", mesh=Mesh(dt=1.8 / 280))
     require_sound(dynamics, trajectory, plan)
     assert plan.peak_effort.max() <= most
 
@@ -100,7 +102,7 @@ def test_corner(radius, most):
 @pytest.mark.parametrize("objective", ["effort", "peak"])
 def test_five_bar_crosses_a_singularity(objective):
     dynamics, trajectory = CompiledDynamics(zoo.robot_of("five_bar")), five_bar_crossing()
-    plan = plan_whole_trajectory(dynamics, trajectory, objective=objective, dt=0.01)
+    plan = plan_whole_trajectory(dynamics, trajectory, objective=objective, mesh=Mesh(dt=0.01))
     require_sound(dynamics, trajectory, plan)
     assert len(plan.diagnostics["singular_instants"]) == 1
 
@@ -111,7 +113,7 @@ def test_efforts_at_singular_instants_are_the_limits_from_both_sides(case):
     dynamics = two_rpr(end_effector_mass=0.5, cylinder_mass=0.3) if case == "circle" else None
     dynamics = dynamics or CompiledDynamics(zoo.robot_of("five_bar"))
     trajectory = circle() if case == "circle" else five_bar_crossing()
-    plan = plan_whole_trajectory(dynamics, trajectory, dt=0.01)
+    plan = plan_whole_trajectory(dynamics, trajectory, mesh=Mesh(dt=0.01))
     assert plan.diagnostics["singular_nodes"]
     for i in plan.diagnostics["singular_nodes"]:
         assert plan.sample_status[i] == SampleStatus.SINGULAR_CONSISTENT
@@ -142,7 +144,7 @@ def test_both_backends_give_the_same_plan(case, objective):
         arguments = {"end_effector_mass": 0.5, "cylinder_mass": 0.3} if case == "heavy" else {}
         robot, trajectory, dt = zoo.robot_of("2rpr", **arguments), circle(), 0.02
     plans = [
-        plan_whole_trajectory(backend(robot), trajectory, objective=objective, dt=dt, refinements=0)
+        plan_whole_trajectory(backend(robot), trajectory, objective=objective, mesh=Mesh(dt=dt, refinements=0))
         for backend in (VirtualWork, RneaDynamics)
     ]
     for part in ("s", "sd", "sdd"):
@@ -155,8 +157,10 @@ def test_time_scaling_law():
     """c times as fast, with limits c and c² times as wide: the same path of the carriers, efforts c² times as large."""
     c = 1.3
     dynamics = two_rpr()
-    slow = plan_whole_trajectory(dynamics, circle(), speed=1.0, acceleration=8.0, dt=0.04)
-    fast = plan_whole_trajectory(dynamics, circle().scaled(c), speed=c, acceleration=8.0 * c**2, dt=0.04 / c)
+    slow = plan_whole_trajectory(dynamics, circle(), limits=Limits(speed=1.0, acceleration=8.0), mesh=Mesh(dt=0.04))
+    fast = plan_whole_trajectory(
+        dynamics, circle().scaled(c), limits=Limits(speed=c, acceleration=8.0 * c**2), mesh=Mesh(dt=0.04 / c)
+    )
     np.testing.assert_allclose(slow.t, c * fast.t, rtol=1e-12)
     np.testing.assert_allclose(fast.carriers.s, slow.carriers.s, atol=1e-6)
     np.testing.assert_allclose(fast.tau, c**2 * slow.tau, atol=1e-5)
@@ -193,7 +197,10 @@ def test_each_objective_is_least_for_its_own_plan():
     plans = {}
     for name in names:
         plan = plan_whole_trajectory(
-            dynamics, trajectory, objective=name, lam=0.5, baseline=baseline, dt=0.06, refinements=0
+            dynamics,
+            trajectory,
+            objective=Objective(name, lam=0.5, baseline=baseline),
+            mesh=Mesh(dt=0.06, refinements=0),
         )
         plans[name] = measures(plan, target)
         # the regularisation costs less than 1e-3 of each
@@ -207,7 +214,10 @@ def test_weights_trade_one_objective_for_another():
     dynamics = VirtualWork(zoo.robot_of("3rrr"))
     plans = [
         plan_whole_trajectory(
-            dynamics, reference.corner(), objective={"effort": 1.0, "carrier_acceleration": w}, dt=0.06, refinements=0
+            dynamics,
+            reference.corner(),
+            objective={"effort": 1.0, "carrier_acceleration": w},
+            mesh=Mesh(dt=0.06, refinements=0),
         )
         for w in (1e-3, 1e-1, 10.0)
     ]
@@ -229,7 +239,7 @@ def reversals(tau):
 @pytest.mark.long
 def test_a_little_weight_on_the_rate_calms_the_efforts_beside_singularities():
     swinging, calm = (
-        plan_whole_trajectory(two_rpr(), circle(), objective=objective, calm=0.0, dt=0.01)
+        plan_whole_trajectory(two_rpr(), circle(), objective=Objective(objective, calm=0.0), mesh=Mesh(dt=0.01))
         for objective in ("effort", {"effort": 1.0, "effort_rate": 0.01})
     )
     assert reversals(swinging.tau).max() > 20
@@ -242,7 +252,7 @@ def test_a_little_weight_on_the_rate_calms_the_efforts_beside_singularities():
 def test_ends():
     dynamics = two_rpr()
     plans = {
-        end: plan_whole_trajectory(dynamics, circle(), end=end, start=0.02, dt=0.05, datum=(0.01, -0.01))
+        end: plan_whole_trajectory(dynamics, circle(), end=end, start=0.02, mesh=Mesh(dt=0.05), datum=(0.01, -0.01))
         for end in ("free", "rest", "datum", "periodic")
     }
     for plan in plans.values():
@@ -262,9 +272,11 @@ def test_ends():
 
 def test_jerk_effort_and_force_limits_hold():
     dynamics = two_rpr()
-    free = plan_whole_trajectory(dynamics, circle(), dt=0.04, refinements=0)
+    free = plan_whole_trajectory(dynamics, circle(), mesh=Mesh(dt=0.04, refinements=0))
     force = 0.9 * np.abs(free.carrier_force).max()
-    plan = plan_whole_trajectory(dynamics, circle(), dt=0.02, jerk=300.0, effort=0.19, carrier_force=force)
+    plan = plan_whole_trajectory(
+        dynamics, circle(), mesh=Mesh(dt=0.02), limits=Limits(jerk=300.0, effort=0.19, carrier_force=force)
+    )
     assert plan.status is ResultStatus.OK
     h = np.diff(plan.t)
     steps = np.diff(plan.carriers.sdd, axis=0)
@@ -275,7 +287,7 @@ def test_jerk_effort_and_force_limits_hold():
 
 def test_accelerations_jump_only_where_the_reference_does():
     trajectory = reference.corner()
-    plan = plan_whole_trajectory(VirtualWork(zoo.robot_of("3rrr")), trajectory, dt=0.04)
+    plan = plan_whole_trajectory(VirtualWork(zoo.robot_of("3rrr")), trajectory, mesh=Mesh(dt=0.04))
     jumps = plan.t[np.flatnonzero(plan.motion.jumps)]
     np.testing.assert_array_equal(jumps, trajectory.breaks)
     change = np.abs(np.diff(plan.carriers.sdd, axis=0))[plan.motion.jumps[1:]]
@@ -286,7 +298,7 @@ def test_infeasible_says_how_much_would_suffice():
     """What would suffice for the efforts is the least peak, which the peak objective finds by itself."""
     dynamics, circle = two_rpr(), reference.circle(0.75, 0.2, 0.075)
     with pytest.raises(InfeasiblePlanError) as caught:
-        plan_whole_trajectory(dynamics, circle, effort=0.05, dt=0.05, refinements=0)
+        plan_whole_trajectory(dynamics, circle, limits=Limits(effort=0.05), mesh=Mesh(dt=0.05, refinements=0))
     details = caught.value.details
     assert not details["together"]
     relaxed = {event["constraint"]: event for event in details["relaxations"]}
@@ -298,10 +310,12 @@ def test_infeasible_says_how_much_would_suffice():
     assert effort["unit"] == "N"
     assert f"the effort of {effort['carrier']}, from 0.05 to {effort['limit']:.6g} N " in caught.value.message
     assert effort["carrier"] in dynamics.robot.actuated
-    least = plan_whole_trajectory(dynamics, circle, objective="peak", dt=0.05, refinements=0)
+    least = plan_whole_trajectory(dynamics, circle, objective="peak", mesh=Mesh(dt=0.05, refinements=0))
     least = least.peak_effort_at_samples.max()
     assert effort["limit"] == pytest.approx(least, rel=1e-3)
-    enough = plan_whole_trajectory(dynamics, circle, effort=1.001 * least, dt=0.05, refinements=0)
+    enough = plan_whole_trajectory(
+        dynamics, circle, limits=Limits(effort=1.001 * least), mesh=Mesh(dt=0.05, refinements=0)
+    )
     assert enough.diagnostics["optimal"]
     assert enough.peak_effort_at_samples.max() <= 1.001 * least * (1.0 + 1e-6)
     # steps of 50 ms, not refined: between the nodes the limit is far exceeded, and the plan says so
@@ -314,8 +328,14 @@ def test_infeasible_track_names_the_carrier(sense):
     """A start with a speed that no acceleration stops before the end of the track: v² / 2a is needed."""
     speed, room = 2.0, 0.1
     with pytest.raises(InfeasiblePlanError) as caught:
-        plan_whole_trajectory(two_rpr(), circle(), start=(sense * 0.1, 0.0), start_speed=(sense * speed, 0.0), dt=0.08,
-                              refinements=0, end="free")  # fmt: skip
+        plan_whole_trajectory(
+            two_rpr(),
+            circle(),
+            start=(sense * 0.1, 0.0),
+            start_speed=(sense * speed, 0.0),
+            mesh=Mesh(dt=0.08, refinements=0),
+            end="free",
+        )
     details = caught.value.details
     assert speed**2 / (2.0 * 10.0) > room
     kinds = {relaxed["constraint"] for relaxed in details["relaxations"]}
@@ -330,21 +350,21 @@ def test_infeasible_track_names_the_carrier(sense):
 
 def test_no_time_is_not_called_infeasible():
     with pytest.raises(InfeasiblePlanError, match="time ran out") as caught:
-        plan_whole_trajectory(two_rpr(), circle(), objective="peak", dt=0.05, seconds=1e-3)
+        plan_whole_trajectory(two_rpr(), circle(), objective="peak", mesh=Mesh(dt=0.05), solver=Solver(seconds=1e-3))
     assert caught.value.details["constraint"] == "seconds"
 
 
 def test_a_plan_that_is_not_optimal_says_so(monkeypatch):
     monkeypatch.setattr(nlp, "TOLERANCE", 1e-40)  # never reached, so the solver ends at what it calls acceptable
-    plan = plan_whole_trajectory(two_rpr(), circle(), dt=0.05, refinements=0)
+    plan = plan_whole_trajectory(two_rpr(), circle(), mesh=Mesh(dt=0.05, refinements=0))
     assert plan.status is ResultStatus.NOT_CONVERGED
     assert not plan.diagnostics["optimal"]
 
 
 def test_sampled_motion_gives_the_plan_of_its_trajectory():
     dynamics = two_rpr()
-    exact = plan_whole_trajectory(dynamics, circle(), dt=0.01)
-    sampled = plan_whole_trajectory(dynamics, circle().sample(0.002), dt=0.01)
+    exact = plan_whole_trajectory(dynamics, circle(), mesh=Mesh(dt=0.01))
+    sampled = plan_whole_trajectory(dynamics, circle().sample(0.002), mesh=Mesh(dt=0.01))
     ours, theirs = (plan.diagnostics["objective"]["effort"] for plan in (sampled, exact))
     assert ours == pytest.approx(theirs, rel=1e-2)  # the ends of the ramps are on nodes of one grid only
 
@@ -352,7 +372,7 @@ def test_sampled_motion_gives_the_plan_of_its_trajectory():
 def test_missing_solver_is_one_clear_line(monkeypatch):
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(RedundancyPinError, match=r"pip install casadi"):
-        plan_whole_trajectory(two_rpr(), circle(), dt=0.1)
+        plan_whole_trajectory(two_rpr(), circle(), mesh=Mesh(dt=0.1))
 
 
 @pytest.mark.parametrize(
@@ -376,7 +396,7 @@ def test_missing_solver_is_one_clear_line(monkeypatch):
 )
 def test_bad_settings_are_named(setting):
     with pytest.raises(InputError):
-        plan_whole_trajectory(two_rpr(), circle(), **setting)
+        plan_whole_trajectory(two_rpr(), circle(), **in_groups(plan_whole_trajectory, setting))
 
 
 def test_robot_without_carriers_is_refused():

@@ -9,14 +9,18 @@ import pytest
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.studies.case import load
+from redundancy_pin.studies.case import in_groups, load
 from redundancy_pin.trajectory import reference
 
 SETTINGS = {"acceleration": 20.0, "speed": 5.0, "dt": 0.02, "refinements": 0}
 
 
 def planned(**options: Any) -> Plan:
-    return rp.plan_whole_trajectory(rp.VirtualWork(load("3rrr")), reference.corner(radius=0.025), **SETTINGS, **options)
+    return rp.plan_whole_trajectory(
+        rp.VirtualWork(load("3rrr")),
+        reference.corner(radius=0.025),
+        **in_groups(rp.plan_whole_trajectory, dict(**SETTINGS, **options)),
+    )
 
 
 def values(plan: Plan) -> dict[str, float]:

@@ -26,8 +26,10 @@ from redundancy_pin import (
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.planners.base_wrench import base_wrench
 from redundancy_pin.planners.carrier_model import carrier_model, turning_model
+from redundancy_pin.planners.options import Mesh
 from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 
@@ -63,7 +65,9 @@ def unknown_terms():
 )
 def test_turning_carriers_are_planned_in_one_solution_by_any_backend(robot, name, objective, monkeypatch):
     monkeypatch.setattr(transcription, "loads_of", never)
-    plan = plan_whole_trajectory(RneaDynamics(robot), TRAJECTORIES[name], objective=objective, dt=0.05, refinements=0)
+    plan = plan_whole_trajectory(
+        RneaDynamics(robot), TRAJECTORIES[name], objective=objective, mesh=Mesh(dt=0.05, refinements=0)
+    )
     require_balanced(robot, plan)
     machine = symbolic_mechanisms.two_rpr(arm=ARM, **MASSES)
     theirs, _ = symbolic_plans.solve(machine, TRAJECTORIES[name], plan, objective, LIMITS)
@@ -184,7 +188,9 @@ def exact(robot):
     def plan(name, objective, **settings):
         with unknown_terms():
             return plan_whole_trajectory(
-                dynamics, TRAJECTORIES[name], objective=objective, dt=0.05, refinements=0, **settings
+                dynamics,
+                TRAJECTORIES[name],
+                **in_groups(plan_whole_trajectory, dict(objective=objective, dt=0.05, refinements=0, **settings)),
             )
 
     return plan
@@ -236,4 +242,4 @@ def test_limits_that_no_course_keeps_are_named_by_the_exact_problem(robot, exact
 
 def test_other_backends_than_generated_code_refuse_carriers_whose_f_is_no_sum_and_say_what_plans_them(robot):
     with unknown_terms(), pytest.raises(UnsupportedRobotError, match=r"no sum over its carriers.*CompiledDynamics"):
-        plan_whole_trajectory(RneaDynamics(robot), TRAJECTORIES["line"], dt=0.05)
+        plan_whole_trajectory(RneaDynamics(robot), TRAJECTORIES["line"], mesh=Mesh(dt=0.05))

@@ -6,6 +6,7 @@ import zoo
 
 from redundancy_pin import CarrierMotion, CompiledDynamics, VirtualWork, distribute, plan_whole_trajectory
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 
@@ -60,7 +61,9 @@ def require_as_good_between(seed):
     dynamics, trajectory, limits = random_task(seed)
     objective = ("effort", "peak")[seed // 3 % 2]
     dt = trajectory.duration / STEPS
-    plan = plan_whole_trajectory(dynamics, trajectory, objective=objective, dt=dt, **limits)
+    plan = plan_whole_trajectory(
+        dynamics, trajectory, **in_groups(plan_whole_trajectory, dict(objective=objective, dt=dt, **limits))
+    )
     assert plan.status is ResultStatus.OK
     times = dense_times(plan)
     efforts = distribute(dynamics.reduce(trajectory.sample_at(times), carriers_at(plan, times))).tau

@@ -12,7 +12,9 @@ from redundancy_pin import RneaDynamics, VirtualWork, distribute, load_robot, pl
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.carrier_model import carrier_model
 from redundancy_pin.planners.optimal.problem import singular_node
+from redundancy_pin.planners.options import Limits, Mesh, Objective
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
@@ -49,7 +51,12 @@ def efforts_at(dynamics, trajectory, plan, times):
 def test_a_start_on_a_limit_has_a_plan(settings, near):
     """It is on the track, so it is allowed; the plan is that of a start just inside."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.5, 0.2, 0.05)
-    on, inside = (plan_whole_trajectory(dynamics, trajectory, dt=0.03, refinements=0, **s) for s in (settings, near))
+    on, inside = (
+        plan_whole_trajectory(
+            dynamics, trajectory, **in_groups(plan_whole_trajectory, dict(dt=0.03, refinements=0, **s))
+        )
+        for s in (settings, near)
+    )
     assert on.diagnostics["optimal"]  # on nodes so few it may be unresolved between them
     assert not on.limits.violated
     assert on.diagnostics["objective"]["effort"] == pytest.approx(inside.diagnostics["objective"]["effort"], rel=1e-2)
@@ -65,7 +72,7 @@ def through_a_jump(y):
 def test_a_jump_on_a_singular_instant_has_two_limits(y):
     """The efforts at both nodes are what W⁻¹ f tends to on their side; ``y`` keeps both apart by less than rounding."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr", **HEAVY)), through_a_jump(y)
-    plan = plan_whole_trajectory(dynamics, trajectory, calm=0.0, dt=0.02)
+    plan = plan_whole_trajectory(dynamics, trajectory, objective=Objective(calm=0.0), mesh=Mesh(dt=0.02))
     before, after = plan.diagnostics["singular_nodes"]
     assert after == before + 1
     assert plan.t[before] == plan.t[after]
@@ -73,7 +80,7 @@ def test_a_jump_on_a_singular_instant_has_two_limits(y):
         beside = efforts_at(dynamics, trajectory, plan, [plan.t[node] + side * 1e-5])[0]
         # over 10 µs the efforts change by 1e-3 of their size
         np.testing.assert_allclose(plan.tau[node], beside, atol=1e-3 * np.abs(plan.tau).max())
-    apart = plan_whole_trajectory(dynamics, through_a_jump(1e-6), calm=0.0, dt=0.02)
+    apart = plan_whole_trajectory(dynamics, through_a_jump(1e-6), objective=Objective(calm=0.0), mesh=Mesh(dt=0.02))
     assert plan.diagnostics["objective"]["effort"] == pytest.approx(apart.diagnostics["objective"]["effort"], rel=1e-3)
 
 
@@ -86,11 +93,9 @@ def test_carrier_forces_are_looked_at_between_the_nodes():
             trajectory,
             objective="carrier_force",
             end="rest",
-            dt=trajectory.duration / 13,
+            mesh=Mesh(dt=trajectory.duration / 13, refinements=refinements),
             start_speed=[-0.08, -0.02, -0.016],
-            speed=0.68,
-            carrier_force=limit,
-            refinements=refinements,
+            limits=Limits(speed=0.68, carrier_force=limit),
         )
         times = np.setdiff1d(np.linspace(plan.t[0], plan.t[-1], 5000), plan.t)
         reduced = dynamics.reduce(trajectory.sample_at(times), carriers_between(plan, times))
@@ -109,9 +114,16 @@ def test_an_actuator_with_a_low_limit_is_looked_at_between_the_nodes(monkeypatch
     """Of two actuators one has a limit below the peak of the other, which hid it: it was exceeded by 36 %."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr", **HEAVY)), reference.circle(0.5, 0.2, 0.05)
     settings = {"objective": "carrier_acceleration", "effort": [50.0, 1.9], "dt": 0.1}
-    fine, lowered = (plan_whole_trajectory(dynamics, trajectory, refinements=often, **settings) for often in (3, 0))
+    fine, lowered = (
+        plan_whole_trajectory(
+            dynamics, trajectory, **in_groups(plan_whole_trajectory, dict(refinements=often, **settings))
+        )
+        for often in (3, 0)
+    )
     monkeypatch.setattr("redundancy_pin.planners.optimal.refine.LOWERED", 0)
-    rough = plan_whole_trajectory(dynamics, trajectory, refinements=0, **settings)
+    rough = plan_whole_trajectory(
+        dynamics, trajectory, **in_groups(plan_whole_trajectory, dict(refinements=0, **settings))
+    )
     assert rough.status is ResultStatus.LIMIT_VIOLATED
     (event,) = rough.limits.violated
     assert (event.quantity, event.carrier) == ("effort", rough.robot.actuated[1])
@@ -153,7 +165,7 @@ def test_one_freedom_crosses_its_singularity(tmp_path):
     )
     dynamics, path = RneaDynamics(robot), Line((1.0,), (5.0,))
     trajectory = Trajectory(path, SpeedProfile(path.length, 2.0, 0.2))
-    plan = plan_whole_trajectory(dynamics, trajectory, dt=0.04)
+    plan = plan_whole_trajectory(dynamics, trajectory, mesh=Mesh(dt=0.04))
     assert plan.status is ResultStatus.OK
     (node,) = plan.diagnostics["singular_nodes"]
     for side in (-1e-5, 1e-5):
@@ -167,7 +179,7 @@ def test_more_actuators_than_freedoms_are_judged_by_their_own_efforts(tmp_path):
     path = Line((0.25, 0.6), (0.32, 0.3))
     trajectory = Trajectory(path, SpeedProfile(path.length, 0.3, 0.2))
     dynamics = RneaDynamics(robot)
-    plan = plan_whole_trajectory(dynamics, trajectory, objective="peak", dt=0.05)
+    plan = plan_whole_trajectory(dynamics, trajectory, objective="peak", mesh=Mesh(dt=0.05))
     assert plan.status is ResultStatus.OK
     assert plan.diagnostics["dense_check"]["passed"]
     reduced = dynamics.reduce(plan.motion, plan.carriers)
@@ -189,7 +201,9 @@ def test_more_actuators_than_freedoms_are_judged_by_their_own_efforts(tmp_path):
 )
 def test_settings_of_the_wrong_kind_are_named(setting):
     with pytest.raises(InputError):
-        plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(), **setting)
+        plan_whole_trajectory(
+            VirtualWork(zoo.robot_of("2rpr")), reference.circle(), **in_groups(plan_whole_trajectory, setting)
+        )
 
 
 @pytest.mark.parametrize("side", ["left", "right"])

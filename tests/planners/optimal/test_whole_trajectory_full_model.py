@@ -11,6 +11,7 @@ import zoo
 
 from redundancy_pin import CarrierMotion, CompiledDynamics, VirtualWork, distribute, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 
@@ -29,7 +30,11 @@ def straight(start, end, speed, ramp_time=0.2):
 
 
 def compare(dynamics, machine, trajectory, objective, limits, dt, **settings):
-    plan = plan_whole_trajectory(dynamics, trajectory, objective=objective, calm=0.0, dt=dt, refinements=0, **settings)
+    plan = plan_whole_trajectory(
+        dynamics,
+        trajectory,
+        **in_groups(plan_whole_trajectory, dict(objective=objective, calm=0.0, dt=dt, refinements=0, **settings)),
+    )
     assert plan.diagnostics["optimal"]
     theirs, _ = symbolic_plans.solve(machine, trajectory, plan, objective, limits)
     np.testing.assert_allclose(plan.diagnostics["objective"][objective], theirs, rtol=SAME)

@@ -11,6 +11,7 @@ from redundancy_pin import CompiledDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.optimal import infeasible, whole_trajectory
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 
@@ -61,7 +62,11 @@ def random_problem(seed):
     )[seed % 8]
     if seed % 8 < 6:
         settings = {"dt": trajectory.duration / STEPS, "refinements": 0, "seconds": SECONDS}
-        least = plan_whole_trajectory(dynamics, trajectory, objective="peak", **settings_of(limits), **settings)
+        least = plan_whole_trajectory(
+            dynamics,
+            trajectory,
+            **in_groups(plan_whole_trajectory, dict(objective="peak", **settings_of(limits), **settings)),
+        )
         limits["effort"] = float(rng.uniform(0.7, 0.9)) * float(least.peak_effort_at_samples.max())
     return dynamics, trajectory, limits
 
@@ -99,13 +104,17 @@ def test_what_is_said_to_suffice_suffices_and_less_does_not(seed):
     settings = {"dt": trajectory.duration / STEPS, "refinements": 0, "seconds": SECONDS}
     began = time.perf_counter()
     with pytest.raises(InfeasiblePlanError) as caught:
-        plan_whole_trajectory(dynamics, trajectory, **settings_of(limits), **settings)
+        plan_whole_trajectory(
+            dynamics, trajectory, **in_groups(plan_whole_trajectory, dict(**settings_of(limits), **settings))
+        )
     assert time.perf_counter() - began < 2.0 * SECONDS
     details = caught.value.details
     assert 0.0 <= details["time"] <= trajectory.duration
     assert details["amount"] > 0.0
     enough = relaxed(dynamics, limits, details, WIDER)
-    plan = plan_whole_trajectory(dynamics, trajectory, **settings_of(enough), **settings)
+    plan = plan_whole_trajectory(
+        dynamics, trajectory, **in_groups(plan_whole_trajectory, dict(**settings_of(enough), **settings))
+    )
     # a statement about the nodes; without refinements efforts may exceed their limit between them, as the status says
     assert plan.diagnostics["optimal"]
     assert np.abs(plan.tau).max() <= enough.get("effort", np.inf) * (1.0 + ROUNDING)
@@ -114,7 +123,9 @@ def test_what_is_said_to_suffice_suffices_and_less_does_not(seed):
         assert not plan.diagnostics["dense_check"]["passed"]
     too_little = relaxed(dynamics, limits, details, NARROWER)
     with nullcontext() if seed in ROOM else pytest.raises(InfeasiblePlanError):
-        plan_whole_trajectory(dynamics, trajectory, **settings_of(too_little), **settings)
+        plan_whole_trajectory(
+            dynamics, trajectory, **in_groups(plan_whole_trajectory, dict(**settings_of(too_little), **settings))
+        )
 
 
 def test_what_was_not_tried_is_said(monkeypatch):
@@ -123,7 +134,9 @@ def test_what_was_not_tried_is_said(monkeypatch):
     dynamics, trajectory, limits = random_problem(6)
     settings = {"dt": trajectory.duration / STEPS, "refinements": 0}
     with pytest.raises(InfeasiblePlanError, match="Not tried to the end: ") as caught:
-        plan_whole_trajectory(dynamics, trajectory, **settings_of(limits), **settings)
+        plan_whole_trajectory(
+            dynamics, trajectory, **in_groups(plan_whole_trajectory, dict(**settings_of(limits), **settings))
+        )
     assert set(caught.value.details["untried"]) >= {"effort"}
     assert caught.value.details["together"]
 
@@ -131,13 +144,23 @@ def test_what_was_not_tried_is_said(monkeypatch):
 def test_a_bound_below_the_least_there_is_names_that_least_without_a_search(monkeypatch):
     dynamics, trajectory = CompiledDynamics(zoo.robot_of("five_bar")), straight((0.25, 0.6), (0.3, 0.3), 0.4)
     settings = {"dt": trajectory.duration / STEPS, "refinements": 0}
-    least = plan_whole_trajectory(dynamics, trajectory, objective="energy", **settings).diagnostics["objective"][
-        "energy"
-    ]
+    least = plan_whole_trajectory(
+        dynamics, trajectory, **in_groups(plan_whole_trajectory, dict(objective="energy", **settings))
+    ).diagnostics["objective"]["energy"]
     monkeypatch.setattr(whole_trajectory, "relax", None)
     with pytest.raises(InfeasiblePlanError, match="What would suffice: energy at most") as caught:
-        plan_whole_trajectory(dynamics, trajectory, objective="peak", at_most={"energy": 0.5 * least}, **settings)
+        plan_whole_trajectory(
+            dynamics,
+            trajectory,
+            at_most={"energy": 0.5 * least},
+            **in_groups(plan_whole_trajectory, dict(objective="peak", **settings)),
+        )
     assert caught.value.details["limit"] == pytest.approx(least, rel=1e-6)
     assert caught.value.details["constraint"] == "at_most"
-    kept = plan_whole_trajectory(dynamics, trajectory, objective="peak", at_most={"energy": 1.01 * least}, **settings)
+    kept = plan_whole_trajectory(
+        dynamics,
+        trajectory,
+        at_most={"energy": 1.01 * least},
+        **in_groups(plan_whole_trajectory, dict(objective="peak", **settings)),
+    )
     assert kept.diagnostics["objective"]["energy"] <= 1.01 * least * (1.0 + ROUNDING)

@@ -6,6 +6,7 @@ import zoo
 from full_model import solve_2rpr, solve_by_backend
 
 from redundancy_pin import CompiledDynamics, VirtualWork, plan_whole_trajectory
+from redundancy_pin.planners.options import Limits, Mesh, Solver
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 
@@ -24,7 +25,7 @@ def objective_of(plan, name):
 def test_circle_through_both_singularities(objective):
     trajectory = reference.circle(0.5, 0.2, 0.05)
     plan = plan_whole_trajectory(
-        VirtualWork(zoo.robot_of("2rpr")), trajectory, objective=objective, dt=0.03, refinements=0
+        VirtualWork(zoo.robot_of("2rpr")), trajectory, objective=objective, mesh=Mesh(dt=0.03, refinements=0)
     )
     assert len(plan.diagnostics["singular_nodes"]) == 2
     theirs = solve_2rpr(trajectory, plan, objective, LIMITS)
@@ -48,11 +49,10 @@ def test_random_lines_with_random_limits(seed):
         VirtualWork(zoo.robot_of("2rpr")),
         trajectory,
         objective=objective,
-        dt=0.04,
-        refinements=0,
-        speed=limits["speed"],
-        acceleration=limits["acceleration"],
-        track=(-limits["track"], limits["track"]),
+        mesh=Mesh(dt=0.04, refinements=0),
+        limits=Limits(
+            speed=limits["speed"], acceleration=limits["acceleration"], track=(-limits["track"], limits["track"])
+        ),
     )
     assert plan.diagnostics["optimal"]
     theirs = solve_2rpr(trajectory, plan, objective, limits)
@@ -63,7 +63,7 @@ def test_random_lines_with_random_limits(seed):
 @pytest.mark.parametrize("objective", ["effort", "peak"])
 def test_corner_against_a_solver_that_asks_the_backend(objective):
     dynamics = CompiledDynamics(zoo.robot_of("3rrr"))
-    plan = plan_whole_trajectory(dynamics, reference.corner(), objective=objective, dt=0.2, refinements=0)
+    plan = plan_whole_trajectory(dynamics, reference.corner(), objective=objective, mesh=Mesh(dt=0.2, refinements=0))
     limits = {"speed": 1.0, "track": 1.0, "acceleration": 7.0}
     theirs = solve_by_backend(dynamics, plan, objective, limits)
     np.testing.assert_allclose(objective_of(plan, objective), theirs, rtol=SAME)
@@ -73,7 +73,11 @@ def test_corner_against_a_solver_that_asks_the_backend(objective):
 def test_random_first_guesses_find_nothing_better():
     """Three random swings as first guesses end in the optimum that parked carriers lead to."""
     plan = plan_whole_trajectory(
-        VirtualWork(zoo.robot_of("3rrr")), reference.corner(0.013), objective="peak", dt=0.03, starts=4, refinements=0
+        VirtualWork(zoo.robot_of("3rrr")),
+        reference.corner(0.013),
+        objective="peak",
+        mesh=Mesh(dt=0.03, refinements=0),
+        solver=Solver(starts=4),
     )
     costs = np.array(plan.diagnostics["costs"])
     assert len(costs) == 4

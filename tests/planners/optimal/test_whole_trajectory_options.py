@@ -1,4 +1,4 @@
-"""Options in groups or flat, nodes, and an objective of one's own."""
+"""Options in groups, nodes, and an objective of one's own."""
 
 import re
 from pathlib import Path
@@ -9,14 +9,16 @@ import zoo
 
 from redundancy_pin import VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InputError
-from redundancy_pin.planners.optimal import OBJECTIVES, Limits, Mesh, Objective, ObjectiveTerm, Solver
+from redundancy_pin.planners.optimal import OBJECTIVES, ObjectiveTerm
+from redundancy_pin.planners.options import Limits, Mesh, Objective, Solver
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import reference
 
 CIRCLE = reference.circle(0.5, 0.2, 0.05)
 
 
 def plan_of(**options):
-    return plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), CIRCLE, **options)
+    return plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), CIRCLE, **in_groups(plan_whole_trajectory, options))
 
 
 FLAT = {
@@ -29,7 +31,7 @@ FLAT = {
 FLAT |= {"dt": 0.08, "refinements": 0, "starts": 2, "seconds": 30.0}
 
 
-def test_options_in_groups_give_the_plan_of_flat_ones():
+def test_options_as_flags_and_files_write_them_give_the_plan_of_groups():
     flat = plan_of(**FLAT)
     lines = []
     grouped = plan_of(
@@ -44,26 +46,42 @@ def test_options_in_groups_give_the_plan_of_flat_ones():
 
 
 @pytest.mark.parametrize(
-    ("options", "name"),
+    ("options", "message"),
     [
-        ({"limits": Limits(speed=1.0), "speed": 1.0}, "speed"),
-        ({"limits": Limits(), "effort": [1.0, 1.0]}, "effort"),
-        ({"mesh": Mesh(0.01), "dt": 0.02}, "dt"),
-        ({"solver": Solver(), "starts": 2}, "starts"),
-        ({"objective": Objective("tracking"), "lam": 0.5}, "lam"),
-        ({"mesh": 0.01}, "mesh"),
-        ({"limits": {"speed": 1.0}}, "limits"),
+        ({"mesh": 0.01}, "The group Mesh"),
+        ({"limits": {"speed": 1.0}}, "The group Limits"),
+        ({"mesh": Mesh(steps=50)}, "steps does not apply"),
+        ({"limits": Limits(speed=-1.0)}, "speed"),
     ],
 )
-def test_options_given_twice_or_of_another_kind_are_named(options, name):
-    with pytest.raises(InputError, match=name):
-        plan_of(**options)
+def test_groups_of_another_kind_and_fields_that_do_not_apply_are_named(options, message):
+    with pytest.raises(InputError, match=message):
+        plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), CIRCLE, **options)
 
 
-def test_groups_are_checked_as_flat_options_are():
-    for options in ({"mesh": Mesh(0.0)}, {"solver": Solver(starts=0)}, {"limits": Limits(speed=-1.0)}):
-        with pytest.raises(InputError):
-            plan_of(**options)
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Mesh(0.0),
+        lambda: Mesh(refinements=31),
+        lambda: Mesh(steps=3),
+        lambda: Solver(starts=0),
+        lambda: Solver(seconds=0.0),
+        lambda: Objective(lam=1.1),
+        lambda: Objective(calm=-0.1),
+        lambda: Objective(base_point=(0.0, 0.0)),
+        lambda: Objective("effort", lam=0.5),
+        lambda: Objective({"effort": 1.0}, baseline="3rrr"),
+    ],
+)
+def test_a_group_checks_its_numbers(make):
+    with pytest.raises(InputError):
+        make()
+
+
+def test_lam_and_baseline_ask_for_tracking():
+    assert Objective(lam=0.5, baseline="3rrr").weights == "tracking"
+    assert Objective().weights == "effort"
 
 
 def test_an_objective_is_added_by_its_formula(monkeypatch):
@@ -108,7 +126,7 @@ def test_formulas_may_bound_and_differentiate(monkeypatch, term):
 def test_nodes_have_every_event_and_are_integrated_exactly(trajectory):
     corner = len(trajectory.breaks) > 0
     dynamics = VirtualWork(zoo.robot_of("3rrr" if corner else "2rpr"))
-    plan = plan_whole_trajectory(dynamics, trajectory, dt=0.03, refinements=1)
+    plan = plan_whole_trajectory(dynamics, trajectory, mesh=Mesh(dt=0.03, refinements=1))
     h = np.diff(plan.t)
     assert h.max() <= 0.03 * (1.0 + 1e-9)
     np.testing.assert_array_equal(plan.t[1:][h == 0.0], trajectory.breaks)
@@ -133,5 +151,5 @@ def test_every_objective_is_named_where_a_user_looks_for_it():
         r"objective \(a word, or weights: \{.*?\}; (.*?)\)", re.sub(r"\n#\s*", " ", problem), re.DOTALL
     )
     assert set(listed.split(", ")) == set(OBJECTIVES)
-    text = plan_whole_trajectory.__doc__.partition("objective: ")[2].partition("lam: ")[0]
+    text = plan_whole_trajectory.__doc__.partition("objective: ")[2].partition("limits: ")[0]
     assert set(re.findall(r'"(\w+)"\s+(?:∫|max)', text)) == set(OBJECTIVES)

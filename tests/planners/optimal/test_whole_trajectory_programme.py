@@ -13,8 +13,8 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.planners.optimal.mesh import first_mesh, grid_of
-from redundancy_pin.planners.optimal.objectives import Limits, Mesh, Objective, checked_settings
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
+from redundancy_pin.planners.optimal.settings import checked_settings
 from redundancy_pin.planners.optimal.transcription import (
     BEYOND,
     ELASTIC_OBJECTIVE,
@@ -25,6 +25,7 @@ from redundancy_pin.planners.optimal.transcription import (
     slack_name,
     transcribe,
 )
+from redundancy_pin.planners.options import Limits, Mesh, Objective
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import Motion, as_motion
 

@@ -10,6 +10,7 @@ import zoo
 from redundancy_pin import VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.paths import Line, circle_path
 
@@ -28,7 +29,11 @@ def straight(start, end):
 
 
 def plan_of(trajectory, dt=0.02, **settings):
-    return plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr", **HEAVY)), trajectory, dt=dt, **settings)
+    return plan_whole_trajectory(
+        VirtualWork(zoo.robot_of("2rpr", **HEAVY)),
+        trajectory,
+        **in_groups(plan_whole_trajectory, dict(dt=dt, **settings)),
+    )
 
 
 def test_a_touch_is_a_clear_error():

@@ -12,7 +12,9 @@ import redundancy_pin.planners.optimal.solve as constraint_generation
 from redundancy_pin import CompiledDynamics, RneaDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.optimal import infeasible, refine, whole_trajectory
+from redundancy_pin.planners.options import Mesh, Solver
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line
@@ -25,12 +27,12 @@ def two_optima(**settings):
     return plan_whole_trajectory(
         CompiledDynamics(zoo.robot_of("five_bar")),
         trajectory,
-        objective="peak",
-        dt=trajectory.duration / 30,
-        refinements=0,
-        acceleration=30.0,
-        speed=4.0,
-        **settings,
+        **in_groups(
+            plan_whole_trajectory,
+            dict(
+                objective="peak", dt=trajectory.duration / 30, refinements=0, acceleration=30.0, speed=4.0, **settings
+            ),
+        ),
     )
 
 
@@ -44,7 +46,9 @@ def test_random_first_guesses_are_swings_that_end_where_they_began(monkeypatch):
 
     monkeypatch.setattr(constraint_generation, "first_guess", kept)
     circle = reference.circle(0.5, 0.2, 0.05)
-    plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), circle, dt=0.03, refinements=0, starts=3)
+    plan_whole_trajectory(
+        VirtualWork(zoo.robot_of("2rpr")), circle, mesh=Mesh(dt=0.03, refinements=0), solver=Solver(starts=3)
+    )
     assert len(guesses) == 3
     for problem, guess in guesses[1:]:
         t, u = problem.grid.t, problem.scales
@@ -85,14 +89,19 @@ def test_every_first_guess_is_tried_before_the_planner_gives_up(monkeypatch):
 
     monkeypatch.setattr(constraint_generation, "solve_nlp", counted)
     with pytest.raises(InfeasiblePlanError):
-        plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(2.5), dt=0.03, starts=3)
+        plan_whole_trajectory(
+            VirtualWork(zoo.robot_of("2rpr")), reference.circle(2.5), mesh=Mesh(dt=0.03), solver=Solver(starts=3)
+        )
     assert len(tried) == 3
 
 
 @pytest.mark.long
 def test_one_optimum_is_reported_as_one():
     plan = plan_whole_trajectory(
-        VirtualWork(zoo.robot_of("2rpr")), reference.circle(), dt=0.05, starts=3, refinements=0
+        VirtualWork(zoo.robot_of("2rpr")),
+        reference.circle(),
+        mesh=Mesh(dt=0.05, refinements=0),
+        solver=Solver(starts=3),
     )
     starts = plan.diagnostics["starts"]
     assert len(starts["optima"]) == 1
@@ -110,7 +119,11 @@ def test_limits_hold_between_the_nodes_where_they_are_met(quantity, limit, toler
     """Also where the solver stops before a tolerance that it never reaches."""
     monkeypatch.setattr(solver, "TOLERANCE", tolerance)
     setting = {"speed": limit} if quantity == "speed" else {"track": (-limit, limit)}
-    plan = plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.6, 0.2), **COARSE, **setting)
+    plan = plan_whole_trajectory(
+        VirtualWork(zoo.robot_of("2rpr")),
+        reference.circle(0.6, 0.2),
+        **in_groups(plan_whole_trajectory, dict(**COARSE, **setting)),
+    )
     assert plan.diagnostics["optimal"] is (tolerance == 1e-9)
     assert plan.status is (ResultStatus.OK if plan.diagnostics["optimal"] else ResultStatus.NOT_CONVERGED)
     c = plan.carriers
@@ -123,7 +136,9 @@ def test_long_plans_report_their_progress(monkeypatch):
     monkeypatch.setattr(solver, "LONG", 10)
     monkeypatch.setattr(solver, "PERIOD", 0.0)
     lines = []
-    plan = plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(), dt=0.05, progress=lines.append)
+    plan = plan_whole_trajectory(
+        VirtualWork(zoo.robot_of("2rpr")), reference.circle(), mesh=Mesh(dt=0.05), solver=Solver(progress=lines.append)
+    )
     reported = [line for line in lines if line.startswith("iteration")]
     assert len(reported) >= plan.diagnostics["iterations"]
     assert "scaled objective" in reported[-1]
@@ -131,7 +146,9 @@ def test_long_plans_report_their_progress(monkeypatch):
 
 def test_short_plans_report_their_stages_only():
     lines = []
-    plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(), dt=0.05, progress=lines.append)
+    plan_whole_trajectory(
+        VirtualWork(zoo.robot_of("2rpr")), reference.circle(), mesh=Mesh(dt=0.05), solver=Solver(progress=lines.append)
+    )
     assert lines
     assert not [line for line in lines if line.startswith("iteration")]
 
@@ -144,7 +161,9 @@ def test_what_progress_raises_ends_the_planning(monkeypatch):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(), dt=0.05, progress=interrupt)
+        plan_whole_trajectory(
+            VirtualWork(zoo.robot_of("2rpr")), reference.circle(), mesh=Mesh(dt=0.05), solver=Solver(progress=interrupt)
+        )
 
 
 STRATEGIES = [solver.FIRST, solver.FALLBACK, solver.WARM]
@@ -186,7 +205,11 @@ def square_plan(nodes, backend=VirtualWork, objective="peak"):
     trajectory = reference.square()
     dt = trajectory.duration / nodes
     return plan_whole_trajectory(
-        backend(zoo.robot_of("3rrr")), trajectory, objective=objective, dt=dt, refinements=0, seconds=600.0
+        backend(zoo.robot_of("3rrr")),
+        trajectory,
+        objective=objective,
+        mesh=Mesh(dt=dt, refinements=0),
+        solver=Solver(seconds=600.0),
     )
 
 
@@ -212,9 +235,9 @@ def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monke
     """Efforts too: within the tolerance alone those of two strategies are 2e-5 of the peak apart."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle()
     settings = {"objective": objective, "dt": 0.05, "refinements": 0}
-    usual = plan_whole_trajectory(dynamics, trajectory, **settings)
+    usual = plan_whole_trajectory(dynamics, trajectory, **in_groups(plan_whole_trajectory, settings))
     monkeypatch.setitem(solver.FIRST, "ipopt.max_iter", 3)
-    other = plan_whole_trajectory(dynamics, trajectory, **settings)
+    other = plan_whole_trajectory(dynamics, trajectory, **in_groups(plan_whole_trajectory, settings))
     assert other.diagnostics["optimal"]
     assert other.diagnostics["iterations"] > usual.diagnostics["iterations"]
     assert other.diagnostics["cost"] == pytest.approx(usual.diagnostics["cost"], rel=SAME_COST)
@@ -225,7 +248,7 @@ def test_a_second_strategy_begins_at_what_keeps_the_limits_and_never_replaces_it
     """The first strategy is stopped beside the optimum; the second, which may do next to nothing, leaves the limits."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle()
     settings = {"objective": "effort_rate", "dt": 0.05, "refinements": 0}
-    usual = plan_whole_trajectory(dynamics, trajectory, **settings)
+    usual = plan_whole_trajectory(dynamics, trajectory, **in_groups(plan_whole_trajectory, settings))
     monkeypatch.setitem(solver.FIRST, "ipopt.max_iter", 9)
     monkeypatch.setitem(solver.FALLBACK, "ipopt.max_iter", 2)
     guesses, ended, solve_nlp = [], [], constraint_generation.solve_nlp
@@ -236,7 +259,7 @@ def test_a_second_strategy_begins_at_what_keeps_the_limits_and_never_replaces_it
         return ended[-1]
 
     monkeypatch.setattr(constraint_generation, "solve_nlp", kept)
-    plan = plan_whole_trajectory(dynamics, trajectory, **settings)
+    plan = plan_whole_trajectory(dynamics, trajectory, **in_groups(plan_whole_trajectory, settings))
     first, second, _ = ended  # the last one has rows between the nodes
     assert (first.feasible, first.optimal, second.feasible) == (True, False, False)
     assert second.cost < first.cost
@@ -265,7 +288,9 @@ class Clock:
 def test_the_search_for_what_would_suffice_has_the_time_that_is_left(monkeypatch):
     clock = Clock(monkeypatch, 1.0)
     with pytest.raises(InfeasiblePlanError, match="What would suffice"):
-        plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(2.5), dt=0.05, seconds=60.0)
+        plan_whole_trajectory(
+            VirtualWork(zoo.robot_of("2rpr")), reference.circle(2.5), mesh=Mesh(dt=0.05), solver=Solver(seconds=60.0)
+        )
     assert len(clock.left) > 3
     assert clock.left == [60.0 - i for i in range(len(clock.left))]
 
@@ -273,16 +298,23 @@ def test_the_search_for_what_would_suffice_has_the_time_that_is_left(monkeypatch
 def test_meshes_share_the_time_and_where_it_is_over_the_last_plan_counts(monkeypatch):
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle()
     settings = {"objective": "peak", "dt": 0.05, "seconds": 60.0}
-    coarse = plan_whole_trajectory(dynamics, trajectory, **settings, refinements=0)
-    fine = plan_whole_trajectory(dynamics, trajectory, **settings)
+    coarse = plan_whole_trajectory(
+        dynamics, trajectory, **in_groups(plan_whole_trajectory, dict(**settings, refinements=0))
+    )
+    fine = plan_whole_trajectory(dynamics, trajectory, **in_groups(plan_whole_trajectory, settings))
     assert fine.diagnostics["nodes"] > coarse.diagnostics["nodes"]
     assert not fine.diagnostics["out_of_time"]
     with monkeypatch.context() as patched:
         clock = Clock(patched, 1.0)
-        assert plan_whole_trajectory(dynamics, trajectory, **settings).diagnostics["nodes"] == fine.diagnostics["nodes"]
+        assert (
+            plan_whole_trajectory(dynamics, trajectory, **in_groups(plan_whole_trajectory, settings)).diagnostics[
+                "nodes"
+            ]
+            == fine.diagnostics["nodes"]
+        )
         assert clock.left == [60.0 - i for i in range(len(clock.left))]
     Clock(monkeypatch, 70.0)
-    plan = plan_whole_trajectory(dynamics, trajectory, **settings)
+    plan = plan_whole_trajectory(dynamics, trajectory, **in_groups(plan_whole_trajectory, settings))
     assert plan.diagnostics["out_of_time"]
     assert plan.diagnostics["nodes"] == coarse.diagnostics["nodes"]
     assert plan.status in (ResultStatus.UNRESOLVED, ResultStatus.LIMIT_VIOLATED)

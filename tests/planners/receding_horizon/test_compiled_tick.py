@@ -18,7 +18,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.machine_code import CACHE, find_compiler
-from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, Weights
 from redundancy_pin.planners.receding_horizon.ahead import FIRST, SOON
 from redundancy_pin.planners.receding_horizon.command import Command, TickPlan
@@ -26,6 +26,7 @@ from redundancy_pin.planners.receding_horizon.preview import SAME
 from redundancy_pin.planners.receding_horizon.programme import Programme, TickProblem, units_of
 from redundancy_pin.planners.receding_horizon.tick import REGULAR
 from redundancy_pin.status import UpdateStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, through_points
 from redundancy_pin.trajectory.paths import circle_path
 
@@ -124,8 +125,10 @@ def ticks_of(
     **settings: Any,
 ) -> Iterator[Tick]:
     """Give the ticks after the first; all are by machine code, or this fails."""
-    compiled = RecedingHorizon(dynamics, step=STEP, horizon=HORIZON, **settings)
-    interpreted = RecedingHorizon(dynamics, step=STEP, horizon=HORIZON, interpret=True, **settings)
+    compiled = RecedingHorizon(dynamics, step=STEP, horizon=HORIZON, **in_groups(RecedingHorizon, settings))
+    interpreted = RecedingHorizon(
+        dynamics, step=STEP, horizon=HORIZON, interpret=True, **in_groups(RecedingHorizon, settings)
+    )
     assert compiled.compiled
     assert not interpreted.compiled
     ours, theirs = compiled.ticks, interpreted.ticks
@@ -327,7 +330,7 @@ def statuses_of(planner: RecedingHorizon, motion: Any, times: Array) -> tuple[li
 def test_what_no_plan_keeps_within_limits_is_left_to_python(settings: dict[str, Any], lost: bool) -> None:
     """From the same last plan, with the programme of which nothing is kept."""
     dynamics, elastic = dynamics_of("2rpr"), 0
-    compiled = RecedingHorizon(dynamics, step=STEP, **settings)
+    compiled = RecedingHorizon(dynamics, step=STEP, **in_groups(RecedingHorizon, settings))
     for i in range(8):
         t = 0.04 * i
         last, largest, sizes = compiled.ticks.last, compiled.ticks.largest, compiled.ticks.sizes
@@ -335,7 +338,7 @@ def test_what_no_plan_keeps_within_limits_is_left_to_python(settings: dict[str, 
         if last is None or command.status is UpdateStatus.OK:
             continue
         elastic += 1
-        again = RecedingHorizon(dynamics, step=STEP, interpret=True, **settings)
+        again = RecedingHorizon(dynamics, step=STEP, interpret=True, **in_groups(RecedingHorizon, settings))
         again.update(0.0, ACROSS)
         again.ticks.last, again.ticks.largest, again.ticks.sizes = last, largest, sizes
         expected = again.update(t, ACROSS)
@@ -401,7 +404,7 @@ def test_a_library_is_compiled_once_and_kept(monkeypatch: pytest.MonkeyPatch, tm
         ({"interpret": True, "horizon": 0.06}, 1),
         ({"horizon": 0.04}, 2),
     ):
-        planner = RecedingHorizon(dynamics, **{"horizon": 0.08, **settings})
+        planner = RecedingHorizon(dynamics, **in_groups(RecedingHorizon, {"horizon": 0.08, **settings}))
         assert planner.compiled == ("interpret" not in settings)
         assert len(log.read_text().split()) == times
         assert len(list(kept.glob("*.so"))) == times

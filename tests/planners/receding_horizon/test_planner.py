@@ -14,10 +14,11 @@ from scipy.interpolate import make_interp_spline
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError
-from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import RecedingHorizon
 from redundancy_pin.planners.receding_horizon.tick import begun_with, is_beyond, with_stop
 from redundancy_pin.status import UpdateStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import RestToRest, SpeedProfile, Trajectory
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line, circle_path
@@ -33,7 +34,7 @@ STEP = 0.02
 
 def planner_of(**settings: Any) -> RecedingHorizon:
     robot = rp.load_robot("2rpr", end_effector_mass=0.5, cylinder_mass=0.3)
-    return RecedingHorizon(rp.CompiledDynamics(robot), step=STEP, **settings)
+    return RecedingHorizon(rp.CompiledDynamics(robot), step=STEP, **in_groups(RecedingHorizon, settings))
 
 
 @pytest.mark.parametrize(

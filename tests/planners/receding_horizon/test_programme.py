@@ -11,7 +11,7 @@ from scipy.interpolate import BPoly, PPoly, make_interp_spline
 from scipy.linalg import polar
 
 import redundancy_pin as rp
-from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, Weights
 from redundancy_pin.planners.receding_horizon.ahead import Ahead, Linearised
 from redundancy_pin.planners.receding_horizon.command import Command

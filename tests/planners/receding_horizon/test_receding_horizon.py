@@ -17,6 +17,7 @@ from redundancy_pin.planners.receding_horizon.ahead import Ahead, Linearised, no
 from redundancy_pin.planners.receding_horizon.run import pieces_of
 from redundancy_pin.planners.receding_horizon.tick import SHORTEST_STOP
 from redundancy_pin.status import UpdateStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -106,7 +107,7 @@ def test_efforts_are_continuous_through_the_singular_instant_and_those_of_the_ot
 def test_a_track_far_from_zero_is_kept(track):
     # the ends of a narrow one are some 370 half widths from zero, which is no reason to take them for no limits
     low, high = track
-    planner = RecedingHorizon(machine()[0], track=track)
+    planner = RecedingHorizon(machine()[0], limits=rp.Limits(track=track))
     start = np.full(2, np.sign(low) * 0.15)
     command = planner.update(0.0, rp.trajectory.reference.circle(speed=0.05), start, np.zeros(2))
     assert command.status is UpdateStatus.OK
@@ -238,7 +239,7 @@ def test_missed_ticks_leave_a_plan_within_limits():
 
 
 def test_carriers_of_unequal_limits_stop_on_their_tracks_behind_the_horizon():
-    planner = RecedingHorizon(machine()[0], acceleration=(0.5, 20.0), horizon=0.2)
+    planner = RecedingHorizon(machine()[0], limits=rp.Limits(acceleration=(0.5, 20.0)), horizon=0.2)
     for i in range(12):
         stop = planner.update(0.02 * i, ACROSS).carriers
         t = np.linspace(stop.start, stop.end, 2001)
@@ -283,7 +284,7 @@ def test_what_limits_cut_off_between_two_nodes_is_said():
     """Round the corner with 4 N·m: at the nodes they are enough, where the arc begins and ends they are not."""
     dynamics, judge = machine("3rrr")
     corner = rp.trajectory.reference.corner(radius=0.025)
-    planner, largest, cut = RecedingHorizon(dynamics, horizon=0.4, effort=4.0), 0.0, []
+    planner, largest, cut = RecedingHorizon(dynamics, horizon=0.4, limits=rp.Limits(effort=4.0)), 0.0, []
     for t in np.arange(0.0, corner.duration - 0.02, 0.02):
         command = planner.update(t, corner)
         missing, f = missing_until_the_next_node(planner, command, corner, judge)
@@ -313,7 +314,7 @@ def test_limits_that_shrink_below_the_state_are_softened_and_said():
 
 
 def test_too_little_effort_is_said_with_what_is_missing():
-    planner = RecedingHorizon(machine()[0], effort=0.5, acceleration=1.0)
+    planner = RecedingHorizon(machine()[0], limits=rp.Limits(effort=0.5, acceleration=1.0))
     commands = [planner.update(0.02 * i, line((0.2, 0.15), (0.3, -0.15), 0.4)) for i in range(4)]
     assert commands[-1].status is UpdateStatus.RELAXED
     assert max(command.residual for command in commands) > 0.1
@@ -436,7 +437,7 @@ def test_nodes_are_the_same_whenever_they_are_asked_for():
 )
 def test_settings_out_of_their_domain_are_refused(settings, message):
     with pytest.raises(InputError, match=message):
-        RecedingHorizon(machine()[0], **settings)
+        RecedingHorizon(machine()[0], **in_groups(RecedingHorizon, settings))
 
 
 def test_ticks_do_not_go_back_in_time():
@@ -479,7 +480,9 @@ def test_what_is_not_known_is_not_called_known_and_missed_ticks_go_forward():
 
 
 def test_no_limit_at_all_is_no_limit():
-    planner = RecedingHorizon(machine()[0], acceleration=np.inf, speed=np.inf, track=(-np.inf, np.inf))
+    planner = RecedingHorizon(
+        machine()[0], limits=rp.Limits(acceleration=np.inf, speed=np.inf, track=(-np.inf, np.inf))
+    )
     with np.errstate(all="raise"):
         assert planner.update(0.0, ACROSS).status is UpdateStatus.OK
 

@@ -15,10 +15,11 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.kinematics.branch import follower
-from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import OnLineRun, Preview, RecedingHorizon, run_online
 from redundancy_pin.planners.receding_horizon.slowing import Slowing
 from redundancy_pin.status import UpdateStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, through_points
 from redundancy_pin.trajectory.time_scaling import TimeScaling
 
@@ -41,7 +42,7 @@ CIRCLE = rp.trajectory.reference.circle(speed=0.5)
 
 @cache
 def slowed() -> OnLineRun:
-    return run_online(RecedingHorizon(machine()[0], slow_down=True, **WEAK), CIRCLE)
+    return run_online(RecedingHorizon(machine()[0], slow_down=True, **in_groups(RecedingHorizon, WEAK)), CIRCLE)
 
 
 def assert_within(plan, limits) -> None:
@@ -87,7 +88,7 @@ def assert_balanced(plan, other) -> None:
 
 
 def test_at_full_speed_there_is_no_plan_and_more_slowly_there_is() -> None:
-    counts = run_online(RecedingHorizon(machine()[0], **WEAK), CIRCLE).counts
+    counts = run_online(RecedingHorizon(machine()[0], **in_groups(RecedingHorizon, WEAK)), CIRCLE).counts
     assert counts["relaxed"] > 0
     run = slowed()
     counts = run.counts
@@ -99,7 +100,7 @@ def test_at_full_speed_there_is_no_plan_and_more_slowly_there_is() -> None:
 
 def test_the_path_is_the_same_within_the_limits_and_balanced() -> None:
     plan = slowed().plan
-    assert_within(plan, RecedingHorizon(machine()[0], **WEAK).resolved)
+    assert_within(plan, RecedingHorizon(machine()[0], **in_groups(RecedingHorizon, WEAK)).resolved)
     assert_same_path(plan, CIRCLE, plan.diagnostics["delay"])
     assert_balanced(plan, machine()[1])
     assert plan.diagnostics["missing_force"] < 1e-4
@@ -146,16 +147,17 @@ def test_where_there_is_a_plan_nothing_is_slowed() -> None:
 def test_numpy_slows_down_too() -> None:
     short = rp.trajectory.reference.circle(speed=0.7)
     run = run_online(
-        RecedingHorizon(machine()[0], slow_down=True, interpret=True, horizon=0.3, acceleration=3.0), short
+        RecedingHorizon(machine()[0], slow_down=True, interpret=True, horizon=0.3, limits=rp.Limits(acceleration=3.0)),
+        short,
     )
     assert run.counts["time_scaled"] > 0
     assert run.counts["relaxed"] == 0
-    assert_within(run.plan, RecedingHorizon(machine()[0], acceleration=3.0).resolved)
+    assert_within(run.plan, RecedingHorizon(machine()[0], limits=rp.Limits(acceleration=3.0)).resolved)
     assert_same_path(run.plan, short, run.plan.diagnostics["delay"])
 
 
 def test_a_preview_that_is_a_function_is_asked_in_its_own_time() -> None:
-    planner, asked = RecedingHorizon(machine()[0], slow_down=True, **WEAK), []
+    planner, asked = RecedingHorizon(machine()[0], slow_down=True, **in_groups(RecedingHorizon, WEAK)), []
 
     def preview(times):
         asked.append(times)
@@ -204,7 +206,7 @@ def test_before_a_pose_out_of_reach_the_platform_stops_and_stays() -> None:
 
 
 def test_limits_that_are_loosened_let_it_go_on() -> None:
-    planner = RecedingHorizon(machine()[0], slow_down=True, acceleration=1.0)
+    planner = RecedingHorizon(machine()[0], slow_down=True, limits=rp.Limits(acceleration=1.0))
     times = (0.02 * np.arange(150)).tolist()
     slow = next(t for t in times if planner.update(t, CIRCLE).reason.startswith("the platform goes over"))
     tight = planner.update(slow + 0.02, CIRCLE)
@@ -216,7 +218,7 @@ def test_limits_that_are_loosened_let_it_go_on() -> None:
 
 
 def test_a_tick_that_is_missed_says_where_the_platform_is_too() -> None:
-    planner = RecedingHorizon(machine()[0], slow_down=True, **WEAK)
+    planner = RecedingHorizon(machine()[0], slow_down=True, **in_groups(RecedingHorizon, WEAK))
     commands = [planner.update(t, CIRCLE) for t in (0.02 * np.arange(40)).tolist()]
     assert commands[-1].scaling is not None
     missed = planner.skip(0.8)
@@ -229,10 +231,10 @@ def test_random_paths_with_weak_carriers_are_followed_to_their_end(name: str, sh
     dynamics, other = machine(name)
     trajectory = next(itertools.islice(online.random_paths(name, dynamics), seed, None))
     weak = [share * limit.acceleration for limit in dynamics.robot.carrier_limits]
-    run = run_online(RecedingHorizon(dynamics, slow_down=True, acceleration=weak), trajectory)
+    run = run_online(RecedingHorizon(dynamics, slow_down=True, limits=rp.Limits(acceleration=weak)), trajectory)
     assert run.counts["ok"] + run.counts["time_scaled"] == len(run.commands)
     assert run.counts["time_scaled"] > 0
-    assert_within(run.plan, RecedingHorizon(dynamics, acceleration=weak).resolved)
+    assert_within(run.plan, RecedingHorizon(dynamics, limits=rp.Limits(acceleration=weak)).resolved)
     assert_same_path(run.plan, trajectory, run.plan.diagnostics["delay"])
     assert_balanced(run.plan, other)
 
@@ -240,7 +242,7 @@ def test_random_paths_with_weak_carriers_are_followed_to_their_end(name: str, sh
 @pytest.mark.parametrize("fails_at", [18, 22, 42])
 def test_a_preview_that_fails_at_a_tick_leaves_the_speed_as_it_was(fails_at: int) -> None:
     """What is in sight is that of the speed that commands tell, and not of one that was tried."""
-    planner, left = RecedingHorizon(machine()[0], slow_down=True, **WEAK), [10**9]
+    planner, left = RecedingHorizon(machine()[0], slow_down=True, **in_groups(RecedingHorizon, WEAK)), [10**9]
 
     def preview(times):
         left[0] -= 1
@@ -274,7 +276,7 @@ def assert_the_same_motion(command, other) -> None:
 @pytest.mark.parametrize("each", [lambda: copy.copy(CIRCLE), lambda: CIRCLE.sample_at])
 def test_a_preview_that_is_another_object_at_every_tick_is_followed_as_one(each) -> None:
     """Nodes around singular instants that are past stay, and σ̇ does not change next to those ahead."""
-    same, other = (RecedingHorizon(machine()[0], slow_down=True, **WEAK) for _ in range(2))
+    same, other = (RecedingHorizon(machine()[0], slow_down=True, **in_groups(RecedingHorizon, WEAK)) for _ in range(2))
     for t in (0.02 * np.arange(90)).tolist():
         command, again = same.update(t, CIRCLE), other.update(t, each())
         assert_the_same_motion(again, command)
@@ -284,7 +286,7 @@ def test_a_preview_that_is_another_object_at_every_tick_is_followed_as_one(each)
 
 @pytest.mark.parametrize("tick", [20, 30, 35, 50])
 def test_a_copy_goes_on_as_the_planner_does(tick: int) -> None:
-    planner = RecedingHorizon(machine()[0], slow_down=True, **WEAK)
+    planner = RecedingHorizon(machine()[0], slow_down=True, **in_groups(RecedingHorizon, WEAK))
     for i in range(tick):
         planner.update(0.02 * i, CIRCLE)
     other = copy.deepcopy(planner)
@@ -294,7 +296,7 @@ def test_a_copy_goes_on_as_the_planner_does(tick: int) -> None:
 
 
 def test_planners_that_run_without_end_forget_the_speeds_that_are_past() -> None:
-    planner, most = RecedingHorizon(machine()[0], slow_down=True, **WEAK), 0
+    planner, most = RecedingHorizon(machine()[0], slow_down=True, **in_groups(RecedingHorizon, WEAK)), 0
     there_and_back = 0.45  # s
 
     def preview(times):
@@ -313,7 +315,7 @@ def test_planners_that_run_without_end_forget_the_speeds_that_are_past() -> None
 
 
 def test_a_preview_that_begins_too_late_is_told_in_both_times() -> None:
-    planner = RecedingHorizon(machine()[0], slow_down=True, **WEAK)
+    planner = RecedingHorizon(machine()[0], slow_down=True, **in_groups(RecedingHorizon, WEAK))
     for i in range(40):
         command = planner.update(0.02 * i, CIRCLE)
     own = float(command.scaling.at([0.8])[0][0])
@@ -326,7 +328,7 @@ def test_a_preview_that_begins_too_late_is_told_in_both_times() -> None:
 
 def test_a_plan_that_is_too_fast_next_to_its_start_is_none() -> None:
     """The programme does not bound the speed of the first half step, which is given but for s̈ at its end."""
-    planner = RecedingHorizon(machine()[0], speed=0.2)
+    planner = RecedingHorizon(machine()[0], limits=rp.Limits(speed=0.2))
     planner.update(0.0, CIRCLE)
     for i in range(1, 15):
         planner.update(0.02 * i, CIRCLE)

@@ -14,13 +14,14 @@ from scipy.integrate import cumulative_trapezoid
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import RecedingHorizon
 from redundancy_pin.planners.receding_horizon.ahead import Linearised
 from redundancy_pin.planners.receding_horizon.command import Command, extended
 from redundancy_pin.planners.receding_horizon.programme import Programme, TickProblem, units_of
 from redundancy_pin.planners.receding_horizon.tick import TickPlanner, with_stop
 from redundancy_pin.status import UpdateStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import circle_path
@@ -61,7 +62,7 @@ def backends(name: str = "2rpr") -> tuple[Dynamics, Dynamics]:
 
 
 def planner_of(name: str = "2rpr", **settings: Any) -> RecedingHorizon:
-    return RecedingHorizon(backends(name)[0], step=STEP, interpret=True, **settings)
+    return RecedingHorizon(backends(name)[0], step=STEP, interpret=True, **in_groups(RecedingHorizon, settings))
 
 
 @cache

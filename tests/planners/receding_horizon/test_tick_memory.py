@@ -18,7 +18,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.machine_code import CACHE, find_compiler
-from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import Preview, RecedingHorizon, Weights
 from redundancy_pin.status import UpdateStatus
 
@@ -156,7 +156,7 @@ def test_forces_are_known_where_the_preview_ends_at_once(interpret: bool) -> Non
 
 
 def test_motions_to_begin_with_on_a_track_without_end_are_numbers() -> None:
-    planner = after(RecedingHorizon(dynamics(), track=[(-np.inf, np.inf), (-0.1, np.inf)]), CIRCLE, 2)
+    planner = after(RecedingHorizon(dynamics(), limits=rp.Limits(track=[(-np.inf, np.inf), (-0.1, np.inf)])), CIRCLE, 2)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for _ in range(6):

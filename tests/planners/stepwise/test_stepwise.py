@@ -16,8 +16,10 @@ from scipy.optimize import lsq_linear, minimize
 from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot
 from redundancy_pin.kinematics.coordinates import all_working_modes
 from redundancy_pin.planners.intersample_check import ALLOWED
+from redundancy_pin.planners.options import Limits, Objective
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory, reference
 
 # scipy of Python 3.10 rounds out of its own bounds on the way, says so, and steps back inside
@@ -121,7 +123,13 @@ def test_each_step_is_the_true_minimum(lam, radius):
     motion = corner(radius=radius)
     baseline = distribute(dynamics_of(carriers=False).reduce(motion)).tau
     # long tracks: on the thesis's own one of the carriers cannot be stopped in one of these cases (see the errors)
-    plan = plan_stepwise(dynamics, motion, lam=lam, baseline=baseline, anticipate=False, track=(-1.5, 1.5))
+    plan = plan_stepwise(
+        dynamics,
+        motion,
+        objective=Objective(lam=lam, baseline=baseline),
+        anticipate=False,
+        limits=Limits(track=(-1.5, 1.5)),
+    )
     limits = [replace(limit, lower=-1.5, upper=1.5) for limit in dynamics.robot.carrier_limits]
     require_true_minimum(plan, dynamics_of(), motion, limits, lam * baseline, steps_of(plan)[::10])
 
@@ -131,7 +139,7 @@ def test_steps_of_fast_carriers_far_out_are_true_minima():
     dynamics, speed, a = dynamics_of(), (0.3, 2.0, 2.0), 20.0
     motion = corner(0.02, radius=0.06, speed=0.5, ramp_time=0.2)
     settings = {"track": (-1.5, 1.5), "speed": speed, "acceleration": a, "start": (0.3, -0.3, 0.3)}
-    plan = plan_stepwise(dynamics, motion, anticipate=False, **settings)
+    plan = plan_stepwise(dynamics, motion, anticipate=False, **in_groups(plan_stepwise, settings))
     own = zip(dynamics.robot.carrier_limits, speed, strict=True)
     limits = [replace(limit, lower=-1.5, upper=1.5, speed=most, acceleration=a) for limit, most in own]
     assert "speed" in {event["bound"] for event in plan.diagnostics["bounds"]}
@@ -174,7 +182,7 @@ def test_random_plans_are_minimal_within_limits_and_end_at_rest(lam, mode, mass,
     dynamics = dynamics_of(mode, carrier_mass=mass)
     motion = corner(dt, radius=radius, speed=speed)
     baseline = distribute(dynamics_of(mode, carriers=False).reduce(motion)).tau
-    plan = plan_stepwise(dynamics, motion, lam=lam, baseline=baseline)
+    plan = plan_stepwise(dynamics, motion, objective=Objective(lam=lam, baseline=baseline))
     limits = dynamics.robot.carrier_limits
     require_limits(plan, limits)
     # between single samples, the step into a jump of ẍ has the efforts of the jump, which no sample need show
@@ -217,7 +225,7 @@ def require_limits(plan, limits):
 @pytest.mark.parametrize("mode", MODES)
 def test_no_torque_until_a_limit_binds(mode):
     dynamics = dynamics_of(mode)
-    plan = plan_stepwise(dynamics, corner(), lam=0.0)
+    plan = plan_stepwise(dynamics, corner())
     first = min((event["start"] for event in plan.diagnostics["bounds"]), default=np.inf)
     free = steps_of(plan)
     free = free[plan.t[free] < first - 1e-9]
@@ -232,7 +240,7 @@ def test_a_fraction_of_the_baseline_is_met_until_a_limit_binds():
     motion = corner()
     base = dynamics_of(carriers=False)
     baseline = distribute(base.reduce(motion)).tau
-    plan = plan_stepwise(dynamics_of(), motion, lam=0.5, baseline=base)
+    plan = plan_stepwise(dynamics_of(), motion, objective=Objective(lam=0.5, baseline=base))
     first = min(event["start"] for event in plan.diagnostics["bounds"])
     free = steps_of(plan)
     free = free[plan.t[free] < first - 1e-9]
@@ -248,7 +256,9 @@ def test_both_backends_give_the_same_plan(settings):
     motion = reference.corner(radius=0.013).sample(0.01, two_sided=settings.pop("two_sided", False))
     plans = [
         plan_stepwise(
-            dynamics_of(backend=backend), motion, baseline=dynamics_of(carriers=False, backend=backend), **settings
+            dynamics_of(backend=backend),
+            motion,
+            **in_groups(plan_stepwise, dict(baseline=dynamics_of(carriers=False, backend=backend), **settings)),
         )
         for backend in (RneaDynamics, VirtualWork)
     ]
@@ -268,7 +278,11 @@ def test_time_scaling(factor, lam):
         motion = reference.corner(speed=0.2 * f, ramp_time=0.4 / f).sample(0.01 / f, two_sided=True)
         plans.append(
             plan_stepwise(
-                dynamics, motion, lam=lam, baseline=base, speed=f, acceleration=7.0 * f**2, brake_time=0.5 / f
+                dynamics,
+                motion,
+                objective=Objective(lam=lam, baseline=base),
+                limits=Limits(speed=f, acceleration=7.0 * f**2),
+                brake_time=0.5 / f,
             )
         )
     slow, fast = plans
@@ -281,7 +295,7 @@ def test_time_scaling(factor, lam):
 def test_lower_limits_bind_more_and_higher_ones_cure():
     motion = corner(radius=0.013)
     tight, own, wide = (
-        plan_stepwise(dynamics_of((1, -1, 1)), motion, acceleration=a, speed=v)
+        plan_stepwise(dynamics_of((1, -1, 1)), motion, limits=Limits(acceleration=a, speed=v))
         for a, v in ((3.0, 0.3), (None, None), (12.0, 1.2))
     )
     # the samples show one side of each jump only: what is optimised for them, and not what is needed between them
@@ -311,7 +325,7 @@ def test_a_bound_is_named_by_what_binds(radius):
     """
     track, speed, a = (-0.03, 0.05), 0.3, 3.0
     motion = reference.corner(radius=radius).sample(0.01)
-    plan = plan_stepwise(dynamics_of(), motion, track=track, speed=speed, acceleration=a)
+    plan = plan_stepwise(dynamics_of(), motion, limits=Limits(track=track, speed=speed, acceleration=a))
     kinds = set()
     for bound, j, sign, during in events_of(plan):
         s, sd, sdd = (sign * getattr(plan.carriers, part)[during, j] for part in ("s", "sd", "sdd"))
@@ -337,7 +351,7 @@ def test_every_step_can_still_stop_before_the_end_of_its_track():
     motion = reference.corner(radius=0.013)
     times = np.concatenate([[0.0], np.cumsum(np.resize([0.004, 0.017, 0.009], 200))])
     times = np.append(times[times < motion.duration], motion.duration)
-    plan = plan_stepwise(dynamics_of(), motion.sample(times=times), track=(lower, upper), acceleration=a)
+    plan = plan_stepwise(dynamics_of(), motion.sample(times=times), limits=Limits(track=(lower, upper), acceleration=a))
     s, sd = plan.carriers.s, plan.carriers.sd
     braking = sd * np.abs(sd) / (2.0 * a)
     assert (s + braking).max() <= upper + LIMIT
@@ -361,7 +375,7 @@ def test_a_deadline_leaves_the_speed_that_can_be_braked():
 def test_tracks_without_ends_are_tracks_that_are_long_enough():
     motion = reference.corner(radius=0.013).sample(0.02)
     endless, long = (
-        plan_stepwise(dynamics_of(), motion, speed=0.4, acceleration=3.0, track=(-length, length))
+        plan_stepwise(dynamics_of(), motion, limits=Limits(speed=0.4, acceleration=3.0, track=(-length, length)))
         for length in (np.inf, 50.0)
     )
     assert endless.diagnostics["bounds"] == long.diagnostics["bounds"]
@@ -370,7 +384,9 @@ def test_tracks_without_ends_are_tracks_that_are_long_enough():
 
 
 def test_without_limits_nothing_binds_and_no_torque_is_left():
-    plan = plan_stepwise(dynamics_of(), corner(), track=(-np.inf, np.inf), speed=np.inf, acceleration=np.inf)
+    plan = plan_stepwise(
+        dynamics_of(), corner(), limits=Limits(track=(-np.inf, np.inf), speed=np.inf, acceleration=np.inf)
+    )
     assert plan.diagnostics["bounds"] == ()
     assert np.abs(plan.tau[steps_of(plan)]).max() < TORQUE_FREE
 
@@ -379,7 +395,9 @@ def test_steps_that_do_not_reach_their_minimum_are_a_status():
     """Steps of 0.2 s towards 100 N·m: carriers hundreds of metres out, where efforts are no longer nearly affine."""
     motion = reference.corner().sample(times=np.linspace(0.0, reference.corner().duration, 10), two_sided=False)
     far = {"track": (-np.inf, np.inf), "speed": np.inf, "acceleration": np.inf}
-    plan = plan_stepwise(dynamics_of(), motion, lam=1.0, baseline=np.full((10, 3), 100.0), **far)
+    plan = plan_stepwise(
+        dynamics_of(), motion, **in_groups(plan_stepwise, dict(lam=1.0, baseline=np.full((10, 3), 100.0), **far))
+    )
     assert plan.diagnostics["optimal"] is False
     assert plan.diagnostics["largest_gradient"] > 1.0
     assert plan.status is not ResultStatus.OK

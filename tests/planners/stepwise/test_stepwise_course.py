@@ -10,8 +10,10 @@ import pytest
 from scipy.interpolate import BSpline
 
 from redundancy_pin import CarrierMotion, PlatformMotion, VirtualWork, distribute, load_robot
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import boundary_polynomial, reference
 
 
@@ -28,7 +30,12 @@ def phase_names(plan):
 def square_plan(**settings):
     motion = reference.square().sample(0.01, two_sided=False)
     base = dynamics_of((1, -1, 1), carriers=False)
-    return plan_stepwise(dynamics_of((1, -1, 1)), motion, lam=0.5, baseline=base, active="accelerating", **settings)
+    return plan_stepwise(
+        dynamics_of((1, -1, 1)),
+        motion,
+        active="accelerating",
+        **in_groups(plan_stepwise, dict(lam=0.5, baseline=base, **settings)),
+    )
 
 
 def test_the_optimiser_works_exactly_while_the_platform_accelerates():
@@ -157,7 +164,9 @@ def test_braking_begins_when_the_platform_comes_to_rest(stop, brake_time):
         np.vstack([motion.xdd, np.zeros((30, 3))]),
     )
     settings = {"active": "accelerating", "lam": 0.5, "baseline": dynamics_of((1, -1, 1), carriers=False)}
-    plan = plan_stepwise(dynamics_of((1, -1, 1)), still, stop=stop, brake_time=brake_time, **settings)
+    plan = plan_stepwise(
+        dynamics_of((1, -1, 1)), still, stop=stop, brake_time=brake_time, **in_groups(plan_stepwise, settings)
+    )
     begun, ended = plan.diagnostics["braking"]
     assert begun == pytest.approx(motion.t[-2])  # the last sample at which the platform decelerates
     duration = min(brake_time, still.t[-1] - begun) if stop == "within" else brake_time
@@ -180,7 +189,7 @@ def test_anticipation_changes_nothing_until_a_carrier_must_stop():
 
 def test_anticipation_keeps_a_short_track():
     motion = reference.corner().sample(0.005, two_sided=False)
-    plan = plan_stepwise(dynamics_of(), motion, track=(-0.3, 0.2))
+    plan = plan_stepwise(dynamics_of(), motion, limits=Limits(track=(-0.3, 0.2)))
     assert plan.status is ResultStatus.OK
     assert plan.carriers.s.min() >= -0.3
     assert plan.carriers.s.max() <= 0.2
@@ -238,7 +247,9 @@ def test_single_samples_flatter_and_two_sided_ones_do_not():
         plan_stepwise(dynamics_of(mode), trajectory.sample(0.005, two_sided=sides), stop="within")
         for sides in (False, True)
     )
-    parked = plan_stepwise(dynamics_of(mode), trajectory.sample(0.005), speed=1e-9, anticipate=False).peak_effort.max()
+    parked = plan_stepwise(
+        dynamics_of(mode), trajectory.sample(0.005), limits=Limits(speed=1e-9), anticipate=False
+    ).peak_effort.max()
     before = one.t < trajectory.duration - 0.2  # braking apart
     t = np.unique(one.t[before])
     t = (t[:-1, None] + np.diff(t)[:, None] * [0.2, 0.4, 0.6, 0.8]).ravel()
@@ -276,7 +287,9 @@ def test_halving_the_step_converges_at_first_order():
     places = []
     for dt in (0.02, 0.01, 0.005, 0.0005):
         motion = trajectory.sample(times=np.linspace(0.0, end, round(end / dt) + 1))
-        plan = plan_stepwise(dynamics_of(mode), motion, stop="within", acceleration=1e3, speed=1e3, brake_time=1e-3)
+        plan = plan_stepwise(
+            dynamics_of(mode), motion, stop="within", limits=Limits(acceleration=1e3, speed=1e3), brake_time=1e-3
+        )
         places.append(plan.carriers.s[np.searchsorted(plan.t, 0.6 - 1e-9)])
     errors = [np.abs(place - places[-1]).max() for place in places[:-1]]
     rates = np.log2(np.array(errors[:-1]) / errors[1:])
@@ -305,7 +318,7 @@ def test_braking_takes_the_wanted_time_or_what_track_and_deceleration_ask(brake_
     """Constant decelerations: min(wanted, 2 d / v) and at least v / a for each carrier, d to the end of its track."""
     motion = reference.corner().sample(0.005)
     limits = {} if track is None else {"track": (-track, track)}
-    plan = plan_stepwise(dynamics_of(), motion, brake_time=brake_time, **limits)
+    plan = plan_stepwise(dynamics_of(), motion, brake_time=brake_time, **in_groups(plan_stepwise, limits))
     last = int(np.searchsorted(plan.t, motion.t[-1]))
     s, v = plan.carriers.s[last], plan.carriers.sd[last]
     room = (1.0 if track is None else track) - np.sign(v) * s

@@ -9,8 +9,10 @@ import pytest
 
 from redundancy_pin import PlatformMotion, RneaDynamics, VirtualWork, load_robot
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
+from redundancy_pin.planners.options import Limits, Objective
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import reference
 
 
@@ -53,7 +55,7 @@ def motion_of(radius=0.025):
 )
 def test_settings_out_of_their_domain(settings, message):
     with pytest.raises(InputError, match=message):
-        plan_stepwise(dynamics_of(), motion_of(), **settings)
+        plan_stepwise(dynamics_of(), motion_of(), **in_groups(plan_stepwise, settings))
 
 
 def test_a_single_instant_is_no_motion():
@@ -63,13 +65,13 @@ def test_a_single_instant_is_no_motion():
 
 def test_a_baseline_of_another_mechanism():
     with pytest.raises(InputError, match="baseline"):
-        plan_stepwise(dynamics_of(), motion_of(), lam=0.5, baseline=dynamics_of("2rpr"))
+        plan_stepwise(dynamics_of(), motion_of(), objective=Objective(lam=0.5, baseline=dynamics_of("2rpr")))
 
 
 @pytest.mark.parametrize("name", ["start", "datum"])
 def test_a_place_off_the_track(name):
     with pytest.raises(InfeasiblePlanError, match="off its track") as caught:
-        plan_stepwise(dynamics_of(), motion_of(), **{name: (0.0, 1.2, 0.0)})
+        plan_stepwise(dynamics_of(), motion_of(), **in_groups(plan_stepwise, {name: (0.0, 1.2, 0.0)}))
     assert caught.value.details["carrier"] == "carrier_2"
     assert caught.value.details["amount"] == pytest.approx(0.2)
 
@@ -124,7 +126,7 @@ def test_the_small_corner_of_the_thesis_ends_with_a_carrier_that_cannot_stop():
 
 def test_without_anticipation_a_short_track_empties_the_box():
     with pytest.raises(InfeasiblePlanError, match="beyond the end of its track") as caught:
-        plan_stepwise(dynamics_of(), motion_of(), anticipate=False, track=(-0.1, 0.1))
+        plan_stepwise(dynamics_of(), motion_of(), anticipate=False, limits=Limits(track=(-0.1, 0.1)))
     details = caught.value.details
     assert details["constraint"] == "track"
     assert 0.0 < details["time"] < 0.8
@@ -134,7 +136,13 @@ def test_without_anticipation_a_short_track_empties_the_box():
 def test_a_return_that_cannot_keep_the_limits():
     # it starts at the speed limit with the carriers still accelerating outwards
     with pytest.raises(InfeasiblePlanError, match="No return") as caught:
-        plan_stepwise(dynamics_of(), motion_of(), active="accelerating", return_time="shortest", track=(-0.16, 0.16))
+        plan_stepwise(
+            dynamics_of(),
+            motion_of(),
+            active="accelerating",
+            return_time="shortest",
+            limits=Limits(track=(-0.16, 0.16)),
+        )
     assert caught.value.details["amount"] > 0.0
 
 
@@ -174,5 +182,7 @@ def test_the_baseline_is_on_record():
 
     bare = rp.VirtualWork(rp.load_robot("3rrr", carriers=False))
     corner = rp.trajectory.reference.corner()
-    plan = rp.plan_stepwise(rp.VirtualWork(rp.load_robot("3rrr")), corner, lam=0.5, baseline=bare, dt=0.02)
+    plan = rp.plan_stepwise(
+        rp.VirtualWork(rp.load_robot("3rrr")), corner, objective=Objective(lam=0.5, baseline=bare), dt=0.02
+    )
     assert "carriers=False" in plan.parameters["baseline"]

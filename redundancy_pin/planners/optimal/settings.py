@@ -1,0 +1,120 @@
+"""Options of the planners over a whole path, checked for a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array, each, frozen, one_of, positive, require_type
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.default import as_dynamics
+from redundancy_pin.errors import InputError
+from redundancy_pin.planners.base_wrench import point_of, weights_of
+from redundancy_pin.planners.limits import ResolvedLimits
+from redundancy_pin.planners.optimal.objectives import OBJECTIVES
+from redundancy_pin.planners.options import (
+    CALM,
+    LARGEST_STEP,
+    Limits,
+    Mesh,
+    Objective,
+    Solver,
+    group_of,
+    refuse_fields,
+)
+from redundancy_pin.robot import Robot
+
+End = Literal["free", "rest", "datum", "periodic"]
+"""How the carriers end: anyhow; at rest; at rest where they park; or as they began (s, ṡ and s̈)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Settings:
+    """Checked options of a plan over a whole path: weights by name, one number a carrier or actuator.
+
+    ``dt``: largest step between the first nodes, s; in a path whose timing is planned, m.
+    """
+
+    objective: Mapping[str, float]
+    lam: float
+    baseline: Dynamics | None
+    base_point: Array
+    calm: float
+    limits: ResolvedLimits
+    start: Array
+    start_speed: Array
+    end: End
+    datum: Array
+    dt: float
+    refinements: int
+    solver: Solver
+    at_most: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def parameters(self) -> dict[str, object]:
+        """The settings as plain data, for the plan."""
+        return {
+            "objective": dict(self.objective),
+            **({"at_most": dict(self.at_most)} if self.at_most else {}),
+            "lam": self.lam,
+            "calm": self.calm,
+            **{name: getattr(self, name).tolist() for name in ("start", "start_speed", "datum", "base_point")},
+            **{name: getattr(self.solver, name) for name in ("starts", "seconds")},
+            "end": self.end,
+            "dt": self.dt,
+            "refinements": self.refinements,
+        }
+
+
+def checked_settings(
+    robot: Robot,
+    objective: str | Mapping[str, float] | Objective = "effort",
+    limits: Limits | None = None,
+    mesh: Mesh | None = None,
+    solver: Solver | None = None,
+    *,
+    start: ArrayLike | None = None,
+    start_speed: ArrayLike = 0.0,
+    end: End = "datum",
+    datum: ArrayLike = 0.0,
+    at_most: Mapping[str, float] | None = None,
+) -> Settings:
+    """Return the settings of a plan over a whole trajectory after checking every option."""
+    one_of(end, "end", get_args(End))
+    goal, mesh, solver = Objective.of(objective), group_of(mesh, Mesh), group_of(solver, Solver)
+    refuse_fields(mesh, {"steps": "the nodes are in time, and dt is their largest distance"})
+    weights = weights_of(goal.weights or {}, OBJECTIVES)
+    if "tracking" in weights and goal.lam > 0.0 and goal.baseline is None:
+        raise InputError(
+            f"lam = {goal.lam:g} asks for a fraction of the baseline effort, and there is no baseline.",
+            remedy='Pass baseline=load_robot("3rrr", carriers=False).',
+        )
+    resolved = group_of(limits, Limits).resolved(robot)
+    park = resolved.on_track(datum, "datum")
+    return Settings(
+        objective=weights,
+        lam=float(goal.lam),
+        baseline=None if goal.baseline is None else as_dynamics(goal.baseline),  # type: ignore[arg-type]  # which refuses efforts
+        base_point=point_of(goal.base_point),
+        calm=CALM if goal.calm is None else float(goal.calm),
+        limits=resolved,
+        start=park if start is None else resolved.on_track(start, "start"),
+        start_speed=frozen(each(start_speed, "start_speed", (robot.k,), finite=True)),
+        end=end,
+        datum=park,
+        dt=LARGEST_STEP if mesh.dt is None else mesh.dt,
+        refinements=mesh.refinements,
+        solver=solver,
+        at_most=_bounds(at_most or {}),
+    )
+
+
+def _bounds(at_most: Mapping[str, float]) -> dict[str, float]:
+    require_type(at_most, Mapping, "A mapping of objectives to bounds", 'Pass at_most={"carrier_force": 60.0}.')
+    for name, bound in at_most.items():
+        one_of(name, "at_most", tuple(OBJECTIVES))
+        positive(bound, f"at_most of {name}", "")
+    return {name: float(bound) for name, bound in at_most.items()}

@@ -1,0 +1,259 @@
+"""Options of the planners, in groups: limits, what is minimised, nodes, and the work of the solver.
+
+A planner takes the groups that say something to it. Of a group it takes every field that is given, or raises an
+``InputError`` that says why it cannot; nothing is passed over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array, Frozen, each, fraction, frozen, positive, require_type, whole
+from redundancy_pin.dynamics.default import DynamicsLike
+from redundancy_pin.errors import InputError, shown
+from redundancy_pin.motion import PlatformMotion, require_consistent
+from redundancy_pin.planners.base_wrench import point_of
+from redundancy_pin.planners.limits import ResolvedLimits
+from redundancy_pin.robot import Robot
+
+CALM = 0.01
+"""Fraction of the least cost that a plan may cost more to have fewer reversals, unless the user asks for another."""
+
+LARGEST_STEP = 0.005
+"""Largest step between the nodes of a plan over a given time, s, unless the user asks for another."""
+
+FEWEST_STEPS = 100
+"""Least number of steps along a path whose timing is planned, unless the user asks for another."""
+
+# Each start is solved, and each refinement doubles nodes: more of them would never end
+MOST_STARTS, MOST_REFINEMENTS, MOST_STEPS = 1000, 30, 100_000
+
+Progress = Callable[[str], None]
+"""Called with a line of text at each stage of a plan; what it raises ends the planning."""
+
+
+@dataclass(frozen=True, eq=False)
+class Limits(Frozen):
+    """Limits of a plan; what is None is what the robot declares, ``numpy.inf`` takes a limit away.
+
+    Example:
+        >>> rp.plan_whole_trajectory("3rrr", motion, limits=rp.Limits(effort=2.5, jerk=200.0))
+
+    Attributes:
+        track: (2,) or (k, 2) track ends of the carriers, m.
+        speed: scalar or (k,) largest |ṡ|, m/s.
+        acceleration: scalar or (k,) largest |s̈|, m/s².
+        jerk: scalar or (k,) largest |s⃛|, m/s³; with it s̈ cannot jump. No robot declares any.
+        carrier_force: scalar or (k,) largest force of the carriers' actuators, N.
+        effort: scalar or (m,) largest |τ| of the main actuators, N or N·m.
+        actuator_speed: scalar or (m,) largest rate of the main actuators, m/s or rad/s.
+    """
+
+    track: ArrayLike | None = None
+    speed: ArrayLike | None = None
+    acceleration: ArrayLike | None = None
+    jerk: ArrayLike | None = None
+    carrier_force: ArrayLike | None = None
+    effort: ArrayLike | None = None
+    actuator_speed: ArrayLike | None = None
+
+    def resolved(self, robot: Robot) -> ResolvedLimits:
+        """Return them as arrays, with the robot's own by default.
+
+        Raises:
+            InputError: a limit that is not positive, a track whose ends are not in order, wrong shapes; no limit of
+                efforts, where the robot declares one that is not the same both ways.
+        """
+        own, k = robot.carrier_limits, robot.k
+        track = np.array([(limit.lower, limit.upper) for limit in own]).reshape(k, 2)
+        if self.track is not None:
+            track = np.array(each(self.track, "track", (k, 2)))
+            if not (track[:, 0] < track[:, 1]).all():
+                raise InputError(
+                    f"track is {shown(np.asarray(self.track).tolist())}, but the ends of a track must increase.",
+                    remedy="Give the lower end first.",
+                    value=self.track,
+                )
+        bounds: dict[str, Any] = {
+            "speed": [limit.speed for limit in own],
+            "acceleration": [limit.acceleration for limit in own],
+            "carrier_force": [limit.force for limit in own],
+            "jerk": [np.inf] * k,
+            "effort": (_declared_efforts(robot) if self.effort is None else np.empty(robot.m)).tolist(),
+            "actuator_speed": robot.speed_limits.tolist(),
+        }
+        for name, given in ((field.name, getattr(self, field.name)) for field in fields(self)[1:]):
+            if given is not None:
+                bounds[name] = each(given, name, (len(bounds[name]),), above_zero=True).tolist()
+        arrays = {name: frozen(values) for name, values in bounds.items()}
+        return ResolvedLimits(robot.carriers, frozen(track), **arrays)
+
+
+def _declared_efforts(robot: Robot) -> Array:
+    """Return (m,) the largest |τ| that a robot declares, N or N·m."""
+    lower, upper = robot.effort_limits
+    for name, least, most in zip(robot.actuated, lower, upper, strict=True):
+        if least != -most:
+            raise InputError(
+                f"The robot declares efforts of {name} from {least:g} to {most:g}; the limit of a plan counts both "
+                "ways.",
+                remedy="Pass the largest |τ|, effort=..., one number or one for each actuator.",
+                name="effort",
+            )
+    return upper
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """What a plan minimises.
+
+    Example:
+        >>> rp.plan_whole_trajectory(robot, motion, objective=rp.Objective("peak", calm=0.0))
+
+    Attributes:
+        weights: name of an objective (``OBJECTIVES``), or weights of several, each in its own unit. When left out:
+            "tracking" with ``lam`` or ``baseline``, else "effort".
+        lam: λ of "tracking", 0 to 1.
+        baseline: the robot whose efforts are τ̂, or its name or path; or a backend of it. For the stepwise planner also
+            efforts (N, m), N or N·m, at the samples of the motion.
+        base_point: (3,) point about which the moment on the base is taken, m; the world origin when left out.
+        calm: fraction of the least cost that may be spent on fewer reversals of the efforts; 0 for none, ``CALM`` when
+            left out.
+    """
+
+    weights: str | Mapping[str, float] | None = None
+    lam: float = 0.0
+    baseline: DynamicsLike | ArrayLike | None = None
+    base_point: ArrayLike | None = None
+    calm: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            InputError: λ or ``calm`` not from 0 to 1, a point that is not one, a baseline without "tracking".
+        """
+        aims = fraction(self.lam, "lam") > 0.0 or self.baseline is not None
+        if self.weights is None:
+            object.__setattr__(self, "weights", "tracking" if aims else "effort")
+        point_of(self.base_point)
+        if self.calm is not None:
+            fraction(self.calm, "calm")
+        named = [self.weights] if isinstance(self.weights, str) else self.weights
+        if aims and isinstance(named, (list, Mapping)) and "tracking" not in named:
+            raise InputError(
+                "lam and baseline say what to track, but the objective does not have tracking.",
+                remedy="Leave them out, or add tracking to the objective.",
+                name="lam",
+            )
+
+    @classmethod
+    def of(cls, objective: str | Mapping[str, float] | Objective) -> Objective:
+        """Return the objective that a name or weights stand for."""
+        return objective if isinstance(objective, Objective) else cls(objective)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """The nodes of a plan.
+
+    Attributes:
+        dt: largest step between nodes in time, s; ``LARGEST_STEP`` when left out.
+        refinements: how often the mesh may be refined where efforts between the nodes exceed those at the nodes.
+        steps: least number of steps along a path whose timing is planned; ``FEWEST_STEPS`` when left out.
+    """
+
+    dt: float | None = None
+    refinements: int = 3
+    steps: int | None = None
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            InputError: a step that is not positive, numbers that are not whole or too large.
+        """
+        if self.dt is not None:
+            object.__setattr__(self, "dt", positive(self.dt, "dt", "s"))
+        if self.steps is not None:
+            object.__setattr__(self, "steps", whole(self.steps, "steps", 4, MOST_STEPS))
+        object.__setattr__(self, "refinements", whole(self.refinements, "refinements", 0, MOST_REFINEMENTS))
+
+
+@dataclass(frozen=True)
+class Solver:
+    """How long and from where the solver works.
+
+    Attributes:
+        starts: number of first guesses; the first is parked carriers, the others are random swings (seeded).
+        seconds: time bound of the search, s: all first guesses and meshes, and why there is no plan. What was found by
+            then is the plan.
+        progress: called with a line of text at each stage, and during it where the plan has 1000 nodes or more. What it
+            raises ends the planning.
+    """
+
+    starts: int = 1
+    seconds: float = 60.0
+    progress: Progress | None = None
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            InputError: a number of starts that is not whole or too large, a time that is not positive.
+        """
+        object.__setattr__(self, "starts", whole(self.starts, "starts", 1, MOST_STARTS))
+        object.__setattr__(self, "seconds", positive(self.seconds, "seconds", "s"))
+
+
+Group = TypeVar("Group", bound=Any)
+
+
+def group_of(given: Group | None, kind: type[Group]) -> Group:
+    """Return a group of options after checking its type; its defaults for None."""
+    if given is None:
+        made: Group = kind()
+        return made
+    own = ", ".join(f"{field.name}=..." for field in fields(kind))
+    require_type(given, kind, f"The group {kind.__name__}", f"Pass {kind.__name__}({own}).")
+    return given
+
+
+def refuse_fields(group: object, reasons: Mapping[str, str]) -> None:
+    """Check that a group of options leaves fields at their defaults that a planner does not take.
+
+    ``reasons``: by field, why the planner does not.
+
+    Raises:
+        InputError: one of them is given.
+    """
+    defaults = {field.name: field.default for field in fields(group)}  # type: ignore[arg-type]
+    for name, reason in reasons.items():
+        value = getattr(group, name)
+        if value is not defaults[name] and not (np.isscalar(value) and value == defaults[name]):
+            raise InputError(f"{name} does not apply: {reason}.", remedy="Leave it out.", name=name)
+
+
+def require_motion(motion: object, *methods: str) -> None:
+    """Check that a motion is sampled, and one, or a trajectory that offers some methods."""
+    if isinstance(motion, PlatformMotion):
+        require_consistent(motion)
+    if not isinstance(motion, PlatformMotion) and not all(hasattr(motion, method) for method in methods):
+        raise InputError(
+            f"The planner was given {type(motion).__name__} for the motion.",
+            remedy="Pass a trajectory, such as trajectory.reference.circle(), or a PlatformMotion.",
+        )
+
+
+def return_duration(value: float | Literal["shortest"], name: str) -> float | Literal["shortest"]:
+    """Return how long the carriers' return takes, s, or "shortest", after checking it."""
+    if value == "shortest":
+        return "shortest"
+    if isinstance(value, str):
+        raise InputError(f"{name} is {shown(value)}.", remedy="Pass a duration in seconds or 'shortest'.", name=name)
+    return positive(value, name, "s")
