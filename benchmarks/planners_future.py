@@ -14,8 +14,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 import path_timing
 
 import redundancy_pin as rp
+from redundancy_pin.planners.optimal.co_design import DesignTask, Search
 from redundancy_pin.studies.case import in_groups
-from redundancy_pin.studies.co_design import DesignTask, Search
 from redundancy_pin.trajectory import reference
 
 REPEATS = 3

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from redundancy_pin.loading import load_robot, robot_from_model, with_limits, with_parameters
     from redundancy_pin.motion import CarrierMotion, PlatformMotion
     from redundancy_pin.planners.check import check_plan
+    from redundancy_pin.planners.optimal.co_design import co_design
     from redundancy_pin.planners.optimal.time_optimal import plan_time_optimal
     from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
     from redundancy_pin.planners.options import Limits, Mesh, Objective, Solver
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
     from redundancy_pin.singularities.locus import singular_locus
     from redundancy_pin.singularities.performance import performance, platform_play, platform_stiffness
     from redundancy_pin.singularities.workspace import workspace
-    from redundancy_pin.studies.co_design import co_design
     from redundancy_pin.view import show
     from redundancy_pin.visualisation.figures import plots as plot
     from redundancy_pin.writers import write_mjcf
@@ -70,6 +70,7 @@ _PLACES = {
         "planners.receding_horizon": "RecedingHorizon",
         "planners.stepwise.planner": "plan_stepwise",
         "planners.switch_off.planner": "plan_switch_off",
+        "planners.optimal.co_design": "co_design",
         "planners.optimal.time_optimal": "plan_time_optimal",
         "planners.optimal.whole_trajectory": "plan_whole_trajectory",
         "robot": "Robot",
@@ -80,7 +81,6 @@ _PLACES = {
         "singularities.locus": "singular_locus",
         "singularities.performance": "performance platform_play platform_stiffness",
         "singularities.workspace": "workspace",
-        "studies.co_design": "co_design",
         "view": "show",
         "writers": "write_mjcf",
     }.items()

@@ -6,8 +6,15 @@ import ast
 import importlib
 import re
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from doc_blocks import blocks_of
 
 import redundancy_pin
+import redundancy_pin as rp
+from redundancy_pin.planners.optimal.objectives import OBJECTIVES
 
 PACKAGE = Path(redundancy_pin.__file__).parent
 PAGE = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -82,3 +89,34 @@ def _imported(path: Path) -> set[str]:
     nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
     modules = (node.module or "" for node in nodes if isinstance(node, ast.ImportFrom))
     return {module for module in modules if module.startswith("redundancy_pin.")}
+
+
+def test_recipes_work_as_they_are_written() -> None:
+    """A stranger's objective, limit and planner, judged by RNEA and by numpy."""
+    shipped, session = set(OBJECTIVES), dict[str, Any]()
+    try:
+        for block in blocks_of(TESTS.parent / "CONTRIBUTING.md", "CONTRIBUTING.md"):
+            if block.language == "python":
+                exec(compile(block.text, block.where, "exec"), session)
+    finally:
+        for name in set(OBJECTIVES) - shipped:
+            del OBJECTIVES[name]
+    gentle, limited, parked, robot = (session[name] for name in ("gentle", "limited", "parked", "robot"))
+
+    def power(plan: rp.Plan) -> Any:
+        reduced = rp.RneaDynamics(robot).reduce(plan.motion, plan.carriers)
+        tau = np.linalg.solve(reduced.W, reduced.f[..., None])[..., 0]
+        np.testing.assert_allclose(plan.tau, tau, atol=1e-6 * np.abs(tau).max())
+        return tau * np.einsum("nim,ni->nm", reduced.W, plan.motion.xd)
+
+    value = gentle.diagnostics["objective"]["power"]
+    assert value == pytest.approx(np.trapezoid((power(gentle) ** 2).sum(axis=1), gentle.t), rel=1e-6)
+    least_effort = rp.plan_whole_trajectory(robot, session["line"], mesh=session["mesh"])
+    assert value < np.trapezoid((power(least_effort) ** 2).sum(axis=1), least_effort.t)
+    bound, t = session["bound"], np.linspace(limited.t[0], limited.t[-1], 3001)
+    reduced = rp.RneaDynamics(robot).reduce(limited.platform_at(t), limited.carriers_at(t))
+    tau, rate = rp.distribute(reduced).tau, np.einsum("nim,ni->nm", reduced.W, limited.platform_at(t).xd)
+    assert 0.9 * bound < np.abs(tau * rate).max() <= 1.0011 * bound
+    assert np.abs(power(least_effort)).max() > bound
+    assert (parked.carriers.s == 0.1).all()
+    assert np.abs(power(parked)).max() > 0.0

@@ -24,6 +24,7 @@ from redundancy_pin.dynamics.contacts import closure_forces
 from redundancy_pin.dynamics.virtual_work import three_rrr, two_rpr
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.planners.carrier_return import CarrierState
+from redundancy_pin.planners.optimal.co_design import CoDesign, DesignTask
 from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import Command
 from redundancy_pin.planners.receding_horizon.preview import Preview
@@ -31,7 +32,6 @@ from redundancy_pin.planners.receding_horizon.run import OnLineRun
 from redundancy_pin.simulation import ForwardDynamics, closed_state, inverse_derivatives, linearise
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.studies.cases import SINGULAR
-from redundancy_pin.studies.co_design import CoDesign, DesignTask
 from redundancy_pin.studies.trade import TradeOff
 from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial

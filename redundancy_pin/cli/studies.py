@@ -17,9 +17,9 @@ from redundancy_pin.cli.output import drawn, progress, report, resumable
 from redundancy_pin.cli.plan_problem import PARAMETERS, read_parameters
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import expanded, write_text
+from redundancy_pin.planners.optimal.co_design import DesignTask, compare_machines
 from redundancy_pin.studies.case import PLANNERS, VIRTUAL_WORK, WHOLE, Case, in_groups, load
 from redundancy_pin.studies.case import options as as_options
-from redundancy_pin.studies.co_design import DesignTask, compare_machines
 from redundancy_pin.studies.reproduce import reproduce as run_job
 from redundancy_pin.studies.reproduce import tables
 from redundancy_pin.studies.robustness import DRAWS, robustness_study, study_caption, study_csv, study_table

@@ -7,14 +7,16 @@ names the reason and what to install. Planners and simulations name no other bac
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
 
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.dynamics.compiled import CompiledDynamics
+from redundancy_pin.dynamics.compiled import CompiledDynamics, MotionDerivatives
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import CompilerError, InputError, UnsupportedRobotError
 from redundancy_pin.loading import RobotLike, as_robot
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 
 DynamicsLike: TypeAlias = Dynamics | RobotLike
@@ -55,3 +57,26 @@ def as_dynamics(dynamics: DynamicsLike) -> Dynamics:
             stacklevel=1,
         )
         return RneaDynamics(robot)
+
+
+def design_derivatives(
+    robot: Robot, motion: PlatformMotion, carriers: CarrierMotion | None, parameters: Sequence[str]
+) -> MotionDerivatives:
+    """Return exact derivatives along a motion by numbers of the robot, which generated code alone has.
+
+    Args:
+        robot: the robot.
+        motion: N samples of the platform.
+        carriers: N samples of the carriers; parked at s = 0 when left out.
+        parameters: (d,) names of design parameters, as of ``CompiledAlongMotion.derivatives``.
+
+    Raises:
+        CompilerError: there is no C compiler.
+        UnsupportedRobotError: generated code does not cover a joint; a parameter that changes the joints.
+        InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
+
+    Example:
+        >>> design_derivatives(load_robot("four_bar"), motion, None, ["crank_mass"]).tau.parameters.shape
+        (101, 1, 1)
+    """
+    return CompiledDynamics(robot).along(motion).derivatives(carriers, parameters)

@@ -29,11 +29,11 @@ from redundancy_pin.errors import (
     SingularPoseError,
     UnreachablePoseError,
 )
+from redundancy_pin.planners.optimal.co_design import DesignTask
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation import motion_reference
 from redundancy_pin.simulation.controllers import controller_by_name
 from redundancy_pin.status import ResultStatus, SampleStatus
-from redundancy_pin.studies.co_design import DesignTask
 from redundancy_pin.trajectory import reference
 
 BACKENDS = [rp.RneaDynamics, rp.VirtualWork, rp.CompiledDynamics]

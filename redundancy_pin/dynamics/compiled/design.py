@@ -29,7 +29,7 @@ from redundancy_pin.robot.urdf import declaration_path
 
 _STEP = 0.01
 """Step of the differences, relative to the parameter: of order six they err by 1e-12/140 of its seventh derivative, and
-by 1e-14 in rounding. Sums, products and powers up to the sixth are exact."""
+by 1e-14 in rounding. Sums, products and powers up to the sixth are exact; up to the third, five values are enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +58,10 @@ def design_of(robot: Robot, names: Sequence[str], *, trust: bool = False) -> Des
       about its own; ``"LINK.origin.x"``, ... likewise for a link of a closure or of the platform;
     - ``"ROD.length"`` of a rod that closes a loop.
 
-    The model's own are exact. For a number of the xacro file the file is loaded seven times with changed arguments,
-    without closing its loops, and the model's numbers are differenced, to order six: smooth functions to 1e-14 or so.
-    Steps are a hundredth of the number; of a number that is 0, of the robot's characteristic length, or of 1 if that is
-    less. All other arguments are held, also those whose defaults would follow.
+    The model's own are exact. For a number of the xacro file the file is loaded four to six times with changed
+    arguments, without closing its loops, and the model's numbers are differenced, to order six: smooth functions to
+    1e-14 or so. Steps are a hundredth of the number; of a number that is 0, of the robot's characteristic length, or of
+    1 if that is less. All other arguments are held, also those whose defaults would follow.
 
     Args:
         robot: the robot.
@@ -187,31 +187,42 @@ def by_xacro(robot: Robot, name: str, trust: bool) -> Array:
     """Return the derivatives (F,) by a number of the xacro file, as differences of models with changed arguments."""
     _require_number(robot, name)
     value = float(robot.parameters[name])
-    # at zero to one side: a negative mass or length would be refused
-    offsets = np.arange(7) - (3 if value else 0)
     # at zero the unit is not known: small for a length of the machine, and for an angle
     step = _STEP * (abs(value) or min(1.0, robot.characteristic_length))
-    loaded = {int(i): _reloaded(robot, name, float(value + i * step), trust) for i in offsets}
-    if len({repr(each.loads) for each in loaded.values()}) == 1:
-        loaded = {i: dataclasses.replace(each, loads=robot.loads) for i, each in loaded.items()}
-    elif repr(loaded[0].loads) != repr(robot.loads):
+    loaded = {0: _reloaded(robot, trust)}
+    for size in (5, 7):
+        # at zero to one side: a negative mass or length would be refused
+        offsets = np.arange(size) - (size // 2 if value else 0)
+        loaded |= {i: _reloaded(robot, trust, (name, value + i * step)) for i in offsets.tolist() if i not in loaded}
+        numbers = _numbers_of_all(robot, name, [loaded[i] for i in offsets.tolist()], loaded[0])
+        bend = np.abs(np.diff(numbers, 4, axis=0)).max(axis=0)
+        if (bend <= ROUNDING * np.abs(numbers).max(axis=0)).all():
+            break  # a polynomial of degree three, as a mass times a length squared: five values are enough
+    column: Array = _difference_weights(offsets) @ numbers / step
+    # rounding: what is left of it would cost as much as a derivative
+    column[np.abs(column) <= ROUNDING * np.abs(numbers).max(axis=0) / step] = 0.0
+    return column
+
+
+def _numbers_of_all(robot: Robot, name: str, loaded: Sequence[Robot], unchanged: Robot) -> Array:
+    """Return (r, F) the numbers of the models of robots that were loaded with other values of a parameter."""
+    if len({repr(each.loads) for each in loaded}) == 1:
+        loaded = [dataclasses.replace(each, loads=robot.loads) for each in loaded]
+        unchanged = dataclasses.replace(unchanged, loads=robot.loads)
+    elif repr(unchanged.loads) != repr(robot.loads):
         raise UnsupportedRobotError(
             f"The parameter {name!r} changes loads of the file of {robot.name}, which was given other loads.",
             remedy="Differentiate the robot as it was loaded, or by parameters that change no loads.",
             parameter=name,
         )
-    if not np.array_equal(numbers_of(loaded[0]).values, numbers_of(robot).values):
+    if not np.array_equal(numbers_of(unchanged).values, numbers_of(robot).values):
         raise UnsupportedRobotError(
             f"Masses, lengths or the model of {robot.name} were changed after it was loaded, and {name!r} is read from "
             "its file.",
             remedy="Change arguments of the file only, or name the tree's own numbers, such as JOINT.mass.",
             parameter=name,
         )
-    numbers = np.array([numbers_of(each).values for each in loaded.values()])
-    column: Array = _difference_weights(offsets) @ numbers / step
-    # rounding: what is left of it would cost as much as a derivative
-    column[np.abs(column) <= ROUNDING * np.abs(numbers).max(axis=0) / step] = 0.0
-    return column
+    return np.array([numbers_of(each).values for each in loaded])
 
 
 def _difference_weights(offsets: IntArray) -> Array:
@@ -221,18 +232,20 @@ def _difference_weights(offsets: IntArray) -> Array:
     return np.asarray(np.linalg.solve(powers, np.eye(size)[1]))
 
 
-def _reloaded(robot: Robot, name: str, value: float, trust: bool) -> Robot:
-    """Return the robot with another argument, chains not closed: joints, frames and bodies are all that is used."""
+@lru_cache(maxsize=64)
+def _reloaded(robot: Robot, trust: bool, changed: tuple[str, float] | None = None) -> Robot:
+    """Return the robot with a changed argument, chains not closed: joints, frames and bodies are all that is used."""
     path = declaration_path(robot.source)
     file = read_declaration(path)
     with file.naming():
-        arguments = {**robot.parameters, name: value}
+        arguments = {**robot.parameters, **dict([changed] if changed else [])}
         parameters, read = open_model(path.parent / file.data["urdf"], arguments, trust=trust)
         declaration = parse({"reference": {}, **file.data}, parameters)
         mechanism = read(declaration.joint_types)
         mechanism.model.gravity.linear = robot.gravity
         other = read_robot(declaration, mechanism, parameters=parameters, mode=robot.working_mode or None)
-    if not _alike(robot, other):
+    if changed and not _alike(robot, other):
+        name, value = changed
         raise UnsupportedRobotError(
             f"The parameter {name!r} changes the joints of {robot.name}, their axes or their number (at {value:g}).",
             remedy="Differentiate by parameters that move joints and change masses and lengths.",

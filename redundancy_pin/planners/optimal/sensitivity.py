@@ -26,6 +26,7 @@ from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.optimal.nlp import casadi
 from redundancy_pin.planners.optimal.objectives import OBJECTIVES
 from redundancy_pin.planners.optimal.problem import Problem, SingularNode, Task, times_beside
+from redundancy_pin.planners.optimal.settings import Settings
 from redundancy_pin.planners.optimal.solve import Outcome
 from redundancy_pin.planners.optimal.transcription import transcribe
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -84,7 +85,7 @@ def design_gradient(task: Task, outcome: Outcome, slopes: Slopes, machines: Sequ
     terms = ((weight, OBJECTIVES[name]) for name, weight in problem.settings.objective.items())
     size = sum(weight * term.size(problem.scales) for weight, term in terms)
     gradient = np.empty(at_nodes.f.shape[-1])
-    base = _of_base(task, problem, motion, at_nodes.base_wrench, slopes)
+    base = base_slopes(problem.settings, motion, at_nodes.base_wrench, slopes)
     for j, machine in enumerate(machines):
         W, f, force = (MOVED * part[..., j] for part in (at_nodes.W, at_nodes.f, at_nodes.carrier_force))
         model = problem.model
@@ -104,9 +105,11 @@ def design_gradient(task: Task, outcome: Outcome, slopes: Slopes, machines: Sequ
     return read_only(gradient)
 
 
-def _of_base(task: Task, problem: Problem, motion: PlatformMotion, by: Array, slopes: Slopes) -> Array:
-    """Return (N, 6, d) derivatives of the wrench on the base about the point, less the load at rest."""
-    settings = problem.settings
+def base_slopes(settings: Settings, motion: PlatformMotion, by: Array, slopes: Slopes) -> Array:
+    """Return (N, 6, d) derivatives of the wrench on the base about the point, less the load at rest, N and N·m.
+
+    ``by`` (N, 6, d): those of the wrench about the world origin.
+    """
     still, rest = np.zeros_like(motion.xd[:1]), np.zeros((1, len(settings.start)))
     standing = PlatformMotion(motion.t[:1], motion.x[:1], still, still)
     less = by - slopes(standing, CarrierMotion(settings.start[None], rest, rest)).base_wrench

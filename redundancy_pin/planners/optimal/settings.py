@@ -13,7 +13,6 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.base_wrench import point_of, weights_of
-from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.optimal.objectives import OBJECTIVES
 from redundancy_pin.planners.options import (
@@ -84,7 +83,6 @@ def checked_settings(
     at_most: Mapping[str, float] | None = None,
 ) -> Settings:
     """Return the settings of a plan over a whole trajectory after checking every option."""
-    require_carriers(robot)
     one_of(end, "end", get_args(End))
     goal, mesh, solver = Objective.of(objective), group_of(mesh, Mesh), group_of(solver, Solver)
     refuse_fields(mesh, {"steps": "the nodes are in time, and dt is their largest distance"})

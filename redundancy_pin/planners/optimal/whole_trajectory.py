@@ -14,6 +14,7 @@ from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import IntersampleCheck
 from redundancy_pin.planners.optimal.calm import Chosen, calmed
@@ -115,6 +116,7 @@ def plan_whole_trajectory(
     """
     dynamics = as_dynamics(dynamics)
     require_motion(motion, "duration", "breaks", "sample_at")
+    require_carriers(dynamics.robot)
     settings = checked_settings(
         dynamics.robot,
         objective,

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 import redundancy_pin as rp
-import redundancy_pin.studies.co_design as studied
+import redundancy_pin.planners.optimal.co_design as studied
 from redundancy_pin.errors import InputError
+from redundancy_pin.planners.optimal.co_design import DesignTask, Search, co_design
 from redundancy_pin.robot import Robot
-from redundancy_pin.studies.case import in_groups
-from redundancy_pin.studies.co_design import DesignTask, Search, co_design
 from redundancy_pin.trajectory import reference
 
 LIGHT = {"limits": rp.Limits(acceleration=20.0), "mesh": rp.Mesh(dt=0.02)}
@@ -150,7 +149,7 @@ def test_a_search_stopped_by_machines_that_cannot_is_no_optimum(monkeypatch: pyt
         def machine(self, u: np.ndarray, near: object = None) -> Any:
             cost = 1.0 + float(self.slope @ u)
             return SimpleNamespace(u=u, cost=cost, slope=self.slope, values=[cost], gradients=self.slope[None],
-                                   solved=(), at_bound=(False, False), parameters={})  # fmt: skip
+                                   costs=(), at_bound=(False, False), parameters={})  # fmt: skip
 
         def machine_or_none(self, u: np.ndarray, near: object) -> Any:
             return self.machine(u) if u[0] <= self.most else None

@@ -1,11 +1,12 @@
-"""Machine and motion designed together: parameters of a robot as unknowns beside the plans of several tasks.
+"""Robot and motions designed together: numbers of a robot as unknowns beside the efforts and plans of several tasks.
 
-The plans are nested: for each machine every task is planned by ``plan_whole_trajectory``, and the sum of the least
-costs is minimised over the machine, within bounds, with exact gradients
-(``whole_trajectory.sensitivity``). A machine for which a task has no plan counts as worse than any that has.
+For each robot that is tried, every task has its least cost and the derivatives of that (``optimal.least_cost``): with
+carriers those of the best plan, without carriers those of the efforts that the motion determines. The weighted sum of
+the least costs is minimised over the numbers of the robot, within bounds. A robot that cannot carry out a task counts
+as worse than any that can.
 
 Least costs have kinks, as a peak where two actuators have it. The cost is therefore modelled by the slopes of all
-machines that were tried, a bundle, beside a curvature (BFGS), within a trust region: at a kink of a convex cost the
+robots that were tried, a bundle, beside a curvature (BFGS), within a trust region: at a kink of a convex cost the
 model has it as well, where a quasi-Newton method stalls.
 """
 
@@ -13,8 +14,8 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from functools import cached_property, partial
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -24,7 +25,6 @@ from scipy.optimize import minimize
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, frozen, positive, require_type, whole
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.errors import (
     DeclarationError,
@@ -37,20 +37,14 @@ from redundancy_pin.errors import (
     shown,
 )
 from redundancy_pin.loading import with_parameters
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.optimal.problem import Task
-from redundancy_pin.planners.optimal.sensitivity import MOVED, DesignSlopes, Moved, design_gradient
-from redundancy_pin.planners.optimal.settings import checked_settings
-from redundancy_pin.planners.optimal.solve import Outcome
-from redundancy_pin.planners.optimal.transcription import objective_values
-from redundancy_pin.planners.optimal.whole_trajectory import optimise, plan_whole_trajectory
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.planners.optimal.least_cost import DesignedRobot, LeastCost, least_cost
+from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
 from redundancy_pin.planners.options import Objective, refuse_fields
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.measures import numbers
-from redundancy_pin.studies.table import Record
-from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 
 NO_MACHINE = (InfeasiblePlanError, UnreachablePoseError, SingularPoseError, WorkingModeError, DeclarationError)
 """What tells that a machine cannot carry out a task."""
@@ -79,14 +73,15 @@ _CONVEX = 0.01
 
 @dataclass(frozen=True, eq=False)
 class DesignTask(Frozen):
-    """A task of a machine.
+    """A task of the robot that is designed.
 
     Attributes:
-        dynamics: a backend of the machine to begin with; made by ``as_dynamics`` where a robot, its name or its path is
-            given.
+        dynamics: a backend of the robot to begin with; made by ``as_dynamics`` where a robot, its name or its path is
+            given. With carriers the task is planned; without, the motion determines the efforts.
         motion: of the platform, as for ``plan_whole_trajectory``.
-        options: its keywords: objective, limits, mesh, solver and the others.
-        weight: of its least cost, over what that is for the machine to begin with.
+        options: keywords of ``plan_whole_trajectory``: objective, limits, mesh, solver and the others. Without carriers
+            those of the carriers' motion have no effect.
+        weight: of its least cost, over what that is for the robot to begin with.
     """
 
     dynamics: Dynamics
@@ -133,24 +128,31 @@ def co_design(
     iterations: int = 30,
     progress: Callable[[str], None] | None = None,
 ) -> CoDesign:
-    """Design a machine and its motions together: one machine for several tasks, each planned at its best.
+    """Design a robot and its motions together: one robot for several tasks, with carriers or without.
 
-    What is minimised is the weighted mean of the tasks' least costs, each over what it is for the machine to begin
-    with. Several optima are possible, of the plans as of the machine; begin from other machines to see.
+    The weighted mean of the tasks' least costs is minimised, each cost divided by that of the robot to begin with. The
+    optimum is a local one, of the robot as of the plans; begin with other robots to see others.
 
     Args:
-        tasks: ``DesignTask``, or its first fields as a tuple: ``(dynamics, trajectory, {"objective": "peak"})``.
-            Their robots may differ in what is not designed (payload, working mode); each must be loaded from a file.
-        design: numbers of the xacro file, with (lowest, highest) values: masses, lengths, offsets of tracks. The search
-            begins at the values of the robot of the first task, which all get.
-        iterations: most steps of the method.
+        tasks: ``DesignTask``, or its first fields as a tuple: ``(robot, trajectory, {"objective": "peak"})``. Robots of
+            several tasks may differ in what is not designed (payload, working mode). Each must be loaded from a file.
+        design: numbers of the xacro file, with (lowest, highest) values: masses, lengths, offsets of tracks, in the
+            unit of the file. The search begins at the values of the robot of the first task, which all get.
+        iterations: largest number of robots that are tried after the first.
         progress: called with a line of text after each.
 
     Raises:
-        InputError: no task, an unknown parameter, bounds that are none or do not hold the first value.
+        InputError: no task, an unknown parameter, bounds out of order or without the first value between them; a task
+            whose objective is 0.
         UnsupportedRobotError: a parameter that changes joints or their axes, a robot that was not loaded from a file.
-        InfeasiblePlanError, UnreachablePoseError, SingularPoseError, WorkingModeError: the machine to begin with cannot
-            carry out a task.
+        InfeasiblePlanError, UnreachablePoseError, SingularPoseError, WorkingModeError: the robot to begin with cannot
+            carry out a task. Without carriers that includes a type II singularity on the way, and an exceeded limit.
+
+    Example:
+        >>> turn = Trajectory(Line([0.0], [2.0 * np.pi]), RestToRest(2.0 * np.pi, duration=1.0))
+        >>> best = co_design([("four_bar", turn, {"objective": "peak"})], {"rocker_length": (0.2, 0.4)})
+        >>> best.values[0] < best.before[0]
+        True
     """
     search = Search(_tasks(tasks), design)
     most = whole(iterations, "iterations", 1, 1000)
@@ -185,7 +187,7 @@ def co_design(
     pressed = zip(search.names, here.at_bound, strict=True)
     return CoDesign(
         parameters=MappingProxyType(here.parameters),
-        plans=tuple(plan for plan, _ in here.solved),
+        plans=tuple(cost.plan for cost in here.costs),
         values=frozen(here.values),
         before=frozen(before),
         gradient=frozen(here.gradients),
@@ -211,16 +213,21 @@ class Search:
         """Plan every task with a machine, (d,) of the ranges, beginning from the plans of one that is near."""
         parameters = dict(zip(self.names, ((1.0 - u) * self.low + u * self.high).tolist(), strict=True))
         own = {id(task.dynamics.robot): task.dynamics.robot for task in self.tasks}
-        robots = {key: _with(robot, parameters) for key, robot in own.items()}
-        planned = []
-        for i, task in enumerate(self.tasks):
-            one = _planning_task(task, robots[id(task.dynamics.robot)])
-            warm = None if near is None else near.solved[i][1]
-            planned.append((one, *optimise(one, None if warm is None else warm.problem.position(warm.solution.values))))
-        solved = tuple((plan, outcome) for _, plan, outcome in planned)
-        values = np.array([_value(outcome) for _, outcome in solved])
-        before = values if near is None else near.before
-        return _Machine(self, u, parameters, tuple(one for one, _, _ in planned), solved, values, before)
+        made = {key: DesignedRobot(with_parameters(robot, **parameters), self.names) for key, robot in own.items()}
+        robots = tuple(made[id(task.dynamics.robot)] for task in self.tasks)
+        known = [None] * len(robots) if near is None else near.costs
+        costs = tuple(
+            least_cost(task.dynamics.for_robot(one.robot), task.motion, task.options, similar)
+            for task, one, similar in zip(self.tasks, robots, known, strict=True)
+        )
+        values = np.array([cost.value for cost in costs])
+        if near is None and (values <= 0.0).any():
+            raise InputError(
+                f"Task {int(values.argmin())} costs nothing with the robot to begin with: its objective is 0.",
+                remedy="Choose an objective that its efforts have a part in.",
+                name="objective",
+            )
+        return _Machine(self, u, parameters, robots, costs, values, values if near is None else near.before)
 
     def machine_or_none(self, u: Array, near: _Machine) -> _Machine | None:
         """Return a machine, None where a task has no plan by it."""
@@ -237,13 +244,13 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class _Machine:
-    """A machine at (d,) fractions ``u`` of the ranges, with the plan and the programme of each task."""
+    """A machine at (d,) fractions ``u`` of the ranges, with the least cost of each task."""
 
     search: Search
     u: Array
     parameters: dict[str, float]
-    tasks: tuple[Task, ...]
-    solved: tuple[tuple[Plan, Outcome], ...]
+    robots: tuple[DesignedRobot, ...]
+    costs: tuple[LeastCost, ...]
     values: Array
     before: Array
 
@@ -255,18 +262,7 @@ class _Machine:
     @cached_property
     def gradients(self) -> Array:
         """(tasks, d) derivatives of the least costs by the parameters."""
-        names, kernels, moved = self.search.names, dict[int, CompiledDynamics](), dict[int, list[Robot]]()
-        rows = []
-        for given, task, (_, outcome) in zip(self.search.tasks, self.tasks, self.solved, strict=True):
-            robot = task.dynamics.robot
-            if id(robot) not in kernels:
-                kernels[id(robot)] = CompiledDynamics(robot)
-                moved[id(robot)] = [_with(robot, {name: float(robot.parameters[name]) + MOVED}) for name in names]
-            machines = [
-                Moved(_planning_task(given, one).settings.limits, one.characteristic_length) for one in moved[id(robot)]
-            ]
-            rows.append(design_gradient(task, outcome, partial(_slopes, kernels[id(robot)], names), machines))
-        return np.stack(rows)
+        return np.stack([cost.gradient(robot) for cost, robot in zip(self.costs, self.robots, strict=True)])
 
     @property
     def slope(self) -> Array:
@@ -279,32 +275,6 @@ class _Machine:
         """(d,) which parameters are on a bound that the cost presses on."""
         pressed: BoolArray = ((self.u <= 0.0) & (self.slope > 0.0)) | ((self.u >= 1.0) & (self.slope < 0.0))
         return pressed
-
-
-def _with(robot: Robot, parameters: Mapping[str, Any]) -> Robot:
-    return with_parameters(robot, **parameters)
-
-
-def _slopes(
-    kernels: CompiledDynamics, names: tuple[str, ...], motion: PlatformMotion, carriers: CarrierMotion
-) -> DesignSlopes:
-    by = kernels.along(motion).derivatives(carriers, names)
-    return DesignSlopes(*(part.parameters for part in (by.W, by.f, by.carrier_force, by.base_wrench)))
-
-
-def _value(outcome: Outcome) -> float:
-    """Return the weighted objectives of a solution, without the regularisation."""
-    weights = outcome.problem.settings.objective
-    values = objective_values(outcome.problem, outcome.solution.values)
-    return sum(weight * values[name] for name, weight in weights.items())
-
-
-def _planning_task(task: DesignTask, robot: Robot) -> Task:
-    """Return a task of the whole-trajectory planner by another machine."""
-    rest = dict(task.options)
-    objective = Objective.of(rest.pop("objective", "effort"))
-    settings = checked_settings(robot, replace(objective, calm=0.0), **rest)
-    return Task(task.dynamics.for_robot(robot), as_motion(task.motion), settings)
 
 
 def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, ...]:
@@ -416,7 +386,7 @@ def compare_machines(
     *,
     iterations: int = 30,
     progress: Callable[[str], None] | None = None,
-) -> list[Record]:
+) -> list[dict[str, Any]]:
     """Return what every task costs by the machine to begin with, by one made for each task, and by one for all.
 
     Args:
@@ -436,7 +406,7 @@ def compare_machines(
     makers: dict[str, list[str]] = {"to begin with": [], **{f"for {name}": [name] for name in tasks}}
     if len(tasks) > 1:
         makers["for all"] = list(tasks)
-    records: list[Record] = []
+    records: list[dict[str, Any]] = []
     for machine, names in makers.items():
         if progress is not None:
             progress(f"machine {machine}")
@@ -449,27 +419,39 @@ def compare_machines(
         search = ended.value if made else None
         parameters = dict(made.parameters) if made else {name: float(first.parameters[name]) for name in design}
         for name, task in tasks.items():
-            robot = _with(task.dynamics.robot, parameters)
-            record: Record = {"machine": machine, "task": name, **parameters, "mass": pin.computeTotalMass(robot.model),
-                              "value": None, "status": ResultStatus.INFEASIBLE.value, "reason": None,
-                              "optimal": made and made.optimal,
-                              "search": search}  # fmt: skip
+            robot = with_parameters(task.dynamics.robot, **parameters)  # type: ignore[arg-type]
+            record: dict[str, Any] = {
+                "machine": machine,
+                "task": name,
+                **parameters,
+                "mass": pin.computeTotalMass(robot.model),
+                "value": None,
+                "status": ResultStatus.INFEASIBLE.value,
+                "reason": None,
+                "optimal": made and made.optimal,
+                "search": search,
+            }
             if made and name in names:
                 plan, value = made.plans[names.index(name)], float(made.values[names.index(name)])
             else:
                 try:
-                    plan, outcome = optimise(_planning_task(task, robot))
+                    cost = least_cost(task.dynamics.for_robot(robot), task.motion, task.options)
                 except NO_MACHINE as error:
                     records.append({**record, "reason": error.message})
                     continue
-                value = _value(outcome)
-            shown = numbers(plan)
-            records.append(
-                {**record, "value": value, **{key: shown[key] for key in SHOWN},
-                 "stroke": float(np.ptp(plan.carriers.s, axis=0).max())}
-            )  # fmt: skip
+                plan, value = cost.plan, cost.value
+            records.append({**record, "value": value, **_numbers(plan)})
     return records
 
 
-SHOWN = ("peak", "energy", "main_energy", "carrier_energy", "carrier_force", "status")
-"""Numbers of a plan that records have."""
+def _numbers(plan: Plan) -> dict[str, Any]:
+    """Return a plan in numbers: largest effort and force at the samples, energies, J, and the carriers' stroke."""
+    return {
+        "peak": float(plan.peak_effort_at_samples.max()),
+        "energy": plan.main_energy + plan.carrier_energy,
+        "main_energy": plan.main_energy,
+        "carrier_energy": plan.carrier_energy,
+        "carrier_force": float(np.abs(plan.carrier_force).max(initial=0.0)),
+        "stroke": float(np.ptp(plan.carriers.s, axis=0).max(initial=0.0)),
+        "status": plan.status.value,
+    }

@@ -1,0 +1,348 @@
+"""The least cost of one task by one robot, and its derivatives by numbers of the robot: what co-design minimises.
+
+A robot with carriers has a plan to choose: its least cost is that of ``plan_whole_trajectory``, with the derivatives of
+``optimal.sensitivity``. Of a robot without carriers the motion determines the efforts, W(x; p) τ = f(x, ẋ, ẍ; p), and
+where it has more actuators than degrees of freedom those of least norm are taken. Its cost is a function J(τ, q̇, ...)
+of them at nodes (``OBJECTIVES``), and dJ/dp = Σ ∂J/∂τ dτ/dp + ..., with dτ/dp by implicit differentiation of W τ = f.
+That holds the motion of the platform, and closes the loops again: joint angles change with lengths.
+
+Every instant at which an effort of the continuous motion is largest is a node. A peak is therefore that of the
+continuous motion. That the instant moves with p adds nothing to the derivative, since the effort is stationary there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, IntArray, read_only
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.default import design_derivatives
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.loading import with_parameters
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.base_wrench import load_at_rest, shift_moment_point
+from redundancy_pin.planners.carrier_model import TERMS, CarrierModel, require_carriers, target_effort
+from redundancy_pin.planners.check import finish_plan
+from redundancy_pin.planners.functions import PlanFunctions, apart
+from redundancy_pin.planners.intersample_check import PlannedMotion, intersample_check
+from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, with_nodes
+from redundancy_pin.planners.optimal.nlp import casadi
+from redundancy_pin.planners.optimal.objectives import OBJECTIVES, Quantities, Scales
+from redundancy_pin.planners.optimal.problem import Task, scales_of
+from redundancy_pin.planners.optimal.sensitivity import MOVED, DesignSlopes, Moved, base_slopes, design_gradient
+from redundancy_pin.planners.optimal.settings import Settings, checked_settings
+from redundancy_pin.planners.optimal.solve import Outcome
+from redundancy_pin.planners.optimal.transcription import objective_values
+from redundancy_pin.planners.optimal.whole_trajectory import optimise
+from redundancy_pin.planners.options import Objective
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.robot import Robot
+from redundancy_pin.status import ResultStatus, SampleStatus, solved_status
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+
+FOLLOWED = "inverse_dynamics"
+"""Planner of a plan whose efforts follow from the motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class DesignedRobot:
+    """A robot and the numbers of its file that are designed.
+
+    Attributes:
+        robot: the robot.
+        names: (d,) names of the parameters.
+    """
+
+    robot: Robot
+    names: tuple[str, ...]
+
+    def slopes(self, motion: PlatformMotion, carriers: CarrierMotion) -> DesignSlopes:
+        """Return the derivatives along a motion by the parameters."""
+        by = design_derivatives(self.robot, motion, carriers, self.names)
+        return DesignSlopes(*(part.parameters for part in (by.W, by.f, by.carrier_force, by.base_wrench)))
+
+    @cached_property
+    def increased(self) -> tuple[Robot, ...]:
+        """(d,) the robots with one parameter increased by ``MOVED`` each."""
+        values = {name: float(self.robot.parameters[name]) + MOVED for name in self.names}
+        return tuple(with_parameters(self.robot, **{name: value}) for name, value in values.items())  # type: ignore[arg-type]
+
+
+class LeastCost(Protocol):
+    """The least cost of a task by a robot.
+
+    Attributes:
+        plan: the plan that has it.
+        value: the weighted objectives, in their unit.
+    """
+
+    @property
+    def plan(self) -> Plan:
+        """The plan that has it."""
+
+    @property
+    def value(self) -> float:
+        """The weighted objectives, in their unit."""
+
+    def gradient(self, designed: DesignedRobot) -> Array:
+        """Return (d,) the derivatives of the value by the parameters, in their units."""
+
+
+def least_cost(
+    dynamics: Dynamics,
+    motion: PlatformMotion | TimedTrajectory,
+    options: Mapping[str, Any],
+    near: LeastCost | None = None,
+) -> LeastCost:
+    """Return the least cost of a task.
+
+    Args:
+        dynamics: a backend of the robot.
+        motion: of the platform.
+        options: keywords of ``plan_whole_trajectory``.
+        near: the least cost of the task by a similar robot, whose plan is a good first guess.
+
+    Raises:
+        InfeasiblePlanError: no plan keeps the limits; or the robot has no carriers, and its motion meets a type II
+            singularity or needs efforts beyond their limits.
+        UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
+    """
+    task = Task(dynamics, as_motion(motion), settings_of(dynamics.robot, options))
+    if not dynamics.robot.k:
+        return follow(task)
+    require_carriers(dynamics.robot)
+    position = None
+    if isinstance(near, PlannedCost):
+        position = near.outcome.problem.position(near.outcome.solution.values)
+    plan, outcome = optimise(task, position)
+    return PlannedCost(task, options, plan, outcome)
+
+
+def settings_of(robot: Robot, options: Mapping[str, Any]) -> Settings:
+    """Return the settings that keywords of ``plan_whole_trajectory`` stand for: least costs, no calmer plans."""
+    rest = dict(options)
+    objective = Objective.of(rest.pop("objective", "effort"))
+    return checked_settings(robot, replace(objective, calm=0.0), **rest)
+
+
+# --- with carriers: a plan to choose ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedCost:
+    """The least cost of a task by a robot with carriers, see ``LeastCost``."""
+
+    task: Task
+    options: Mapping[str, Any]
+    plan: Plan
+    outcome: Outcome
+
+    @cached_property
+    def value(self) -> float:
+        """The weighted objectives, without the regularisation."""
+        values = objective_values(self.outcome.problem, self.outcome.solution.values)
+        return sum(weight * values[name] for name, weight in self.task.settings.objective.items())
+
+    def gradient(self, designed: DesignedRobot) -> Array:
+        """Return (d,) the derivatives of the least cost by the parameters."""
+        moved = [
+            Moved(settings_of(robot, self.options).limits, robot.characteristic_length) for robot in designed.increased
+        ]
+        return design_gradient(self.task, self.outcome, designed.slopes, moved)
+
+
+# --- without: the motion determines the efforts -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class FollowedCost:
+    """The cost of a task by a robot without carriers, see ``LeastCost``.
+
+    Attributes:
+        task: the task.
+        plan: its motion at the nodes, and its efforts.
+        values: the objectives that are weighted or bounded, by name, in their units.
+        by: derivatives of the weighted objectives by (M, m) efforts and (M, m) rates of the actuators, by (M, 6) wrench
+            on the base, and by the characteristic length.
+    """
+
+    task: Task
+    plan: Plan
+    values: Mapping[str, float]
+    by: tuple[Array, Array, Array, float]
+
+    @property
+    def value(self) -> float:
+        """The weighted objectives."""
+        return sum(weight * self.values[name] for name, weight in self.task.settings.objective.items())
+
+    def gradient(self, designed: DesignedRobot) -> Array:
+        """Return (d,) the derivatives of the cost by the parameters.
+
+        Raises:
+            UnsupportedRobotError: a parameter that changes the joints of the robot, or a load that is a function.
+        """
+        motion, (by_tau, by_rate, by_base, by_length) = self.plan.motion, self.by
+        along = design_derivatives(designed.robot, motion, self.plan.carriers, designed.names)
+        rate = np.einsum("nimd,ni->nmd", along.W.parameters, motion.xd)
+        gradient: Array = np.einsum("nm,nmd->d", by_tau, along.tau.parameters) + np.einsum("nm,nmd->d", by_rate, rate)
+        if by_base.any():
+            base = base_slopes(self.task.settings, motion, along.base_wrench.parameters, designed.slopes)
+            gradient = gradient + np.einsum("nc,ncd->d", by_base, base)
+        if by_length:
+            lengths = np.array([robot.characteristic_length for robot in designed.increased])
+            gradient = gradient + by_length * (lengths - designed.robot.characteristic_length) / MOVED
+        return read_only(gradient)
+
+
+def follow(task: Task) -> FollowedCost:
+    """Return the cost of following a motion without carriers.
+
+    Raises:
+        InfeasiblePlanError: the motion meets a type II singularity, or has no finite efforts for another reason; or a
+            limit is exceeded.
+    """
+    grid = first_mesh(task.dynamics, task.source, task.settings.dt)
+    if len(grid.singular):
+        raise _without_efforts(float(grid.t[grid.singular[0]]), "meets a type II singularity")
+    # its peaks become nodes
+    grid, fixed = _with_times(grid, intersample_check(_planned(task, grid)).peaks.time)
+    planned = _planned(task, grid)
+    plan = finish_plan(planned)
+    unsolved = np.flatnonzero(~solved_status(plan.sample_status))
+    if len(unsolved):
+        status = SampleStatus(plan.sample_status[unsolved[0]])
+        raise _without_efforts(float(plan.t[unsolved[0]]), f"has no efforts ({status.label})")
+    if plan.status is ResultStatus.UNBOUNDED:
+        at = float(plan.between.time[plan.between.peak.argmax()])
+        raise _without_efforts(at, "has efforts that grow without bound")
+    for event in plan.limits.violated:
+        raise InfeasiblePlanError(
+            f"{event.carrier} exceeds its {event.quantity} limit of {event.limit:.6g}: {event.value:.6g} at "
+            f"t = {event.worst:.6g} s.",
+            remedy="Move more slowly, widen the limit, or begin with another robot.",
+            constraint=event.quantity,
+            time=event.worst,
+            amount=event.amount,
+        )
+    values, by = _objectives(task, planned, plan, grid, fixed)
+    for name, bound in task.settings.at_most.items():
+        if values[name] > bound:
+            raise InfeasiblePlanError(
+                f"{name} is {values[name]:.6g}, which may be {bound:.6g} at most.",
+                remedy="Raise the bound, or begin with another robot.",
+                constraint="at_most",
+                time=float(plan.t[0]),
+                amount=values[name] - bound,
+            )
+    return FollowedCost(task, plan, values, by)
+
+
+def _without_efforts(t: float, why: str) -> InfeasiblePlanError:
+    return InfeasiblePlanError(
+        f"At t = {t:.6g} s the motion {why}: without carriers nothing makes its efforts finite.",
+        remedy="Keep away from singularities, narrow the ranges of the parameters, or give the robot carriers.",
+        constraint="effort",
+        time=t,
+    )
+
+
+def _with_times(grid: Grid, times: Array) -> tuple[Grid, IntArray]:
+    """Return a grid with nodes at more times, s, except where it has one, and the indices of the nodes it had."""
+    merged = apart(np.concatenate([grid.t, times]))
+    added = merged[~np.isin(merged, grid.t)]
+    finer = with_nodes(grid, np.searchsorted(grid.t, added, side="right") - 1, added, False)
+    return finer, np.flatnonzero(~np.isin(finer.t, added))
+
+
+def _planned(task: Task, grid: Grid) -> PlannedMotion:
+    """Return the motion at nodes, with the efforts that W τ = f determines."""
+    motion = task.source.sample_at(grid.t)
+    ends = np.array([task.source.start, task.source.end])
+    none = PiecewisePolynomial.from_values(ends, np.zeros((1, 1, 0)))
+    return PlannedMotion(
+        task.dynamics,
+        PlanFunctions(task.source, none),
+        task.dynamics.along(motion),
+        CarrierMotion.parked(len(motion), 0),
+        task.settings.limits,
+        FOLLOWED,
+        parameters=task.settings.parameters,
+    )
+
+
+class _Symbols(Quantities):
+    """The quantities of a followed motion as symbols: efforts and rates (M, m), the wrench on the base (M, 6).
+
+    Integrals, rates and ripples are those at the nodes that were there before the peaks of the efforts: a node that
+    moves with the robot would change the error of the trapezoidal rule.
+    """
+
+    def __init__(self, grid: Grid, fixed: IntArray, scales: Scales, tau_target: Array) -> None:
+        super().__init__(np.diff(grid.t[fixed]), scales, tau_target, np.zeros_like(tau_target))
+        self._fixed = fixed.tolist()
+        ca, nodes = casadi(), len(tau_target)
+        self.s = self.sd = self.sdd = self.force = ca.MX(nodes, 0)
+        self.tau, self.actuated_rate = (ca.MX.sym("y", *tau_target.shape) for _ in range(2))
+        self.base, length = ca.MX.sym("base", nodes, 6), ca.MX.sym("length")
+        self.base_force, self.base_moment = self.base[:, :3], self.base[:, 3:]
+        self.scales = replace(scales, length=length)
+
+    def integral(self, integrand: Any) -> Any:
+        """Return ∫ Σ integrand dt by the trapezoidal rule."""
+        return super().integral(integrand[self._fixed, :])
+
+    def rate(self, values: Any) -> Any:
+        """Return the time derivative in each step."""
+        return super().rate(values[self._fixed, :])
+
+    def bending(self, values: Any) -> tuple[Any, Array]:
+        """Return by how much values at inner nodes deviate from the line through both neighbours, and weights."""
+        return super().bending(values[self._fixed, :])
+
+    def absolute(self, values: Any, size: float) -> Any:
+        """Return |values|."""
+        return casadi().fabs(values)
+
+    def largest(self, values: Any, size: float) -> Any:
+        """Return the largest |value|."""
+        return casadi().mmax(casadi().fabs(values))
+
+
+def _objectives(
+    task: Task, planned: PlannedMotion, plan: Plan, grid: Grid, fixed: IntArray
+) -> tuple[dict[str, float], tuple[Array, Array, Array, float]]:
+    """Return the objectives by name, and the derivatives of ``FollowedCost.by``."""
+    ca, settings, reduced, robot = casadi(), task.settings, planned.samples.reduced, task.dynamics.robot
+    nodes, n = len(grid.t), robot.n
+    model = CarrierModel(
+        grid.t,
+        reduced.W,
+        reduced.f,
+        np.zeros((nodes, n, 0, TERMS)),
+        np.zeros((nodes, 0)),
+        np.zeros((nodes, 0, TERMS)),
+    )
+    scales = scales_of(model, settings, reduced.row_scale, task.source.end - task.source.start, plan.actuated_rate)
+    named = {**settings.objective, **settings.at_most}
+    lam = settings.lam if "tracking" in named else 0.0
+    target, _ = target_effort(robot, plan.motion, lam, settings.baseline if lam else None)
+    symbols = _Symbols(grid, fixed, scales, target)
+    formulas = {name: OBJECTIVES[name].formula(symbols) for name in named}
+    cost = sum(weight * formulas[name] for name, weight in settings.objective.items())
+    variables = [symbols.tau, symbols.actuated_rate, symbols.base, symbols.scales.length]
+    outputs = [*formulas.values(), *(ca.gradient(cost, variable) for variable in variables)]
+    rest = load_at_rest(task.dynamics, plan.motion, settings.start, settings.base_point)
+    base = shift_moment_point(planned.along.base_wrench(planned.carriers), settings.base_point) - rest
+    values = ca.Function("objectives", variables, outputs).call(
+        [plan.tau, plan.actuated_rate, base, robot.characteristic_length]
+    )
+    by_tau, by_rate, by_base, by_length = (part.full() for part in values[len(formulas) :])
+    found = {name: float(value) for name, value in zip(formulas, values, strict=False)}
+    return found, (by_tau, by_rate, by_base, by_length.item())

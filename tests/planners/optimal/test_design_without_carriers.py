@@ -1,0 +1,192 @@
+"""Robots without carriers designed: a slider-crank against Lagrange's equation by hand, gradients against robots that
+are made anew, optima against a search by brute force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from doc_blocks import blocks_of
+from scipy.optimize import minimize
+
+import redundancy_pin as rp
+from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.planners.optimal.co_design import DesignTask, Search
+from redundancy_pin.trajectory import Line, RestToRest, Trajectory
+
+ROOT = Path(__file__).parents[3]
+CRANK = 0.1
+ACROSS = [[0.15, 0.3], [0.15, 0.55]]
+"""Points of the five-bar on both sides of a type II singularity, m."""
+SLIDER_MASS, ROD_DENSITY, GRAVITY = 2.0, 6.0, 9.81
+"""kg, kg/m, m/s²: those of the file on the page."""
+
+
+@pytest.fixture(scope="module")
+def crank_and_rod(tmp_path_factory: pytest.TempPathFactory) -> rp.Robot:
+    """Return the slider-crank of docs/co_design.md."""
+    folder = tmp_path_factory.mktemp("page")
+    for block in blocks_of(ROOT / "docs" / "co_design.md", "docs/co_design.md"):
+        if "file" in block.marks:
+            path = folder / block.marks["file"]
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(block.text, encoding="utf-8")
+    return rp.load_robot(folder / "crank_and_rod")
+
+
+def turn(duration: float = 1.0) -> Trajectory:
+    return Trajectory(Line([0.0], [2.0 * np.pi]), RestToRest(2.0 * np.pi, duration=duration))
+
+
+def torque(rod: float, counterweight: float, t: np.ndarray, duration: float = 1.0) -> np.ndarray:
+    """Return the crank's torque by M(θ) θ̈ + ½ M'(θ) θ̇² + V'(θ), from the geometry of the slider-crank alone."""
+    u, L = t / duration, 2.0 * np.pi
+    th = L * (10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5)
+    w = L / duration * (30.0 * u**2 - 60.0 * u**3 + 30.0 * u**4)
+    alpha = L / duration**2 * (60.0 * u - 180.0 * u**2 + 120.0 * u**3)
+    r, m = CRANK, ROD_DENSITY * rod
+    s, c = np.sin(th), np.cos(th)
+    sin_b = r * s / rod  # of the rod against x
+    cos_b = np.sqrt(1.0 - sin_b**2)
+    b1 = r * c / (rod * cos_b)
+    b2 = (-r * s / rod + sin_b * b1**2) / cos_b
+    x1, x2 = -r * s - rod * sin_b * b1, -r * c - rod * (cos_b * b1**2 + sin_b * b2)
+    gx1, gx2 = -r * s - rod / 2.0 * sin_b * b1, -r * c - rod / 2.0 * (cos_b * b1**2 + sin_b * b2)
+    gy1, gy2 = rod / 2.0 * cos_b * b1, rod / 2.0 * (cos_b * b2 - sin_b * b1**2)
+    inertia = m * rod**2 / 12.0
+    M = counterweight * r**2 + inertia * b1**2 + m * (gx1**2 + gy1**2) + SLIDER_MASS * x1**2
+    half_dM = inertia * b1 * b2 + m * (gx1 * gx2 + gy1 * gy2) + SLIDER_MASS * x1 * x2
+    return M * alpha + half_dM * w**2 + GRAVITY * (m * gy1 - counterweight * r * c)
+
+
+def peak(rod: float, counterweight: float, samples: int = 4001) -> float:
+    return float(np.abs(torque(rod, counterweight, np.linspace(0.0, 1.0, samples))).max())
+
+
+def cost(task: DesignTask, robot: rp.Robot) -> float:
+    """Return what a task costs by a robot that was made anew."""
+    name = next(key for key, value in robot.parameters.items() if not isinstance(value, (bool, str)))
+    value = float(robot.parameters[name])  # type: ignore[arg-type]
+    search = Search((DesignTask(rp.CompiledDynamics(robot), task.motion, task.options),), {name: (value, value + 1.0)})
+    return float(search.machine(search.start).values[0])
+
+
+def test_least_peak_torque_of_a_slider_crank(crank_and_rod: rp.Robot) -> None:
+    """The example of the page: before, after, and that no length and mass within the bounds is better."""
+    bounds = {"rod_length": (0.2, 0.6), "counterweight": (0.0, 4.0)}
+    result = rp.co_design([(crank_and_rod, turn(), {"objective": "peak"})], bounds)
+    rod, counterweight = result.parameters["rod_length"], result.parameters["counterweight"]
+    assert result.before[0] == pytest.approx(peak(0.4, 0.0), rel=1e-6)
+    assert result.values[0] == pytest.approx(peak(rod, counterweight), rel=1e-6)
+    grid = ((peak(a, b, 401), a, b) for a in np.linspace(0.2, 0.6, 21) for b in np.linspace(0.0, 4.0, 41))
+    best = minimize(lambda z: peak(*z), min(grid)[1:], method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-8})
+    assert best.fun < 0.75 * result.before[0]
+    assert result.values[0] == pytest.approx(best.fun, rel=5e-4)
+    assert result.optimal
+    assert result.at_bounds == ()
+    plan = result.plans[0]
+    assert plan.status.value == "ok"
+    assert plan.robot.arguments["rod_length"] == rod
+    np.testing.assert_allclose(plan.tau[:, 0], torque(rod, counterweight, plan.t), atol=1e-9)
+    assert plan.peak_effort[0] == pytest.approx(result.values[0], rel=1e-9)
+    assert rp.check_plan(plan, rp.RneaDynamics(rp.load_robot_of(plan, crank_and_rod.source))).passed
+
+
+def driven_twice(folder: Path) -> rp.Robot:
+    """Return the four-bar with a second motor at its rocker: two efforts for one degree of freedom."""
+    for path in (ROOT / "models" / "four_bar").iterdir():
+        text = path.read_text(encoding="utf-8").replace("actuated: [crank]", "actuated: [crank, rocker]")
+        (folder / path.name).write_text(text, encoding="utf-8")
+    return rp.load_robot(folder)
+
+
+CASES: dict[str, tuple[tuple[str, ...], Any]] = {
+    "four_bar": (("coupler_length", "rocker_length", "rocker_mass"), turn()),
+    "two motors": (("coupler_length", "rocker_length", "rocker_mass"), turn()),
+    "delta": (
+        ("arm_length", "rod_length", "platform_mass"),
+        rp.trajectory.from_points([[0.1, 0.0, -0.5], [-0.1, 0.1, -0.45]], speed=0.5, ramp_time=0.2),
+    ),
+}
+"""Numbers that are designed, and a motion."""
+
+
+@pytest.mark.parametrize("objective", ["peak", "effort", "energy", "base_wrench", {"peak": 1.0, "effort_rate": 0.01}])
+@pytest.mark.parametrize("name", CASES)
+def test_gradients_against_robots_made_anew(name: str, objective: str | Mapping[str, float], tmp_path: Path) -> None:
+    """Lengths change the joint angles of the same motion; the last digits are those of the differences."""
+    robot = driven_twice(tmp_path) if name == "two motors" else rp.load_robot(name)
+    names, motion = CASES[name]
+    task = DesignTask(rp.CompiledDynamics(robot), motion, {"objective": objective, "mesh": rp.Mesh(dt=0.02)})
+    values = {key: float(robot.parameters[key]) for key in names}  # type: ignore[arg-type]
+    search = Search((task,), {key: (0.5 * value, 2.0 * value) for key, value in values.items()})
+    gradient = search.machine(search.start).gradients[0]
+    size = float(np.abs(gradient * np.array(list(values.values()))).max())
+    for i, (key, value) in enumerate(values.items()):
+        h = 1e-4 * value
+        ends = [cost(task, rp.with_parameters(robot, **{key: value + by})) for by in (h, -h)]  # type: ignore[arg-type]
+        assert gradient[i] == pytest.approx((ends[0] - ends[1]) / (2.0 * h), rel=1e-5, abs=1e-6 * size / value), key
+
+
+@pytest.mark.parametrize("objective", ["peak", "effort", "energy"])
+def test_costs_against_inverse_dynamics(objective: str) -> None:
+    """By another backend, at many samples, by numpy's trapezoidal rule."""
+    robot = rp.load_robot("four_bar")
+    result = Search(
+        (DesignTask(rp.CompiledDynamics(robot), turn(), {"objective": objective}),), {"crank_mass": (0.1, 1.0)}
+    )
+    value = result.machine(result.start).values[0]
+    motion = turn().sample(2e-4 if objective == "peak" else 5e-3)  # integrals by the same rule
+    reduced = rp.RneaDynamics(robot).reduce(motion)
+    tau, rate = rp.distribute(reduced).tau, np.einsum("nim,ni->nm", reduced.W, motion.xd)
+    integrands = {"effort": (tau**2).sum(axis=1), "energy": np.abs(tau * rate).sum(axis=1)}
+    want = np.abs(tau).max() if objective == "peak" else np.trapezoid(integrands[objective], motion.t)
+    assert value == pytest.approx(want, rel=1e-6)
+
+
+def test_least_norm_where_there_are_more_motors_than_degrees_of_freedom(tmp_path: Path) -> None:
+    robot = driven_twice(tmp_path)
+    result = rp.co_design([(robot, turn(), {"objective": "effort"})], {"rocker_mass": (0.3, 0.6)})
+    plan = result.plans[0]
+    designed = rp.with_parameters(robot, **result.parameters)  # type: ignore[arg-type]
+    reduced = rp.RneaDynamics(designed).reduce(plan.motion)
+    tau = np.array([np.linalg.pinv(W) @ f for W, f in zip(reduced.W, reduced.f, strict=True)])
+    np.testing.assert_allclose(plan.tau, tau, atol=1e-9)
+    assert result.parameters["rocker_mass"] == 0.3
+    assert result.at_bounds == ("rocker_mass",)
+
+
+@pytest.mark.parametrize(
+    ("name", "motion", "options", "constraint"),
+    [
+        ("four_bar", turn(), {"limits": rp.Limits(effort=0.5)}, "effort"),
+        ("four_bar", turn(), {"at_most": {"energy": 1.0}}, "at_most"),
+        ("five_bar", None, {}, "effort"),
+    ],
+    ids=["effort", "at_most", "type II"],
+)
+def test_a_robot_that_cannot_carry_out_its_task(name: str, motion: Any, options: Any, constraint: str) -> None:
+    robot = rp.load_robot(name)
+    motion = motion or rp.trajectory.from_points(ACROSS, speed=0.2, ramp_time=0.1)
+    with pytest.raises(InfeasiblePlanError) as raised:
+        rp.co_design([(robot, motion, options)], {next(iter(robot.parameters)): (0.01, 10.0)})
+    assert raised.value.details["constraint"] == constraint
+    assert (name == "five_bar") == ("type II" in raised.value.message)
+
+
+def test_robots_that_do_not_close_are_passed_over(crank_and_rod: rp.Robot) -> None:
+    """A rod that is shorter than the crank cannot turn with it."""
+    task = DesignTask(rp.CompiledDynamics(crank_and_rod), turn(), {"objective": "peak"})
+    search = Search((task,), {"rod_length": (0.05, 0.6)})
+    here = search.machine(search.start)
+    assert search.machine_or_none(np.array([0.0]), here) is None
+    assert search.rejected == 1
+
+
+def test_what_costs_nothing_cannot_be_designed(crank_and_rod: rp.Robot) -> None:
+    with pytest.raises(InputError, match="costs nothing"):
+        rp.co_design([(crank_and_rod, turn(), {"objective": "carrier_force"})], {"rod_length": (0.2, 0.6)})
