@@ -41,9 +41,7 @@ def turning(**options: Any) -> DesignTask:
 
 
 def replanned(task: DesignTask, objective: str, robot: Robot) -> float:
-    plan = rp.plan_whole_trajectory(
-        rp.VirtualWork(robot), task.motion, **in_groups(rp.plan_whole_trajectory, task.options)
-    )
+    plan = rp.plan_whole_trajectory(rp.VirtualWork(robot), task.motion, **task.options)
     return float(plan.diagnostics["objective"][objective])  # type: ignore[index]
 
 
