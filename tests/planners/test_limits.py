@@ -145,7 +145,19 @@ def test_between_samples_the_largest_values_decide():
             most = np.abs(value).max()
             assert worst.amount == pytest.approx((1.0 - part) * most, rel=2e-2)
             assert abs(worst.value) == pytest.approx(most, rel=2e-3)
+            assert np.interp(worst.worst, dense, value) == pytest.approx(worst.value, rel=2e-3)
             assert worst.limit == pytest.approx(np.sign(worst.value) * part * most, rel=1e-9)
+
+
+def test_an_acceleration_that_is_largest_before_a_jump_counts() -> None:
+    """s̈ rises from 0 to 3 m/s² within a second, and is 0 from then on."""
+    cubic = np.zeros((4, 2, 1))
+    cubic[0, 0], cubic[2:, 1, 0] = 0.5, [1.5, 0.5]
+    position = PiecewisePolynomial(np.array([0.0, 1.0, 2.0]), cubic)
+    own = [CarrierLimits(-9.0, 9.0, 9.0, 2.5, np.inf)]
+    (event,), _ = limit_events(motion_quantities(resolved(own), position))
+    assert (event.quantity, event.worst, event.limit) == ("acceleration", 1.0, 2.5)
+    assert event.amount == pytest.approx(0.5)
 
 
 def test_joints_beyond_their_ranges_are_named_with_what_is_too_much():
