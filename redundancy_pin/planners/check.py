@@ -22,7 +22,7 @@ from redundancy_pin.planners.intersample_check import (
     imbalance,
     intersample_check,
 )
-from redundancy_pin.planners.limits import LIMIT_TOLERANCE, QUANTITIES, LimitEvent, LimitReport
+from redundancy_pin.planners.limits import QUANTITIES, LimitEvent, LimitReport
 from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import record_difference, robot_record
@@ -117,8 +117,7 @@ class PlanCheck:
         imbalance: largest |W τ − f| at a sample, relative to the largest f.
         deviations: where the plan says something else; none if it is what it says.
         wider_limits: notes of limits that are wider than the robot's own, in words: a plan is judged by the limits it
-            was made with, which its user may have chosen. Of a main actuator the robot's own limits of effort and
-            speed are noted where the plan exceeds them.
+            was made with, which its user may have chosen.
         closure_rank: "time", s, and pose "x" of each rank loss of the closures on the way: branches meet there, and the
             machine may take another one than the plan.
     """
@@ -192,14 +191,15 @@ def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
         peak_effort=again.peak_effort,
         imbalance=float(np.nanmax(unbalanced, initial=0.0)),
         deviations=_deviations(plan, again, unbalanced),
-        wider_limits=_wider_limits(plan, again, dynamics.robot),
+        wider_limits=_wider_limits(plan, dynamics.robot),
         closure_rank=again.findings.closure_rank,
     )
 
 
-def _wider_limits(plan: Plan, again: Plan, robot: Robot) -> tuple[str, ...]:
-    """Return notes of limits that are wider than the robot's own; ``again`` is the plan's evaluation."""
-    own, used = Limits().resolved(robot).bounds, plan.limits.judged_by.bounds
+def _wider_limits(plan: Plan, robot: Robot) -> tuple[str, ...]:
+    """Return notes of limits that are wider than the robot's own."""
+    judged = plan.limits.judged_by
+    own, used = Limits(effort=np.inf).resolved(robot).bounds, judged.bounds
     carriers = (
         f"{name}: judged by a {quantity} of {used[0][i, j]:g} to {used[1][i, j]:g}, the robot's own is "
         f"{own[0][i, j]:g} to {own[1][i, j]:g}."
@@ -207,16 +207,15 @@ def _wider_limits(plan: Plan, again: Plan, robot: Robot) -> tuple[str, ...]:
         for i, quantity in enumerate(QUANTITIES)
         if used[0][i, j] < own[0][i, j] or used[1][i, j] > own[1][i, j]
     )
-    judged, speed = plan.limits.judged_by, robot.model.upperVelocityLimit[robot.actuated_velocity]
-    table = (
-        ("effort", again.peak_effort, np.abs(robot.effort_limits).max(axis=0), judged.effort),
-        ("speed", np.abs(again.actuated_rate).max(axis=0), speed, judged.actuator_speed),
+    declared = (
+        ("effort", np.abs(robot.effort_limits).max(axis=0), judged.effort),
+        ("speed", robot.speed_limits, judged.actuator_speed),
     )
     motors = (
-        f"{name}: judged by {quantity} up to {bound:g}, the robot's own is {most:g}, the plan takes {taken:g}."
-        for quantity, *columns in table
-        for name, taken, most, bound in zip(robot.actuated, *columns, strict=True)
-        if bound > most and taken > most * (1.0 + LIMIT_TOLERANCE)
+        f"{name}: judged by {quantity} up to {bound:g}, the robot's own is {most:g}."
+        for quantity, *columns in declared
+        for name, most, bound in zip(robot.actuated, *columns, strict=True)
+        if bound > most
     )
     return (*carriers, *motors)
 

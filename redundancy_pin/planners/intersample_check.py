@@ -163,6 +163,7 @@ class PlannedMotion:
             ``SingularInstant`` has those that are not prescribed.
         phase: (N,) index into ``phases`` of each sample; None where there is one phase only.
         phases: names of the phases.
+        chooses_timing: whether the planner chose the motion of the platform, and so the rates of the actuators.
         parameters: the planner's parameters, in plain data.
         findings: what the planner found that others read.
         diagnostics: what else it found, in plain data.
@@ -178,6 +179,7 @@ class PlannedMotion:
     singular: IntArray | None = None
     phase: IntArray | None = None
     phases: tuple[str, ...] = ("all",)
+    chooses_timing: bool = False
     parameters: Mapping[str, object] = field(default_factory=dict)
     findings: Findings = field(default_factory=Findings)
     diagnostics: Mapping[str, object] = field(default_factory=dict)
@@ -262,7 +264,7 @@ class IntersampleCheck:
         touched: limits that are met, of every quantity.
         middle: (P,) middles of the pieces, s.
         ratio: (P,) largest effort over the largest at the samples.
-        use: (P, c) used fractions of the limits of efforts, forces and rates.
+        use: (P, c) used fractions of the limits of efforts and forces, and of rates where the planner chose them.
     """
 
     peaks: IntersamplePeaks
@@ -358,6 +360,8 @@ def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
     violated, touched = limit_events(rows)
     with np.errstate(invalid="ignore"):  # infinite efforts without a limit
         use = np.nan_to_num(size / np.concatenate([limit for *_, limit in columns]), nan=0.0, posinf=np.inf)
+    if not planned.chooses_timing:
+        use = use[:, : m + k]  # nothing that the planner can change lowers the rates of a given motion
     return IntersampleCheck(
         peaks=peaks,
         violated=violated,

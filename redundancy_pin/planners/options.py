@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Frozen, each, fraction, frozen, positive, require_type, whole
+from redundancy_pin.arrays import Array, Frozen, each, fraction, frozen, positive, require_type, whole
 from redundancy_pin.dynamics.default import DynamicsLike
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.motion import PlatformMotion, require_consistent
@@ -39,7 +39,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Limits(Frozen):
-    """Limits of a plan; what is None is the robot's own, ``numpy.inf`` is no limit.
+    """Limits of a plan; what is None is what the robot declares, ``numpy.inf`` takes a limit away.
 
     Example:
         >>> rp.plan_whole_trajectory("3rrr", motion, limits=rp.Limits(effort=2.5, jerk=200.0))
@@ -66,7 +66,8 @@ class Limits(Frozen):
         """Return them as arrays, with the robot's own by default.
 
         Raises:
-            InputError: a limit that is not positive, a track whose ends are not in order, wrong shapes.
+            InputError: a limit that is not positive, a track whose ends are not in order, wrong shapes; no limit of
+                efforts, where the robot declares one that is not the same both ways.
         """
         own, k = robot.carrier_limits, robot.k
         track = np.array([(limit.lower, limit.upper) for limit in own]).reshape(k, 2)
@@ -83,14 +84,28 @@ class Limits(Frozen):
             "acceleration": [limit.acceleration for limit in own],
             "carrier_force": [limit.force for limit in own],
             "jerk": [np.inf] * k,
-            "effort": [np.inf] * robot.m,
-            "actuator_speed": [np.inf] * robot.m,
+            "effort": (_declared_efforts(robot) if self.effort is None else np.empty(robot.m)).tolist(),
+            "actuator_speed": robot.speed_limits.tolist(),
         }
         for name, given in ((field.name, getattr(self, field.name)) for field in fields(self)[1:]):
             if given is not None:
                 bounds[name] = each(given, name, (len(bounds[name]),), above_zero=True).tolist()
         arrays = {name: frozen(values) for name, values in bounds.items()}
         return ResolvedLimits(robot.carriers, frozen(track), **arrays)
+
+
+def _declared_efforts(robot: Robot) -> Array:
+    """Return (m,) the largest |τ| that a robot declares, N or N·m."""
+    lower, upper = robot.effort_limits
+    for name, least, most in zip(robot.actuated, lower, upper, strict=True):
+        if least != -most:
+            raise InputError(
+                f"The robot declares efforts of {name} from {least:g} to {most:g}; the limit of a plan counts both "
+                "ways.",
+                remedy="Pass the largest |τ|, effort=..., one number or one for each actuator.",
+                name="effort",
+            )
+    return upper
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +155,9 @@ class Objective:
     @classmethod
     def of(cls, objective: str | Mapping[str, float] | Objective) -> Objective:
         """Return the objective that a name or weights stand for."""
+        require_type(
+            objective, (str, Mapping, Objective), "An objective", "Pass a name, weights by name, or Objective."
+        )
         return objective if isinstance(objective, Objective) else cls(objective)
 
 
@@ -204,8 +222,8 @@ def group_of(given: Group | None, kind: type[Group]) -> Group:
     if given is None:
         made: Group = kind()
         return made
-    own = ", ".join(f"{field.name}=..." for field in fields(kind))
-    require_type(given, kind, f"The group {kind.__name__}", f"Pass {kind.__name__}({own}).")
+    name, own = kind.__name__, ", ".join(f"{field.name}=..." for field in fields(kind))
+    require_type(given, kind, f"{name} for {name.lower()}=", f"Pass {name.lower()}={name}({own}).")
     return given
 
 

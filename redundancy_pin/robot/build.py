@@ -93,7 +93,7 @@ def read_robot(
     forces, notes = _forces(declaration, mechanism)
     with _names_of_declaration():
         robot = robot.loaded(*declaration.loads, *forces)
-    return replace(robot, notes=(*sizes, *notes, *mechanism.notes))
+    return replace(robot, notes=(*sizes, *notes, *mechanism.notes, *_zero_limits(robot)))
 
 
 @contextmanager
@@ -280,6 +280,21 @@ def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
         entry.acceleration or unknown,
         entry.force or (force if 0.0 < force < largest else unknown),
     )
+
+
+def _zero_limits(robot: Robot) -> tuple[str, ...]:
+    """Return a note on main actuators whose limits of effort or speed are zero, which stands for "not known"."""
+    model, at = robot.model, robot.actuated_velocity
+    zero = {
+        "effort": (model.lowerEffortLimit[at] == 0.0) & (model.upperEffortLimit[at] == 0.0),
+        "speed": model.upperVelocityLimit[at] == 0.0,
+    }
+    named = [
+        f"{name} ({' and '.join(kinds)})"
+        for i, name in enumerate(robot.actuated)
+        if (kinds := [kind for kind, is_zero in zero.items() if is_zero[i]])
+    ]
+    return (f"Limits of zero count as not known: {', '.join(named)}.",) if named else ()
 
 
 def _mode(declaration: Declaration, wanted: Sequence[int] | None) -> tuple[int, ...]:

@@ -268,12 +268,22 @@ class Robot(Frozen):
     def effort_limits(self) -> Array:
         """(2, m) smallest and largest efforts of the main actuators, N or N·m, as the file says; infinite for none.
 
-        Nothing is kept within them unless it is asked for: ``rp.distribute(reduced, lower=low, upper=high)``.
+        A URDF's zero stands for "not known". Plans keep to them unless they are given other limits;
+        ``rp.distribute(reduced, lower=low, upper=high)`` does where it is asked to.
         """
         model, columns = self.model, self.actuated_velocity
         limits = np.stack([model.lowerEffortLimit[columns], model.upperEffortLimit[columns]])
         none = np.array([[-np.inf], [np.inf]])
         return frozen(np.where((limits == 0.0).all(axis=0) | (np.abs(limits) >= np.finfo(float).max), none, limits))
+
+    @property
+    def speed_limits(self) -> Array:
+        """(m,) largest rates of the main actuators, m/s or rad/s, as the file says; infinite for none.
+
+        A URDF's zero stands for "not known". Plans keep to them unless they are given other limits.
+        """
+        limits = self.model.upperVelocityLimit[self.actuated_velocity]
+        return frozen(np.where((limits == 0.0) | (limits >= np.finfo(float).max), np.inf, limits))
 
     @property
     def constraint_names(self) -> tuple[str, ...]:

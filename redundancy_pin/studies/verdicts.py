@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.planners.limits import LIMIT_TOLERANCE
 from redundancy_pin.planners.plan import Plan
@@ -112,7 +113,7 @@ def judge(cell: Cell, plan: Plan, limits: Mapping[str, float]) -> Cell:
     """Return a cell with what a plan says of it.
 
     A plan that breaks a limit of the carriers, exceeds the limit of the main efforts (``limits``, by name of
-    ``LIMITS``), or needs unbounded ones is none.
+    ``LIMITS``; that of the plan, which is the robot's own, where left out), or needs unbounded ones is none.
     """
     effort, peak = limits.get("max_effort"), float(plan.peak_effort_at_samples.max(initial=0.0))
     cell = replace(cell, dense_ratio=plan.between.ratio, status=plan.status.value)
@@ -122,7 +123,8 @@ def judge(cell: Cell, plan: Plan, limits: Mapping[str, float]) -> Cell:
         )
     between = float(plan.peak_effort.max(initial=0.0))
     cell = replace(cell, peak_effort=between)
-    broken = _broken(plan, peak, effort)
+    most = plan.limits.judged_by.effort if effort is None else np.full(len(plan.robot.actuated), effort)
+    broken = _broken(plan, most)
     if broken:
         _, _, carrier, worst, amount = broken[0]
         names = tuple(dict.fromkeys(name for _, name, *_ in broken))
@@ -130,10 +132,10 @@ def judge(cell: Cell, plan: Plan, limits: Mapping[str, float]) -> Cell:
         message = f"The plan violates limits: {shown}."
         verdict = ResultStatus.INFEASIBLE
         return replace(cell, verdict=verdict, limits=names, carrier=carrier, time=worst, amount=amount, message=message)
-    if effort is not None and between > effort * (1.0 + LIMIT_TOLERANCE):
+    if (plan.peak_effort > most * (1.0 + LIMIT_TOLERANCE)).any():
         message = f"Between the nodes the efforts reach {between:.4g}: not resolved."
         return replace(cell, verdict=ResultStatus.UNRESOLVED, message=message)
-    cell = replace(cell, limits=_binding(plan, between, effort, limits.get("max_jerk")))
+    cell = replace(cell, limits=_binding(plan, most, limits.get("max_jerk")))
     if plan.status is ResultStatus.UNRESOLVED:
         # the peak of the continuous motion is known, and is what the limit is compared with
         limit = "no limit of the efforts is given" if effort is None else f"the limit is {effort:.4g}"
@@ -167,22 +169,29 @@ def judge_error(cell: Cell, error: Exception) -> Cell:
     )
 
 
-def _broken(plan: Plan, peak: float, effort: float | None) -> list[tuple[float, str, str, float, float]]:
-    """Return relative excess, quantity, whose, when and amount of every limit that is broken, the worst first."""
+def _broken(plan: Plan, most: Array) -> list[tuple[float, str, str, float, float]]:
+    """Return relative excess, quantity, whose, when and amount of every limit that is broken, the worst first.
+
+    ``most`` (m,) limits of the main efforts, N or N·m.
+    """
     broken = [
         (event.amount / max(abs(event.limit), 1e-12), event.quantity, event.carrier, event.worst, event.amount)
         for event in plan.limits.violated
         if event.quantity != "effort"  # judged below; between the nodes it says that the plan is not resolved
     ]
-    if effort is not None and peak > effort * (1.0 + LIMIT_TOLERANCE):
-        i, j = np.unravel_index(int(np.nanargmax(np.abs(plan.tau))), plan.tau.shape)
-        excess, which = peak - effort, plan.robot.actuated[int(j)]
-        broken.append((excess / effort, "effort", which, float(plan.t[i]), excess))
+    use = np.nan_to_num(np.abs(plan.tau) / most)
+    if use.max(initial=0.0) > 1.0 + LIMIT_TOLERANCE:
+        i, j = np.unravel_index(int(use.argmax()), use.shape)
+        excess, which = float((use[i, j] - 1.0) * most[j]), plan.robot.actuated[int(j)]
+        broken.append((float(use[i, j]) - 1.0, "effort", which, float(plan.t[i]), excess))
     return sorted(broken, reverse=True)
 
 
-def _binding(plan: Plan, peak: float, effort: float | None, jerk: float | None) -> tuple[str, ...]:
-    """Return the limits of which a plan uses all but a thousandth, the one most used first."""
+def _binding(plan: Plan, effort: Array, jerk: float | None) -> tuple[str, ...]:
+    """Return the limits of which a plan uses all but a thousandth, the one most used first.
+
+    ``effort`` (m,) limits of the main efforts, N or N·m; ``jerk`` of the carriers, m/s³.
+    """
     s = plan.carriers
     limits = plan.limits.judged_by
     lower, upper = limits.track.T
@@ -191,7 +200,7 @@ def _binding(plan: Plan, peak: float, effort: float | None, jerk: float | None) 
         "speed": np.abs(s.sd) / limits.speed,
         "acceleration": np.abs(s.sdd) / limits.acceleration,
         "force": np.abs(plan.carrier_force) / limits.carrier_force,
-        "effort": np.array([peak / effort if effort else 0.0]),
+        "effort": plan.peak_effort / effort,
     }
     if jerk:
         h = np.diff(plan.t)[:, None]

@@ -17,6 +17,8 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, reference
 
 NAN, INF = np.nan, np.inf
+SHORT, WEAK = rp.Limits(track=(-0.16, 0.16)), rp.Limits(effort=3.03)
+FREE = rp.Limits(effort=INF, actuator_speed=INF)
 CIRCLE, CORNER = reference.circle(), reference.corner()
 BARE = rp.VirtualWork(zoo.robot_of("3rrr", carriers=False))
 
@@ -115,7 +117,7 @@ SETTINGS: list[tuple[str, Callable[[], object]]] = [
     ("objectives to bounds", lambda: rp.plan_whole_trajectory(two(), CIRCLE, at_most="effort")),  # type: ignore[arg-type]
     ("mesh", lambda: rp.plan_whole_trajectory(two(), CIRCLE, mesh=0.01)),  # type: ignore[arg-type]
     ("limits", lambda: rp.plan_whole_trajectory(two(), CIRCLE, limits={"speed": 1.0})),  # type: ignore[arg-type]
-    ("effort", lambda: rp.plan_time_optimal(BARE, CORNER.path)),
+    ("effort", lambda: rp.plan_time_optimal(BARE, CORNER.path, limits=FREE)),
     ("begin", lambda: rp.plan_time_optimal(BARE, CORNER.path, limits=rp.Limits(effort=3.0), begin="anyhow")),  # type: ignore[arg-type]
     ("closed", lambda: rp.plan_time_optimal(BARE, CORNER.path, limits=rp.Limits(effort=3.0), lap=True)),
     ("effort", lambda: rp.plan_time_optimal(BARE, CORNER.path, limits=rp.Limits(effort=-1.0))),
@@ -188,8 +190,8 @@ REFUSED: dict[str, Row] = {
     ),
     "stepwise: no return": (  # it starts at the speed limit with the carriers still accelerating outwards
         "No return", InfeasiblePlanError, {},
-        lambda: rp.plan_stepwise(three(), samples(), active="accelerating", return_time="shortest", limits=rp.Limits(track=(-0.16, 0.16))),
-        lambda: rp.plan_stepwise(three(), samples(), active="accelerating", return_time=0.4, limits=rp.Limits(track=(-0.16, 0.16))),
+        lambda: rp.plan_stepwise(three(), samples(), active="accelerating", return_time="shortest", limits=SHORT),
+        lambda: rp.plan_stepwise(three(), samples(), active="accelerating", return_time=0.4, limits=SHORT),
     ),
     "stepwise: a platform that moves on": (
         "platform moves on", InfeasiblePlanError, {"constraint": "rest"},
@@ -224,22 +226,33 @@ REFUSED: dict[str, Row] = {
     ),
     "whole: no time": (
         "time ran out", InfeasiblePlanError, {"constraint": "seconds"},
-        lambda: rp.plan_whole_trajectory(two(), CIRCLE, objective="peak", mesh=rp.Mesh(dt=0.05), solver=rp.Solver(seconds=1e-3)),
+        lambda: rp.plan_whole_trajectory(
+            two(), CIRCLE, objective="peak", mesh=rp.Mesh(dt=0.05), solver=rp.Solver(seconds=1e-3)
+        ),
         None,
     ),
     "least time: weight beyond the efforts": (
         "effort", InfeasiblePlanError, {"constraint": "effort"},
-        lambda: rp.plan_time_optimal(rp.RneaDynamics(zoo.robot_of("3rrr", carriers=False, gravity=(0.0, -9.81, 0.0))), CORNER.path, limits=rp.Limits(effort=3.03), mesh=rp.Mesh(steps=6)),
+        lambda: rp.plan_time_optimal(
+            rp.RneaDynamics(zoo.robot_of("3rrr", carriers=False, gravity=(0.0, -9.81, 0.0))),
+            CORNER.path, limits=WEAK, mesh=rp.Mesh(steps=6),
+        ),
         None,
     ),
     "least time: dry friction": (
         "dry friction and loads that depend on time", UnsupportedRobotError, {},
-        lambda: rp.plan_time_optimal(rp.RneaDynamics(zoo.robot_of("3rrr", carriers=False).loaded(rp.JointForces("base_1", friction=1.0))), CORNER.path, limits=rp.Limits(effort=3.03), mesh=rp.Mesh(steps=20)),
+        lambda: rp.plan_time_optimal(
+            rp.RneaDynamics(zoo.robot_of("3rrr", carriers=False).loaded(rp.JointForces("base_1", friction=1.0))),
+            CORNER.path, limits=WEAK, mesh=rp.Mesh(steps=20),
+        ),
         None,
     ),
     "least time: a load that depends on time": (
         "dry friction and loads that depend on time", UnsupportedRobotError, {},
-        lambda: rp.plan_time_optimal(rp.RneaDynamics(zoo.robot_of("3rrr", carriers=False).loaded(rp.Wrench("platform", gust))), CORNER.path, limits=rp.Limits(effort=3.03), mesh=rp.Mesh(steps=20)),
+        lambda: rp.plan_time_optimal(
+            rp.RneaDynamics(zoo.robot_of("3rrr", carriers=False).loaded(rp.Wrench("platform", gust))),
+            CORNER.path, limits=WEAK, mesh=rp.Mesh(steps=20),
+        ),
         None,
     ),
 }  # fmt: skip

@@ -87,6 +87,9 @@ SPEEDS = np.geomspace(1e-3, 1e3, 121)
 USED = 0.9
 """Largest share of the limits of efforts and rates that the first guess may take."""
 
+FAR = 100.0
+"""Limit of an effort over the size of efforts, from which it is not the size of efforts: the rates limit the time."""
+
 AT_REST = 1.05
 """The same, of the least share at any speed, which may be more than ``USED`` where the robot carries its weight."""
 
@@ -150,8 +153,8 @@ def _scales(
     at_speed = at_pace(model, _powers(np.full(len(model.t), speed), acceleration))
     duration = 0.5 * np.pi * length / speed
     scales = scales_of(at_speed, settings, parked.row_scale, duration, np.ones((1, 1)))
-    finite = settings.limits.effort[np.isfinite(settings.limits.effort)]
-    tau = float(finite.min()) if len(finite) else scales.tau
+    near = settings.limits.effort[settings.limits.effort < FAR * scales.tau]
+    tau = float(near.min()) if len(near) else scales.tau
     return replace(scales, tau=tau, row=scales.row * max(1.0, tau / scales.tau))
 
 

@@ -71,6 +71,7 @@ class Planning:
             prescribed=prescribed,
             singular=nodes.singular,
             phases=PHASES,
+            chooses_timing=problem.timing is not None,
         )
 
 
