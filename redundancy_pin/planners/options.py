@@ -96,8 +96,7 @@ class Limits(Frozen):
 
 def _declared_efforts(robot: Robot) -> Array:
     """Return (m,) the largest |τ| that a robot declares, N or N·m."""
-    lower, upper = robot.effort_limits
-    for name, least, most in zip(robot.actuated, lower, upper, strict=True):
+    for name, (least, most) in zip(robot.actuated, robot.effort_limits.T.tolist(), strict=True):
         if least != -most:
             raise InputError(
                 f"The robot declares efforts of {name} from {least:g} to {most:g}; the limit of a plan counts both "
@@ -105,7 +104,8 @@ def _declared_efforts(robot: Robot) -> Array:
                 remedy="Pass the largest |τ|, effort=..., one number or one for each actuator.",
                 name="effort",
             )
-    return upper
+    largest: Array = robot.effort_limits[1]
+    return largest
 
 
 @dataclass(frozen=True, eq=False)
