@@ -14,6 +14,7 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError, RedundancyPinError, UnsupportedRobotError
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, reference
 
 NAN, INF = np.nan, np.inf
@@ -296,7 +297,7 @@ def test_carriers_without_mass_are_one_clear_error(backend: Any) -> None:
         robot = zoo.robot_of(name, carrier_mass=0.0)
         for plan in (rp.plan_stepwise, rp.plan_switch_off, rp.plan_whole_trajectory):
             with pytest.raises(UnsupportedRobotError, match="no mass") as caught:
-                plan(backend(robot), motion, dt=0.02)
+                plan(backend(robot), motion, **in_groups(plan, {"dt": 0.02}))
             assert caught.value.details["carriers"] == robot.carriers
 
 
