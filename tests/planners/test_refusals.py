@@ -18,7 +18,6 @@ from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, reference
 
 NAN, INF = np.nan, np.inf
-SHORT, WEAK = rp.Limits(track=(-0.16, 0.16)), rp.Limits(effort=3.03)
 FREE = rp.Limits(effort=INF, actuator_speed=INF)
 CIRCLE, CORNER = reference.circle(), reference.corner()
 BARE = rp.VirtualWork(zoo.robot_of("3rrr", carriers=False))
@@ -143,120 +142,178 @@ Row = tuple[str, type[RedundancyPinError], dict[str, Any], Callable[[], object],
 
 REFUSED: dict[str, Row] = {
     "stepwise: no carriers": (
-        "no carriers", UnsupportedRobotError, {}, lambda: rp.plan_stepwise(BARE, samples()), None,
+        "no carriers",
+        UnsupportedRobotError,
+        {},
+        lambda: rp.plan_stepwise(BARE, samples()),
+        None,
     ),
     "switch off: no carriers": (
-        "carrier", UnsupportedRobotError, {}, lambda: rp.plan_switch_off(two(carriers=False), CIRCLE), None,
+        "carrier",
+        UnsupportedRobotError,
+        {},
+        lambda: rp.plan_switch_off(two(carriers=False), CIRCLE),
+        None,
     ),
     "whole: no carriers": (
-        "no carriers", UnsupportedRobotError, {}, lambda: rp.plan_whole_trajectory(two(carriers=False), CIRCLE), None,
+        "no carriers",
+        UnsupportedRobotError,
+        {},
+        lambda: rp.plan_whole_trajectory(two(carriers=False), CIRCLE),
+        None,
     ),
     "stepwise: start off the track": (
-        "off its track", InfeasiblePlanError, {"carrier": "carrier_2", "amount": pytest.approx(0.2)},
+        "off its track",
+        InfeasiblePlanError,
+        {"carrier": "carrier_2", "amount": pytest.approx(0.2)},
         lambda: rp.plan_stepwise(three(), samples(), start=(0.0, 1.2, 0.0)),
         None,
     ),
     "switch off: datum off the track": (
-        r"puts carrier_2 at .* off its track", InfeasiblePlanError, {"amount": pytest.approx(0.05)},
+        r"puts carrier_2 at .* off its track",
+        InfeasiblePlanError,
+        {"amount": pytest.approx(0.05)},
         lambda: rp.plan_switch_off(two(), CIRCLE, datum=[0.0, -0.25]),
         None,
     ),
     "stepwise: across a singularity": (
-        "type II", InfeasiblePlanError, {"constraint": "margin", "time": pytest.approx(0.67, abs=0.28)},
+        "type II",
+        InfeasiblePlanError,
+        {"constraint": "margin", "time": pytest.approx(0.67, abs=0.28)},
         lambda: rp.plan_stepwise(two(), CIRCLE.sample(0.01, two_sided=False)),
         lambda: rp.plan_switch_off(two(), CIRCLE, dt=0.01),
     ),
     "stepwise: across a spatial one": (  # half way, at 90 degrees of yaw
-        "plan_whole_trajectory", InfeasiblePlanError, {"time": pytest.approx(0.5)},
+        "plan_whole_trajectory",
+        InfeasiblePlanError,
+        {"time": pytest.approx(0.5)},
         lambda: rp.plan_stepwise(
-            rp.RneaDynamics(zoo.robot_of("gough", carriers=True)), reference.pose(yawed(70.0), yawed(110.0), 1.0),
+            rp.RneaDynamics(zoo.robot_of("gough", carriers=True)),
+            reference.pose(yawed(70.0), yawed(110.0), 1.0),
             dt=0.05,
         ),
         None,
     ),
     "stepwise: across one between samples": (  # y = 0 is the line between the two bases: it starts at 0.4 m
-        "crosses a type II singularity between", InfeasiblePlanError, {"time": pytest.approx(2.2, abs=0.5)},
+        "crosses a type II singularity between",
+        InfeasiblePlanError,
+        {"time": pytest.approx(2.2, abs=0.5)},
         lambda: rp.plan_stepwise(two(), reference.line(speed=0.2).sample(0.5, two_sided=False)),
         None,
     ),
     "stepwise: margin": (
-        "too close", InfeasiblePlanError, {"constraint": "margin", "margin": pytest.approx(0.45, abs=0.45)},
+        "too close",
+        InfeasiblePlanError,
+        {"constraint": "margin", "margin": pytest.approx(0.45, abs=0.45)},
         lambda: rp.plan_stepwise(three(), samples(), least_margin=0.9),
         lambda: rp.plan_stepwise(three(), samples()),
     ),
     "stepwise: a box is empty": (
-        "beyond the end of its track", InfeasiblePlanError, {"constraint": "track", "time": pytest.approx(0.4, 1.0)},
+        "beyond the end of its track",
+        InfeasiblePlanError,
+        {"constraint": "track", "time": pytest.approx(0.4, 1.0)},
         lambda: rp.plan_stepwise(three(), samples(), anticipate=False, limits=rp.Limits(track=(-0.1, 0.1))),
         lambda: rp.plan_stepwise(three(), samples(), anticipate=True, limits=rp.Limits(track=(-0.1, 0.1))),
     ),
     "stepwise: no return": (  # it starts at the speed limit with the carriers still accelerating outwards
-        "No return", InfeasiblePlanError, {},
-        lambda: rp.plan_stepwise(three(), samples(), active="accelerating", return_time="shortest", limits=SHORT),
-        lambda: rp.plan_stepwise(three(), samples(), active="accelerating", return_time=0.4, limits=SHORT),
+        "No return",
+        InfeasiblePlanError,
+        {},
+        lambda: rp.plan_stepwise(
+            three(), samples(), active="accelerating", return_time="shortest", limits=rp.Limits(track=(-0.16, 0.16))
+        ),
+        lambda: rp.plan_stepwise(
+            three(), samples(), active="accelerating", return_time=0.4, limits=rp.Limits(track=(-0.16, 0.16))
+        ),
     ),
     "stepwise: a platform that moves on": (
-        "platform moves on", InfeasiblePlanError, {"constraint": "rest"},
+        "platform moves on",
+        InfeasiblePlanError,
+        {"constraint": "rest"},
         lambda: rp.plan_stepwise(three(), samples(70)),
         lambda: rp.plan_stepwise(three(), samples(70), stop="within"),
     ),
     "stepwise: an unfinished return": (
-        "must be stopped", InfeasiblePlanError, {"constraint": "rest"},
+        "must be stopped",
+        InfeasiblePlanError,
+        {"constraint": "rest"},
         lambda: rp.plan_stepwise(three(), samples(50), active="accelerating", return_time=0.5, stop="within"),
         lambda: rp.plan_stepwise(three(), samples(50), active="accelerating", return_time=0.05, stop="within"),
     ),
     "switch off: a window at the start": (
-        "motion begins", InfeasiblePlanError, {"constraint": "ramp_down", "amount": pytest.approx(0.03)},
+        "motion begins",
+        InfeasiblePlanError,
+        {"constraint": "ramp_down", "amount": pytest.approx(0.03)},
         lambda: rp.plan_switch_off(two(), along((0.2, 0.02), (0.2, 0.4))),
         None,
     ),
     "switch off: a window at the end": (
-        "ends", InfeasiblePlanError,
+        "ends",
+        InfeasiblePlanError,
         {"constraint": "window_end", "time": pytest.approx(along((0.2, 0.4), (0.2, 0.02)).duration)},
         lambda: rp.plan_switch_off(two(), along((0.2, 0.4), (0.2, 0.02))),
         None,
     ),
     "switch off: no return on the track": (
-        "track", InfeasiblePlanError, {"carrier": "carrier_1"},
+        "track",
+        InfeasiblePlanError,
+        {"carrier": "carrier_1"},
         lambda: rp.plan_switch_off(two(), CIRCLE, return_time="shortest"),
         lambda: rp.plan_switch_off(two(), CIRCLE, return_time="shortest", threshold=10.0),
     ),
     "switch off: a runaway": (  # gravity in the plane
-        r"Carrier [12] runs away", InfeasiblePlanError, {"constraint": "carrier_motion"},
+        r"Carrier [12] runs away",
+        InfeasiblePlanError,
+        {"constraint": "carrier_motion"},
         lambda: rp.plan_switch_off(two(gravity=(0.0, -9.81, 0.0)), CIRCLE),
         None,
     ),
     "whole: no time": (
-        "time ran out", InfeasiblePlanError, {"constraint": "seconds"},
+        "time ran out",
+        InfeasiblePlanError,
+        {"constraint": "seconds"},
         lambda: rp.plan_whole_trajectory(
             two(), CIRCLE, objective="peak", mesh=rp.Mesh(dt=0.05), solver=rp.Solver(seconds=1e-3)
         ),
         None,
     ),
     "least time: weight beyond the efforts": (
-        "effort", InfeasiblePlanError, {"constraint": "effort"},
+        "effort",
+        InfeasiblePlanError,
+        {"constraint": "effort"},
         lambda: rp.plan_time_optimal(
             rp.RneaDynamics(zoo.robot_of("3rrr", carriers=False, gravity=(0.0, -9.81, 0.0))),
-            CORNER.path, limits=WEAK, mesh=rp.Mesh(steps=6),
+            CORNER.path,
+            limits=rp.Limits(effort=3.03),
+            mesh=rp.Mesh(steps=6),
         ),
         None,
     ),
     "least time: dry friction": (
-        "dry friction and loads that depend on time", UnsupportedRobotError, {},
+        "dry friction and loads that depend on time",
+        UnsupportedRobotError,
+        {},
         lambda: rp.plan_time_optimal(
             rp.RneaDynamics(zoo.robot_of("3rrr", carriers=False).loaded(rp.JointForces("base_1", friction=1.0))),
-            CORNER.path, limits=WEAK, mesh=rp.Mesh(steps=20),
+            CORNER.path,
+            limits=rp.Limits(effort=3.03),
+            mesh=rp.Mesh(steps=20),
         ),
         None,
     ),
     "least time: a load that depends on time": (
-        "dry friction and loads that depend on time", UnsupportedRobotError, {},
+        "dry friction and loads that depend on time",
+        UnsupportedRobotError,
+        {},
         lambda: rp.plan_time_optimal(
             rp.RneaDynamics(zoo.robot_of("3rrr", carriers=False).loaded(rp.Wrench("platform", gust))),
-            CORNER.path, limits=WEAK, mesh=rp.Mesh(steps=20),
+            CORNER.path,
+            limits=rp.Limits(effort=3.03),
+            mesh=rp.Mesh(steps=20),
         ),
         None,
     ),
-}  # fmt: skip
+}
 """What the message says, the error, its details, the call, and one that follows the remedy."""
 
 
