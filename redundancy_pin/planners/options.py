@@ -96,8 +96,7 @@ class Limits(Frozen):
 
 def _declared_efforts(robot: Robot) -> Array:
     """Return (m,) the largest |τ| that a robot declares, N or N·m."""
-    lower, upper = robot.effort_limits
-    for name, least, most in zip(robot.actuated, lower, upper, strict=True):
+    for name, (least, most) in zip(robot.actuated, robot.effort_limits.T.tolist(), strict=True):
         if least != -most:
             raise InputError(
                 f"The robot declares efforts of {name} from {least:g} to {most:g}; the limit of a plan counts both "
@@ -105,7 +104,8 @@ def _declared_efforts(robot: Robot) -> Array:
                 remedy="Pass the largest |τ|, effort=..., one number or one for each actuator.",
                 name="effort",
             )
-    return upper
+    largest: Array = robot.effort_limits[1]
+    return largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +155,9 @@ class Objective:
     @classmethod
     def of(cls, objective: str | Mapping[str, float] | Objective) -> Objective:
         """Return the objective that a name or weights stand for."""
+        require_type(
+            objective, (str, Mapping, Objective), "An objective", "Pass a name, weights by name, or Objective."
+        )
         return objective if isinstance(objective, Objective) else cls(objective)
 
 
@@ -219,8 +222,8 @@ def group_of(given: Group | None, kind: type[Group]) -> Group:
     if given is None:
         made: Group = kind()
         return made
-    own = ", ".join(f"{field.name}=..." for field in fields(kind))
-    require_type(given, kind, f"The group {kind.__name__}", f"Pass {kind.__name__}({own}).")
+    name, own = kind.__name__, ", ".join(f"{field.name}=..." for field in fields(kind))
+    require_type(given, kind, f"{name} for {name.lower()}=", f"Pass {name.lower()}={name}({own}).")
     return given
 
 

@@ -191,32 +191,3 @@ def test_updates_on_line_keep_declared_efforts() -> None:
     bound = updated(declaring(effort=0.8 * free))
     assert bound <= 0.8 * free * 1.001
     assert bound == updated(declaring(), limits=rp.Limits(effort=0.8 * free))
-
-
-# --- fields that a planner does not take ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("plan", "message"),
-    [
-        (lambda: planned("stepwise", declaring(), limits=rp.Limits(jerk=100.0)), "jerk does not apply"),
-        (lambda: planned("stepwise", declaring(), objective=rp.Objective(calm=0.1)), "calm does not apply"),
-        (lambda: planned("stepwise", declaring(), objective=rp.Objective(base_point=(0.0,) * 3)), "base_point does"),
-        (lambda: planned("stepwise", declaring(), objective="peak"), "objective is"),
-        (lambda: planned("stepwise", declaring(), objective={"effort": 1.0, "tracking": 1.0}), "one objective"),
-        (lambda: planned("whole trajectory", declaring(), limits={"effort": 1.0}), "The group Limits"),
-        (lambda: planned("switch off", declaring(name="2rpr"), limits=3.0), "The group Limits"),
-        (lambda: rp.RecedingHorizon(declaring(), limits=3.0), "The group Limits"),
-        (lambda: rp.RecedingHorizon(declaring(), objective=rp.Objective()), "objective is"),
-        (lambda: timed(mesh=rp.Mesh(dt=0.1)), "dt does not apply"),
-        (lambda: timed(solver=rp.Solver(starts=2)), "starts does not apply"),
-        (lambda: timed(solver=5.0), "The group Solver"),
-    ],
-)
-def test_fields_that_a_planner_does_not_take_are_named(plan: Any, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        plan()
-
-
-def timed(**options: Any) -> Plan:
-    return rp.plan_time_optimal(rp.VirtualWork(declaring()), reference.corner().path, **options)

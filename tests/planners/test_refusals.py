@@ -14,9 +14,11 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError, RedundancyPinError, UnsupportedRobotError
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, reference
 
 NAN, INF = np.nan, np.inf
+FREE = rp.Limits(effort=INF, actuator_speed=INF)
 CIRCLE, CORNER = reference.circle(), reference.corner()
 BARE = rp.VirtualWork(zoo.robot_of("3rrr", carriers=False))
 
@@ -115,7 +117,7 @@ SETTINGS: list[tuple[str, Callable[[], object]]] = [
     ("objectives to bounds", lambda: rp.plan_whole_trajectory(two(), CIRCLE, at_most="effort")),  # type: ignore[arg-type]
     ("mesh", lambda: rp.plan_whole_trajectory(two(), CIRCLE, mesh=0.01)),  # type: ignore[arg-type]
     ("limits", lambda: rp.plan_whole_trajectory(two(), CIRCLE, limits={"speed": 1.0})),  # type: ignore[arg-type]
-    ("effort", lambda: rp.plan_time_optimal(BARE, CORNER.path)),
+    ("effort", lambda: rp.plan_time_optimal(BARE, CORNER.path, limits=FREE)),
     ("begin", lambda: rp.plan_time_optimal(BARE, CORNER.path, limits=rp.Limits(effort=3.0), begin="anyhow")),  # type: ignore[arg-type]
     ("closed", lambda: rp.plan_time_optimal(BARE, CORNER.path, limits=rp.Limits(effort=3.0), lap=True)),
     ("effort", lambda: rp.plan_time_optimal(BARE, CORNER.path, limits=rp.Limits(effort=-1.0))),
@@ -352,7 +354,7 @@ def test_carriers_without_mass_are_one_clear_error(backend: Any) -> None:
         robot = zoo.robot_of(name, carrier_mass=0.0)
         for plan in (rp.plan_stepwise, rp.plan_switch_off, rp.plan_whole_trajectory):
             with pytest.raises(UnsupportedRobotError, match="no mass") as caught:
-                plan(backend(robot), motion, dt=0.02)
+                plan(backend(robot), motion, **in_groups(plan, {"dt": 0.02}))
             assert caught.value.details["carriers"] == robot.carriers
 
 

@@ -1,0 +1,95 @@
+"""Options of planners in groups: what each group checks, and what a planner does not take of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import zoo
+
+import redundancy_pin as rp
+from redundancy_pin.errors import InputError
+from redundancy_pin.studies.case import in_groups
+from redundancy_pin.trajectory import reference
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: rp.Mesh(0.0), "dt"),
+        (lambda: rp.Mesh(refinements=31), "refinements"),
+        (lambda: rp.Mesh(steps=3), "steps"),
+        (lambda: rp.Solver(starts=0), "starts"),
+        (lambda: rp.Solver(seconds=0.0), "seconds"),
+        (lambda: rp.Objective(lam=1.1), "lam"),
+        (lambda: rp.Objective(calm=-0.1), "calm"),
+        (lambda: rp.Objective(base_point=(0.0, 0.0)), "base_point"),
+        (lambda: rp.Objective("effort", lam=0.5), "tracking"),
+        (lambda: rp.Objective({"effort": 1.0}, baseline="3rrr"), "tracking"),
+    ],
+)
+def test_a_group_checks_its_numbers(make: Callable[[], object], name: str) -> None:
+    with pytest.raises(InputError, match=name):
+        make()
+
+
+def test_lam_and_baseline_ask_for_tracking() -> None:
+    assert rp.Objective(lam=0.5, baseline="3rrr").weights == "tracking"
+    assert rp.Objective(baseline="3rrr").weights == "tracking"
+    assert rp.Objective().weights == "effort"
+    assert rp.Objective("peak").weights == "peak"
+
+
+def test_flags_and_files_write_fields_of_groups_one_by_one() -> None:
+    """Each field goes to the group that the planner takes, and keywords of its own stay."""
+    flat = {"dt": 0.02, "refinements": 1, "starts": 2, "effort": 3.0, "end": "free", "objective": "peak", "calm": 0.0}
+    grouped = in_groups(rp.plan_whole_trajectory, flat)
+    assert (grouped["mesh"], grouped["solver"], grouped["end"]) == (rp.Mesh(0.02, 1), rp.Solver(2), "free")
+    assert (grouped["limits"].effort, grouped["limits"].speed) == (3.0, None)
+    assert (grouped["objective"].weights, grouped["objective"].calm) == ("peak", 0.0)
+    assert len(grouped) == 5
+    assert in_groups(rp.plan_switch_off, {"dt": 0.02}) == {"dt": 0.02}  # the distance of its samples
+    assert in_groups(rp.plan_stepwise, {"lam": 0.5, "dt": 0.1})["objective"].weights == "tracking"
+    assert in_groups(rp.plan_time_optimal, {"steps": 50})["mesh"] == rp.Mesh(steps=50)
+    assert in_groups(rp.plan_time_optimal, {"unknown": 1}) == {"unknown": 1}
+
+
+def three() -> rp.VirtualWork:
+    return rp.VirtualWork(zoo.robot_of("3rrr"))
+
+
+def whole(**options: Any) -> object:
+    return rp.plan_whole_trajectory(three(), reference.corner(), **options)
+
+
+def stepwise(**options: Any) -> object:
+    return rp.plan_stepwise(three(), reference.corner(), **options)
+
+
+def timed(**options: Any) -> object:
+    return rp.plan_time_optimal(three(), reference.corner().path, **options)
+
+
+@pytest.mark.parametrize(
+    ("plan", "message"),
+    [
+        (lambda: whole(mesh=rp.Mesh(steps=50)), "steps does not apply"),
+        (lambda: whole(limits={"effort": 1.0}), "limits=Limits"),
+        (lambda: whole(objective=5.0), "An objective was expected"),
+        (lambda: timed(mesh=rp.Mesh(dt=0.1)), "dt does not apply"),
+        (lambda: timed(solver=rp.Solver(starts=2)), "starts does not apply"),
+        (lambda: timed(solver=5.0), "solver=Solver"),
+        (lambda: stepwise(limits=rp.Limits(jerk=100.0)), "jerk does not apply"),
+        (lambda: stepwise(objective=rp.Objective(calm=0.1)), "calm does not apply"),
+        (lambda: stepwise(objective=rp.Objective(base_point=(0.0,) * 3)), "base_point does not apply"),
+        (lambda: stepwise(objective="peak"), "objective is"),
+        (lambda: stepwise(objective={"effort": 1.0, "tracking": 1.0}), "one objective"),
+        (lambda: rp.plan_switch_off("2rpr", reference.circle(), limits=3.0), "limits=Limits"),  # type: ignore[arg-type]
+        (lambda: rp.RecedingHorizon("3rrr", limits=3.0), "limits=Limits"),  # type: ignore[arg-type]
+        (lambda: rp.RecedingHorizon("3rrr", objective=rp.Objective()), "objective is"),  # type: ignore[arg-type]
+    ],
+)
+def test_what_a_planner_does_not_take_is_named(plan: Callable[[], object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        plan()
