@@ -6,6 +6,8 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import chebyshev
+from scipy.interpolate import BPoly
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from zoo import robot_of, smooth_motion
 
@@ -13,7 +15,7 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import as_motion
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, preferred_middle
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, first_times
 
 EDGES = np.array([0.7, 0.75, 0.9])
 
@@ -71,6 +73,30 @@ def test_a_function_between_two_times_is_the_same_there(seed):
     np.testing.assert_allclose(behind.at(behind.start), whole.at(edges[-1]), rtol=0.0, atol=1e-13)
 
 
+@examples(40)
+@given(seed=st.integers(0, 10**6), start=st.sampled_from([0.0, -3.0, 1e3]))
+def test_first_times_are_those_of_brentq(seed, start):
+    """Of random functions that rise, with pieces of all widths and a rate of zero at some ends of pieces."""
+    dice = np.random.default_rng(seed)
+    edges = start + np.concatenate([[0.0], np.cumsum(10.0 ** dice.uniform(-3.0, 0.0, 4))])
+    rates = dice.uniform(0.0, 1.0, 5) * dice.integers(0, 2, 5)
+    control = np.zeros((4, 4))
+    for k, width in enumerate(np.diff(edges)):  # Bernstein coefficients that rise make a curve that rises
+        rise = width * np.array([rates[k], dice.uniform(0.1, 1.0), rates[k + 1]]) / 3.0
+        control[:, k] = (control[-1, k - 1] if k else 0.0) + np.concatenate([[0.0], np.cumsum(rise)])
+    curve = BPoly(control, edges)
+    wanted = np.concatenate([dice.uniform(0.0, control[-1, -1], 20), control[0], control[-1, -1:]])
+    found = first_times(curve, wanted)
+    assert found.shape == wanted.shape
+    for value, t in zip(wanted[:20], found[:20], strict=True):
+        expected = brentq(lambda t, value=value: curve(t) - value, *edges[[0, -1]], xtol=1e-300, rtol=9e-16)
+        # next to a rate of zero a rounding of the value moves its time by the square root
+        assert abs(t - expected) <= 1e-7 * np.ptp(edges)
+        assert abs(curve(t) - value) <= 4e-16 * max(value, np.finfo(float).eps) + 1e-15 * np.abs(edges).max()
+    np.testing.assert_array_equal(found[20:], edges)
+    np.testing.assert_array_equal(first_times(curve, [-1.0, 1e9]), edges[[0, -1]])
+
+
 def test_extremes_peaks_and_ranges_against_dense_samples(fitted):
     dense = np.linspace(*EDGES[[0, -1]], 200_001)
     values = fitted(dense)
@@ -98,7 +124,6 @@ def test_a_trajectory_in_polynomials_is_the_trajectory(make):
     for part in ("x", "xd", "xdd"):
         size = np.abs(getattr(theirs, part)).max()
         np.testing.assert_allclose(getattr(mine, part), getattr(theirs, part), rtol=0.0, atol=1e-10 * size)
-    assert len(exact.polynomials.edges) < 200
 
 
 def test_a_held_platform_stays_where_it_is():
@@ -137,19 +162,6 @@ def test_quintics_have_the_given_values_and_derivatives_at_both_ends():
         np.testing.assert_allclose(rate(edges[:-1]), given[order, ::2], rtol=0.0, atol=1e-11)
         # second differences of values of order one over pieces of 0.1 s, one ulp of time before the end
         np.testing.assert_allclose(rate(edges[1:], "left"), given[order, 1::2], rtol=0.0, atol=1e-9)
-
-
-def test_an_interval_is_divided_at_its_most_central_knot_that_is_not_at_an_end():
-    """Whatever the time of day: an end is a thousandth of the interval wide."""
-    left, right = 10.0, 11.0
-    for knots, at in (
-        ([10.01], 10.01),
-        ([10.99], 10.99),
-        ([10.1, 10.4, 10.7], 10.4),
-        ([9.0, 10.0, 10.0009, 10.9991, 11.0, 12.0], 10.5),
-        ([], 10.5),
-    ):
-        assert preferred_middle(left, right, np.array(knots)) == at
 
 
 def tumbling(step):
@@ -199,8 +211,8 @@ def test_poses_that_do_not_say_which_way_they_turn_are_refused():
 
 
 @pytest.mark.parametrize(("start", "length"), [(-1.0, 2.0), (-2.0, 2.0), (0.0, 2.0), (100.0, 2.0), (-1000.0, 2000.0)])
-def test_a_kink_that_is_not_told_is_closed_in_on_to_1e_7_of_the_interval(start, length):
-    """Pieces are halved until they are no wider: the narrowest are between half of that and all of it."""
+def test_a_kink_that_is_not_declared_is_resolved(start, length):
+    """Pieces are halved until they are 1e-7 of the interval wide."""
     kink = start + 0.637 * length
 
     def function(t):
@@ -209,9 +221,6 @@ def test_a_kink_that_is_not_told_is_closed_in_on_to_1e_7_of_the_interval(start, 
     found = PiecewisePolynomial.fit(
         function, np.array([start, start + length]), np.empty(0), lambda values: np.abs(values).max(axis=0), 1e-13
     )
-    widths = np.diff(found.edges) / length
-    assert 0.5e-7 <= widths.min() <= 1e-7
-    assert len(widths) == len(np.unique(found.edges)) - 1
     t = start + length * np.linspace(0.0, 1.0, 201)
     np.testing.assert_allclose(found(t), function(t), atol=1e-6)
 

@@ -116,14 +116,6 @@ def test_knots_that_are_one_but_for_rounding_are_one() -> None:
         assert len(motion.polynomials.edges) > 2  # samples in every piece
 
 
-def test_changes_of_the_rate_begin_and_end_at_knots() -> None:
-    """σ̇ begins to change at 0.2 s and 0.6 s, within 0.3 s and 0.25 s; the motion itself is smooth there."""
-    base = as_motion(reference.circle(speed=0.5))
-    motion = as_motion(ScaledMotion(base, SLOWER))
-    changes = np.array([0.2, 0.5, 0.6, 0.85])
-    assert np.abs(motion.kinks[:, None] - changes).min(axis=0).max() < 1e-12
-
-
 def test_poses_turn_at_the_rates_they_say() -> None:
     start, end = np.eye(4), np.eye(4)
     end[:3, :3], end[:3, 3] = pin.exp3(np.array([0.9, -0.5, 1.1])), (0.1, 0.2, -0.1)

@@ -174,4 +174,3 @@ def test_the_ramp_down_left_out_is_as_said(given, expected):
     end = given.get("end_ramp_time", 0.4)
     duration = 0.4 + (1.0 - up - down) / 0.5 + end
     assert law.duration == pytest.approx(duration, rel=1e-14)
-    np.testing.assert_allclose(law.knots, [0.4, duration - end], rtol=1e-14)

@@ -59,15 +59,6 @@ def test_rates_are_the_derivatives_up_to_the_edge_of_every_break(trajectory, inn
     np.testing.assert_allclose(point.xdd, differentiate(lambda s: trajectory.evaluate(s).xd, t, step), atol=1e-10)
 
 
-def test_a_spline_has_knots_at_its_inner_points():
-    """Two polynomials meet there, and a higher derivative jumps; a rest-to-rest law has no knots of its own."""
-    points = np.array([[0.0, 0.0], [1.0, 0.2], [1.5, 1.0], [0.7, 1.4]])
-    path = through_points(points)
-    trajectory = Trajectory(path, RestToRest(path.length, 3.0, "3-4-5"))
-    away = np.linalg.norm(trajectory.evaluate(trajectory.knots).x[:, None] - points[1:-1], axis=2)
-    assert away.min(axis=0).max() < 1e-9
-
-
 @every_trajectory
 def test_breaks_are_two_sided_and_nothing_else_jumps(trajectory, inner):
     motion = trajectory.sample(1e-3)
