@@ -22,7 +22,6 @@ pytest.importorskip("casadi")
 CENTRE = (np.sqrt(0.75), 0.5, 0.0)
 """Of the base of the 3-RRR, m."""
 
-LIMITS = {"track": (-1.0, 1.0), "speed": 5.0, "acceleration": 20.0}
 MODE = (1, 1, 1)
 
 
@@ -35,7 +34,15 @@ def plan(
     objective: str = "base_wrench", end: str = "free", point: tuple[float, ...] = CENTRE, dt: float = 0.02
 ) -> Plan:
     return plan_whole_trajectory(
-        dynamics(), reference.corner(), objective=objective, base_point=point, end=end, dt=dt, **LIMITS
+        dynamics(),
+        reference.corner(),
+        objective=objective,
+        base_point=point,
+        end=end,
+        dt=dt,
+        track=(-1.0, 1.0),
+        speed=5.0,
+        acceleration=20.0,
     )
 
 
@@ -101,7 +108,16 @@ def test_objectives_are_the_integrals_they_say() -> None:
 def test_weight_that_the_base_carries_anyway_does_not_count() -> None:
     """Gravity across the plane: its force is constant, and carriers cannot balance it."""
     heavy = VirtualWork(zoo.robot_of("3rrr", carrier_mass=3.0, working_mode=MODE, gravity=(0.0, 0.0, -9.81)))
-    made = plan_whole_trajectory(heavy, reference.corner(), objective="base_force", end="datum", dt=0.02, **LIMITS)
+    made = plan_whole_trajectory(
+        heavy,
+        reference.corner(),
+        objective="base_force",
+        end="datum",
+        dt=0.02,
+        track=(-1.0, 1.0),
+        speed=5.0,
+        acceleration=20.0,
+    )
     level = plan("base_force", "datum")
     np.testing.assert_allclose(made.carriers.s, level.carriers.s, atol=1e-7)
     assert peaks(made.base_wrench(heavy))[0] > 100.0
