@@ -24,7 +24,6 @@ pytest.importorskip("casadi")
 CENTRE = (np.sqrt(0.75), 0.5, 0.0)
 """Of the base of the 3-RRR, m."""
 
-LIMITS = {"track": (-1.0, 1.0), "speed": 5.0, "acceleration": 20.0}
 MODE = (1, 1, 1)
 
 
@@ -39,8 +38,13 @@ def plan(
     return plan_whole_trajectory(
         dynamics(),
         reference.corner(),
+        objective=objective,
+        base_point=point,
         end=end,
-        **in_groups(plan_whole_trajectory, dict(objective=objective, base_point=point, dt=dt, **LIMITS)),
+        dt=dt,
+        track=(-1.0, 1.0),
+        speed=5.0,
+        acceleration=20.0,
     )
 
 
@@ -109,8 +113,12 @@ def test_weight_that_the_base_carries_anyway_does_not_count() -> None:
     made = plan_whole_trajectory(
         heavy,
         reference.corner(),
+        objective="base_force",
         end="datum",
-        **in_groups(plan_whole_trajectory, dict(objective="base_force", dt=0.02, **LIMITS)),
+        dt=0.02,
+        track=(-1.0, 1.0),
+        speed=5.0,
+        acceleration=20.0,
     )
     level = plan("base_force", "datum")
     np.testing.assert_allclose(made.carriers.s, level.carriers.s, atol=1e-7)

@@ -35,18 +35,6 @@ def test_jump_has_two_sides():
     assert np.abs(both.f[0] - both.f[1]).max() > 0.1
 
 
-def test_sampled_motion_keeps_both_sides_of_a_jump():
-    trajectory = reference.corner()
-    exact = trajectory.sample(1e-2)
-    t = np.repeat(trajectory.breaks, 2)
-    jump = exact.xdd[np.flatnonzero(exact.jumps)] - exact.xdd[np.flatnonzero(exact.jumps) - 1]
-    motion = as_motion(exact)
-    both = motion.sample_at(t)
-    np.testing.assert_allclose(both.xdd[1::2] - both.xdd[::2], jump, atol=1e-9)  # rounding of x over Δt²
-    np.testing.assert_array_equal(motion.breaks, trajectory.breaks)
-    assert np.abs(jump).max() > 1.0
-
-
 @pytest.mark.parametrize("dt", [1e-4, 1e-2])
 def test_samples_however_dense_give_the_acceleration(dt):
     """Between the samples, on an exact circle: Δt³ x⁗' or the rounding of x over Δt², whichever the form leaves."""

@@ -63,24 +63,6 @@ def test_a_plan_is_what_it_says_to_the_other_backend_before_and_after_a_file(nam
         assert result.imbalance < 1e-6
 
 
-def scaled(field: str, factor: float) -> Callable[[Plan], Plan]:
-    def edit(plan: Plan) -> Plan:
-        values = np.array(getattr(plan, field))
-        values[20:25] *= factor
-        return replace(plan, **{field: values})
-
-    return edit
-
-
-def moved(part: str, by: float) -> Callable[[Plan], Plan]:
-    def edit(plan: Plan) -> Plan:
-        values = np.array(getattr(plan.carriers, part))
-        values[30] += by
-        return replace(plan, carriers=replace(plan.carriers, **{part: values}))
-
-    return edit
-
-
 def with_limits(plan: Plan) -> Plan:
     return with_limit(plan, speed=0.01)
 
@@ -93,20 +75,9 @@ def with_limit(plan: Plan, **limits: float | list[float]) -> Plan:
 
 
 EDITS: dict[str, tuple[Callable[[Plan], Plan], set[str]]] = {
-    "efforts": (scaled("tau", 7.0), {"main efforts"}),
-    "efforts a little": (scaled("tau", 1.0 + 1e-4), {"main efforts"}),
-    "no efforts": (scaled("tau", np.nan), {"main efforts"}),
-    "forces": (scaled("carrier_force", 0.5), {"forces of the carriers"}),
-    "rates": (scaled("actuated_rate", -1.0), {"rates of the main actuators"}),
-    "margins": (scaled("margin", 2.0), {"margin"}),
-    "places": (moved("s", 1e-3), {"main efforts", "forces of the carriers", "carrier motion s"}),
-    "accelerations": (moved("sdd", 1.0), {"main efforts", "forces of the carriers", "carrier motion sdd"}),
+    "no efforts": (lambda plan: replace(plan, tau=np.nan * plan.tau), {"main efforts"}),
     "limits": (with_limits, {"limits", "status"}),
     "status": (lambda plan: replace(plan, status=ResultStatus.LIMIT_VIOLATED), {"status"}),
-    "peak": (
-        lambda plan: replace(plan, between=replace(plan.between, peak=0.5 * plan.between.peak)),
-        {"peak effort"},
-    ),
     "jerk": (lambda plan: with_limit(plan, jerk=0.1), {"limits", "status"}),
 }
 
@@ -116,8 +87,7 @@ def test_an_edited_plan_is_not_what_it_says(name: str, whole: Plan) -> None:
     edit, expected = EDITS[name]
     result = rp.check_plan(edit(whole), other(whole))
     assert not result.passed
-    # a wrong acceleration also needs other efforts than the peak
-    assert expected <= {deviation.quantity for deviation in result.deviations} <= expected | {"peak effort"}
+    assert {deviation.quantity for deviation in result.deviations} == expected
     for deviation in result.deviations:
         assert deviation.message.endswith(".")
         assert np.isnan(deviation.time) or whole.t[0] <= deviation.time <= whole.t[-1]

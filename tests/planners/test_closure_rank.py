@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
-import zoo
-from click.testing import CliRunner
 from flat_linkages import parallelogram
 
 import redundancy_pin as rp
-from redundancy_pin.cli import main
 from redundancy_pin.planners.intersample_check import closure_rank_losses
-from redundancy_pin.status import ResultStatus
-from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import as_motion
 
 DURATION = 2.0
@@ -60,12 +53,3 @@ def test_plans_and_their_check_name_it() -> None:
     result = rp.check_plan(plan, dynamics)
     assert result.passed
     assert result.closure_rank == (loss,)
-
-
-def test_the_shipped_robots_have_none_and_the_command_says_so(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    plan = rp.plan_stepwise(rp.RneaDynamics(zoo.robot_of("3rrr")), reference.corner(), dt=0.02)
-    assert plan.findings.closure_rank == ()
-    assert plan.status is ResultStatus.OK
-    plan.save(tmp_path / "plan.npz")
-    out = CliRunner().invoke(main, ["check", str(tmp_path / "plan.npz"), "--json"])
-    assert json.loads(out.stdout)["closure_rank"] == []

@@ -182,7 +182,7 @@ def test_joints_beyond_their_ranges_are_named_with_what_is_too_much():
 
 
 @cache
-def planned(jerk: float | None = None) -> Plan:
+def planned() -> Plan:
     dynamics = rp.VirtualWork(zoo.robot_of("3rrr", carrier_mass=3.0))
     return rp.plan_whole_trajectory(
         dynamics, reference.corner(), mesh=rp.Mesh(dt=0.05, refinements=0), limits=rp.Limits(jerk=jerk)

@@ -105,13 +105,13 @@ def switch_off(units: Units) -> Plan:
 
 def stepwise(units: Units) -> Plan:
     motion = moving(line(units, singular=False), units)
-    times = dict.fromkeys(("return_time", "brake_time"), 0.5 * units.time)
     return rp.plan_stepwise(
         dynamics_in(units),
         motion,
         dt=0.01 * units.time,
         limits=limits(units, forces=False),
-        **in_groups(rp.plan_stepwise, times),
+        return_time=0.5 * units.time,
+        brake_time=0.5 * units.time,
     )
 
 

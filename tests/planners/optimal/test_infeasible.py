@@ -169,6 +169,22 @@ def test_the_end_of_a_track_is_a_place_with_its_sign(sense: float) -> None:
     assert details["time"] < 0.3
 
 
+def test_the_jerk_that_two_singular_poses_take_is_named_in_its_unit() -> None:
+    """What a limit gives way by is used somewhere; with it there is a plan."""
+    dynamics, circle = (
+        rp.VirtualWork(zoo.robot_of("2rpr", end_effector_mass=0.5, cylinder_mass=0.3)),
+        reference.circle(),
+    )
+    with pytest.raises(InfeasiblePlanError) as caught:
+        rp.plan_whole_trajectory(dynamics, circle, jerk=10.0, dt=0.08, refinements=0)
+    event = caught.value.details["relaxations"][0]
+    assert (event["constraint"], event["unit"]) == ("jerk", "m/s³")
+    assert event["amount"] == pytest.approx(10.0 * event["fraction"], rel=1e-6)
+    assert event["limit"] == pytest.approx(10.0 + event["amount"], rel=1e-9)
+    enough = rp.plan_whole_trajectory(dynamics, circle, jerk=1.02 * event["limit"], dt=0.08, refinements=0)
+    assert enough.diagnostics["optimal"]
+
+
 def test_what_would_suffice_for_efforts_is_the_least_peak() -> None:
     """Which the peak objective finds by itself."""
     dynamics, circle = rp.VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.75, 0.2, 0.075)

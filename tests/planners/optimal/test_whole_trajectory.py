@@ -84,15 +84,6 @@ def test_circle(objective, speed, arguments, most):
     assert plan.peak_effort.max() <= most
 
 
-@pytest.mark.long_for("peak")
-@pytest.mark.parametrize("objective", ["effort", "peak"])
-def test_five_bar_crosses_a_singularity(objective):
-    dynamics, trajectory = CompiledDynamics(zoo.robot_of("five_bar")), five_bar_crossing()
-    plan = plan_whole_trajectory(dynamics, trajectory, objective=objective, mesh=Mesh(dt=0.01))
-    require_sound(dynamics, trajectory, plan)
-    assert len(plan.findings.singular_instants) == 1
-
-
 @pytest.mark.long_for("five_bar")
 @pytest.mark.parametrize("case", ["circle", "five_bar"])
 def test_efforts_at_singular_instants_are_the_limits_from_both_sides(case):

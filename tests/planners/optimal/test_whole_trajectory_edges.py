@@ -30,29 +30,26 @@ def efforts_at(dynamics, trajectory, plan, times):
     return distribute(dynamics.reduce(trajectory.sample_at(times), carriers, check_track=False)).tau
 
 
+STARTS = {
+    "datum": lambda *task, inside: plan_whole_trajectory(
+        *task, dt=0.03, refinements=0, track=(-1e-5 if inside else 0.0, 0.2)
+    ),
+    "start": lambda *task, inside: plan_whole_trajectory(
+        *task, dt=0.03, refinements=0, end="free", track=(-0.1, 0.1), start=-0.09999 if inside else -0.1
+    ),
+    "speed": lambda *task, inside: plan_whole_trajectory(
+        *task, dt=0.03, refinements=0, speed=0.5, start_speed=[0.49999, -0.49999] if inside else [0.5, -0.5]
+    ),
+}
+
+
 @pytest.mark.long_for("speed", "datum")
-@pytest.mark.parametrize(
-    ("settings", "near"),
-    [
-        ({"track": (0.0, 0.2)}, {"track": (-1e-5, 0.2)}),
-        (
-            {"track": (-0.1, 0.1), "start": -0.1, "end": "free"},
-            {"track": (-0.1, 0.1), "start": -0.09999, "end": "free"},
-        ),
-        ({"speed": 0.5, "start_speed": [0.5, -0.5]}, {"speed": 0.5, "start_speed": [0.49999, -0.49999]}),
-    ],
-    ids=["datum", "start", "speed"],
-)
-def test_a_start_on_a_limit_has_a_plan(settings, near):
+@pytest.mark.parametrize("name", STARTS)
+def test_a_start_on_a_limit_has_a_plan(name):
     """It is on the track, so it is allowed; the plan is that of a start just inside."""
-    dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.5, 0.2, 0.05)
-    on, inside = (
-        plan_whole_trajectory(
-            dynamics, trajectory, **in_groups(plan_whole_trajectory, dict(dt=0.03, refinements=0, **s))
-        )
-        for s in (settings, near)
-    )
-    assert on.findings.optimal  # on nodes so few it may be unresolved between them
+    task = VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.5, 0.2, 0.05)
+    on, inside = (STARTS[name](*task, inside=inside) for inside in (False, True))
+    assert on.diagnostics["optimal"]  # on nodes so few it may be unresolved between them
     assert not on.limits.violated
     assert on.diagnostics["objective"]["effort"] == pytest.approx(inside.diagnostics["objective"]["effort"], rel=1e-2)
 

@@ -18,24 +18,24 @@ from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line
 
 
-def two_optima(**settings):
+def two_optima(starts):
     """A line of the five-bar with wide limits that has two best plans nearby."""
     path = Line((0.159, 0.662), (0.247, 0.348))
     trajectory = Trajectory(path, SpeedProfile(path.length, 0.37, 0.2))
     return plan_whole_trajectory(
         CompiledDynamics(zoo.robot_of("five_bar")),
         trajectory,
-        **in_groups(
-            plan_whole_trajectory,
-            dict(
-                objective="peak", dt=trajectory.duration / 30, refinements=0, acceleration=30.0, speed=4.0, **settings
-            ),
-        ),
+        objective="peak",
+        dt=trajectory.duration / 30,
+        refinements=0,
+        acceleration=30.0,
+        speed=4.0,
+        starts=starts,
     )
 
 
 def test_the_best_of_several_optima_is_kept_and_all_are_reported():
-    plan = two_optima(starts=4)
+    plan = two_optima(4)
     starts = plan.diagnostics["starts"]
     assert (starts["asked"], starts["tried"], starts["converged"]) == (4, 4, 4)
     costs = [optimum["cost"] for optimum in starts["optima"]]

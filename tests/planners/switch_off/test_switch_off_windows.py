@@ -7,7 +7,7 @@ import pytest
 import zoo
 from leg_momentum import imbalance, legs_along, momentum_rate
 
-from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, plan_switch_off
+from redundancy_pin import VirtualWork, plan_switch_off
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference, rounded_polygon
@@ -15,22 +15,6 @@ from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference, round
 
 def two_rpr(**arguments):
     return VirtualWork(zoo.robot_of("2rpr", **arguments))
-
-
-def test_spare_carriers_share_by_least_norm():
-    """Four carriers for two coordinates: f balances the efforts, and s̈ has no component without effect on f."""
-    dynamics = RneaDynamics(zoo.robot_of("2rpr", end_effector_carriers=True))
-    plan = plan_switch_off(dynamics, reference.circle(), threshold=7.0, dt=0.01)
-    driven = np.flatnonzero(np.isin(plan.phase, [plan.phases.index("ramp_down"), plan.phases.index("off")]))
-    c = plan.carriers
-    along = dynamics.along(plan.motion[driven])
-    carriers = CarrierMotion(c.s[driven], c.sd[driven], c.sdd[driven], check_rates=False)
-    reduced, F = along.reduce(carriers), along.carrier_derivatives(carriers).f_sdd
-    left = reduced.f - np.einsum("nij,nj->ni", reduced.W, plan.tau[driven])
-    assert np.abs(left).max() < 1e-8 * np.abs(reduced.f).max()
-    regular = np.linalg.svd(F, compute_uv=False)[:, 1] > 1e-3
-    least = np.einsum("nki,nij,nj->nk", np.linalg.pinv(F), F, c.sdd[driven])
-    np.testing.assert_allclose(c.sdd[driven][regular], least[regular], atol=1e-6 * np.abs(c.sdd).max())
 
 
 def test_the_instant_that_stops_the_carriers_is_named_not_one_before_it():
