@@ -14,9 +14,8 @@ from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.loading import robot_from_model
 from redundancy_pin.planners.base_wrench import base_wrench
-from redundancy_pin.planners.options import Mesh
+from redundancy_pin.planners.options import Limits, Mesh, Objective
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import from_points, reference
 
 pytest.importorskip("casadi")
@@ -38,13 +37,10 @@ def plan(
     return plan_whole_trajectory(
         dynamics(),
         reference.corner(),
-        objective=objective,
-        base_point=point,
+        objective=Objective(objective, base_point=point),
         end=end,
-        dt=dt,
-        track=(-1.0, 1.0),
-        speed=5.0,
-        acceleration=20.0,
+        mesh=Mesh(dt=dt),
+        limits=Limits(track=(-1.0, 1.0), speed=5.0, acceleration=20.0),
     )
 
 
@@ -115,10 +111,8 @@ def test_weight_that_the_base_carries_anyway_does_not_count() -> None:
         reference.corner(),
         objective="base_force",
         end="datum",
-        dt=0.02,
-        track=(-1.0, 1.0),
-        speed=5.0,
-        acceleration=20.0,
+        mesh=Mesh(dt=0.02),
+        limits=Limits(track=(-1.0, 1.0), speed=5.0, acceleration=20.0),
     )
     level = plan("base_force", "datum")
     np.testing.assert_allclose(made.carriers.s, level.carriers.s, atol=1e-7)

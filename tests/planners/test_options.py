@@ -60,15 +60,15 @@ def three() -> rp.VirtualWork:
 
 
 def whole(**options: Any) -> object:
-    return rp.plan_whole_trajectory(three(), reference.corner(), **options)
+    return rp.plan_whole_trajectory(three(), reference.corner(), **in_groups(rp.plan_whole_trajectory, options))
 
 
 def stepwise(**options: Any) -> object:
-    return rp.plan_stepwise(three(), reference.corner(), **options)
+    return rp.plan_stepwise(three(), reference.corner(), **in_groups(rp.plan_stepwise, options))
 
 
 def timed(**options: Any) -> object:
-    return rp.plan_time_optimal(three(), reference.corner().path, **options)
+    return rp.plan_time_optimal(three(), reference.corner().path, **in_groups(rp.plan_time_optimal, options))
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,6 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon import run_online
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, circle_path
 
 ROUNDED = 1e-10

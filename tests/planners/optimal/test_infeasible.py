@@ -176,13 +176,15 @@ def test_the_jerk_that_two_singular_poses_take_is_named_in_its_unit() -> None:
         reference.circle(),
     )
     with pytest.raises(InfeasiblePlanError) as caught:
-        rp.plan_whole_trajectory(dynamics, circle, jerk=10.0, dt=0.08, refinements=0)
+        rp.plan_whole_trajectory(dynamics, circle, limits=rp.Limits(jerk=10.0), mesh=rp.Mesh(dt=0.08, refinements=0))
     event = caught.value.details["relaxations"][0]
     assert (event["constraint"], event["unit"]) == ("jerk", "m/s³")
     assert event["amount"] == pytest.approx(10.0 * event["fraction"], rel=1e-6)
     assert event["limit"] == pytest.approx(10.0 + event["amount"], rel=1e-9)
-    enough = rp.plan_whole_trajectory(dynamics, circle, jerk=1.02 * event["limit"], dt=0.08, refinements=0)
-    assert enough.diagnostics["optimal"]
+    enough = rp.plan_whole_trajectory(
+        dynamics, circle, limits=rp.Limits(jerk=1.02 * event["limit"]), mesh=rp.Mesh(dt=0.08, refinements=0)
+    )
+    assert enough.findings.optimal
 
 
 def test_what_would_suffice_for_efforts_is_the_least_peak() -> None:

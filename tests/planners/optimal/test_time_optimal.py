@@ -25,7 +25,6 @@ from redundancy_pin import (
 from redundancy_pin.planners.options import Limits, Mesh
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import Line, circle_path, reference
 
 pytest.importorskip("casadi")
@@ -49,7 +48,11 @@ def carrying() -> VirtualWork:
 @functools.cache
 def free() -> Plan:
     return plan_time_optimal(
-        carrying(), CORNER, effort=EFFORT, end="free", steps=80, track=(-1.0, 1.0), speed=5.0, acceleration=20.0
+        carrying(),
+        CORNER,
+        limits=Limits(effort=EFFORT, track=(-1.0, 1.0), speed=5.0, acceleration=20.0),
+        end="free",
+        mesh=Mesh(steps=80),
     )
 
 
@@ -122,7 +125,11 @@ def test_times_round_the_corner_by_how_carriers_begin_and_end(
     begin: Any, end: Any, acceleration: float, least: float, most: float
 ) -> None:
     plan = plan_time_optimal(
-        carrying(), CORNER, effort=EFFORT, begin=begin, end=end, track=(-1.0, 1.0), speed=5.0, acceleration=acceleration
+        carrying(),
+        CORNER,
+        limits=Limits(effort=EFFORT, track=(-1.0, 1.0), speed=5.0, acceleration=acceleration),
+        begin=begin,
+        end=end,
     )
     assert plan.status is ResultStatus.OK
     assert least < plan.t[-1] < most

@@ -10,7 +10,6 @@ import zoo
 from redundancy_pin import RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
 from redundancy_pin.planners.options import Limits, Mesh, Objective
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line
@@ -32,13 +31,20 @@ def efforts_at(dynamics, trajectory, plan, times):
 
 STARTS = {
     "datum": lambda *task, inside: plan_whole_trajectory(
-        *task, dt=0.03, refinements=0, track=(-1e-5 if inside else 0.0, 0.2)
+        *task, mesh=Mesh(dt=0.03, refinements=0), limits=Limits(track=(-1e-5 if inside else 0.0, 0.2))
     ),
     "start": lambda *task, inside: plan_whole_trajectory(
-        *task, dt=0.03, refinements=0, end="free", track=(-0.1, 0.1), start=-0.09999 if inside else -0.1
+        *task,
+        mesh=Mesh(dt=0.03, refinements=0),
+        end="free",
+        limits=Limits(track=(-0.1, 0.1)),
+        start=-0.09999 if inside else -0.1,
     ),
     "speed": lambda *task, inside: plan_whole_trajectory(
-        *task, dt=0.03, refinements=0, speed=0.5, start_speed=[0.49999, -0.49999] if inside else [0.5, -0.5]
+        *task,
+        mesh=Mesh(dt=0.03, refinements=0),
+        limits=Limits(speed=0.5),
+        start_speed=[0.49999, -0.49999] if inside else [0.5, -0.5],
     ),
 }
 
@@ -49,7 +55,7 @@ def test_a_start_on_a_limit_has_a_plan(name):
     """It is on the track, so it is allowed; the plan is that of a start just inside."""
     task = VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.5, 0.2, 0.05)
     on, inside = (STARTS[name](*task, inside=inside) for inside in (False, True))
-    assert on.diagnostics["optimal"]  # on nodes so few it may be unresolved between them
+    assert on.findings.optimal  # on nodes so few it may be unresolved between them
     assert not on.limits.violated
     assert on.diagnostics["objective"]["effort"] == pytest.approx(inside.diagnostics["objective"]["effort"], rel=1e-2)
 

@@ -12,7 +12,6 @@ from redundancy_pin import CompiledDynamics, RneaDynamics, VirtualWork, plan_who
 from redundancy_pin.planners.optimal import infeasible, refine, whole_trajectory
 from redundancy_pin.planners.options import Limits, Mesh, Solver
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line
@@ -26,11 +25,9 @@ def two_optima(starts):
         CompiledDynamics(zoo.robot_of("five_bar")),
         trajectory,
         objective="peak",
-        dt=trajectory.duration / 30,
-        refinements=0,
-        acceleration=30.0,
-        speed=4.0,
-        starts=starts,
+        mesh=Mesh(dt=trajectory.duration / 30, refinements=0),
+        limits=Limits(acceleration=30.0, speed=4.0),
+        solver=Solver(starts=starts),
     )
 
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from redundancy_pin import CarrierMotion, PlatformMotion, VirtualWork, distribute, load_robot, plan_stepwise
-from redundancy_pin.planners.options import Limits
+from redundancy_pin.planners.options import Limits, Objective
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, boundary_polynomial, reference
@@ -132,8 +132,7 @@ def test_braking_begins_when_the_platform_comes_to_rest(stop, brake_time):
         stop=stop,
         brake_time=brake_time,
         active="accelerating",
-        lam=0.5,
-        baseline=dynamics_of((1, -1, 1), carriers=False),
+        objective=Objective(lam=0.5, baseline=dynamics_of((1, -1, 1), carriers=False)),
     )
     begun, ended = plan.diagnostics["braking"]
     assert begun == pytest.approx(motion.t[-2])  # the last sample at which the platform decelerates
@@ -261,7 +260,9 @@ def test_between_samples_follows_the_polynomials_of_the_returns():
 def test_braking_takes_the_wanted_time_or_what_track_and_deceleration_ask(brake_time, track):
     """Constant decelerations: min(wanted, 2 d / v) and at least v / a for each carrier, d to the end of its track."""
     motion = reference.corner().sample(0.005)
-    plan = plan_stepwise(dynamics_of(), motion, brake_time=brake_time, track=None if track is None else (-track, track))
+    plan = plan_stepwise(
+        dynamics_of(), motion, brake_time=brake_time, limits=Limits(track=None if track is None else (-track, track))
+    )
     last = int(np.searchsorted(plan.t, motion.t[-1]))
     s, v = plan.carriers.s[last], plan.carriers.sd[last]
     room = (1.0 if track is None else track) - np.sign(v) * s
