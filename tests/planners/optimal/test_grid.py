@@ -9,8 +9,15 @@ import numpy as np
 import pytest
 
 from redundancy_pin.errors import InputError
-from redundancy_pin.planners.optimal.mesh import NEAR, grid_of, near_singular, steps_around, widened, with_middles
-from redundancy_pin.planners.optimal.problem import APART, DEGREE, times_beside
+from redundancy_pin.planners.optimal.mesh import (
+    NEAR_SINGULAR,
+    grid_of,
+    near_singular,
+    steps_around,
+    widened,
+    with_middles,
+)
+from redundancy_pin.planners.optimal.problem import RATE_DEGREE, RATE_SPAN, times_beside
 
 START, END = 3.0, 5.0
 """s, of the motions here."""
@@ -118,23 +125,23 @@ def test_steps_are_widened_to_both_sides() -> None:
 @pytest.mark.parametrize(
     ("t", "side", "begin", "end"),
     [
-        (4.5, "right", 4.5 - APART, 4.5 + APART),
-        (4.5, "left", 4.5 - APART, 4.5 + APART),
-        (4.0, "right", 4.0, 4.0 + APART),
-        (4.0, "left", 4.0 - APART, 4.0),
-        (4.0 + 0.25 * APART, "left", 4.0, 4.0 + 1.25 * APART),
-        (4.0 - 0.25 * APART, "right", 4.0 - 1.25 * APART, 4.0),
-        (START, "right", START, START + APART),
-        (START, "left", START, START + APART),
-        (END, "right", END - APART, END),
-        (END, "left", END - APART, END),
+        (4.5, "right", 4.5 - RATE_SPAN, 4.5 + RATE_SPAN),
+        (4.5, "left", 4.5 - RATE_SPAN, 4.5 + RATE_SPAN),
+        (4.0, "right", 4.0, 4.0 + RATE_SPAN),
+        (4.0, "left", 4.0 - RATE_SPAN, 4.0),
+        (4.0 + 0.25 * RATE_SPAN, "left", 4.0, 4.0 + 1.25 * RATE_SPAN),
+        (4.0 - 0.25 * RATE_SPAN, "right", 4.0 - 1.25 * RATE_SPAN, 4.0),
+        (START, "right", START, START + RATE_SPAN),
+        (START, "left", START, START + RATE_SPAN),
+        (END, "right", END - RATE_SPAN, END),
+        (END, "left", END - RATE_SPAN, END),
     ],
 )
 def test_a_derivative_is_taken_on_the_smooth_stretch_of_its_side(t: float, side: Any, begin: float, end: float) -> None:
     """Its times fill that stretch and no more, so that the polynomial through them is as exact as it can be."""
     edges, times = times_beside(source([4.0]), t, side)
     np.testing.assert_allclose(edges, [begin, end], atol=1e-12)
-    assert len(times) == DEGREE + 1
+    assert len(times) == RATE_DEGREE + 1
     assert times.min() >= begin
     assert times.max() <= end
     assert np.ptp(times) > 0.9 * (end - begin)
@@ -148,7 +155,7 @@ def reduced(W: Any) -> Any:
 
 
 def test_near_a_singularity_w_is_a_fifth_as_large_in_one_direction() -> None:
-    angle, sizes = np.linspace(0.1, 2.0, 4), NEAR * np.array([0.99, 1.01, -0.5, 4.0])
+    angle, sizes = np.linspace(0.1, 2.0, 4), NEAR_SINGULAR * np.array([0.99, 1.01, -0.5, 4.0])
     turn = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], axis=1).reshape(-1, 2, 2)
     for size in (0.01, 1.0, 100.0):
         W = size * turn @ np.stack([np.diag([1.0, least]) for least in sizes])

@@ -1,13 +1,11 @@
 """Whole-trajectory plans: their numbers, the singular instants, and what each setting is for."""
 
-import sys
-
 import numpy as np
 import pytest
 import zoo
 
 from redundancy_pin import CarrierMotion, CompiledDynamics, RneaDynamics, VirtualWork, distribute, plan_whole_trajectory
-from redundancy_pin.errors import InfeasiblePlanError, InputError, RedundancyPinError, UnsupportedRobotError
+from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.planners.optimal import nlp
 from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
@@ -347,12 +345,6 @@ def test_sampled_motion_gives_the_plan_of_its_trajectory():
     sampled = plan_whole_trajectory(dynamics, circle().sample(0.002), dt=0.01)
     ours, theirs = (plan.diagnostics["objective"]["effort"] for plan in (sampled, exact))
     assert ours == pytest.approx(theirs, rel=1e-2)  # the ends of the ramps are on nodes of one grid only
-
-
-def test_missing_solver_is_one_clear_line(monkeypatch):
-    monkeypatch.setitem(sys.modules, "casadi", None)
-    with pytest.raises(RedundancyPinError, match=r"pip install casadi"):
-        plan_whole_trajectory(two_rpr(), circle(), dt=0.1)
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from redundancy_pin import (
 )
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.planners.base_wrench import base_wrench
-from redundancy_pin.planners.carrier_model import carrier_model, turning_model
+from redundancy_pin.planners.carrier_model import turning_model
 from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
@@ -48,12 +48,8 @@ def robot():
 @contextlib.contextmanager
 def unknown_terms():
     """Take the terms of turning carriers from the planner."""
-
-    def unknown(along):
-        raise UnsupportedRobotError("f has other terms.", deviation=1.0)
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(problem, "READERS", (carrier_model, unknown, problem.linear_model))
+        patch.setattr(problem, "reader_of", lambda task: problem.linear_model)
         yield
 
 
