@@ -18,7 +18,7 @@ from redundancy_pin.arrays import Array, BoolArray, checked, frozen, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.carrier_model import SLIDING_TERMS, TERMS, TURNING_TERMS, terms
+from redundancy_pin.planners.carrier_model import SLIDING_TERMS, TERM_NAMES, TERMS, TURNING_TERMS, terms
 from redundancy_pin.robot.scales import turning_velocities
 
 BASE = ("base_force", "base_moment", "base_wrench")
@@ -119,7 +119,7 @@ def base_wrench(along: DynamicsAlongMotion, rest: Array, point: Array, *, turnin
         UnsupportedRobotError: it has other terms, as where a carrier carries another.
     """
     robot, samples = along.robot, len(along.motion)
-    count = TURNING_TERMS[-1] + 1 if turning else TERMS
+    count = len(TERM_NAMES) if turning else TERMS
 
     def wrench(*motion: Array) -> Array:
         carriers = CarrierMotion(*(np.broadcast_to(part, (samples, robot.k)) for part in motion))

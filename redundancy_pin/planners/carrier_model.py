@@ -37,7 +37,7 @@ from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 Measure = Literal["condition", "margin"]
 
-TOLERANCE = 1e-11
+W_TOLERANCE = 1e-11
 """Of the interpolated W, relative to its largest entry: the times of a window are then exact to about 1e-11 of it."""
 
 SAMPLED_TOLERANCE = 1e-9
@@ -77,7 +77,7 @@ class Actuation:
             return np.full(values.shape[1], np.abs(values).max())
 
         sample = dynamics.along(motion.sample_at(np.array([motion.start]))).reduce()
-        tolerance = TOLERANCE if motion.exact else SAMPLED_TOLERANCE
+        tolerance = W_TOLERANCE if motion.exact else SAMPLED_TOLERANCE
         edges = smooth_edges(motion, motion.start, motion.end)
         entries = PiecewisePolynomial.fit(values, edges, motion.knots, scale, tolerance)
         return Actuation(entries, sample.row_scale, sample.column_scale)
@@ -150,11 +150,25 @@ def dense(edges: Array) -> Array:
     return np.append((edges[:-1, None] + np.diff(edges)[:, None] * fraction).ravel(), edges[-1])
 
 
-TERMS = 5
-"""s, s², ṡ, s ṡ, s̈."""
+_WAVES = ("cos_s", "sin_s", "cos_2s", "sin_2s")
 
-_MODEL_TOLERANCE = 1e-8
-"""Relative deviation of the polynomial from the backend at a random carrier motion that still counts as rounding."""
+TERM_NAMES = (
+    *("s", "s_s", "sd", "s_sd", "sdd", "sd_sd"),
+    *_WAVES,
+    *(f"{rate}_{wave}" for rate in ("sd", "sd_sd", "sdd") for wave in _WAVES),
+)
+"""Products of s, ṡ, s̈ and of waves of s that f may have, in the order of ``terms``; cos_s is cos s − 1."""
+
+SLIDING_TERMS = [TERM_NAMES.index(name) for name in ("s", "s_s", "sd", "s_sd", "sdd")]
+"""Places of the terms of a carrier on a straight track."""
+
+TURNING_TERMS = [place for place, name in enumerate(TERM_NAMES) if name not in ("s_s", "s_sd")]
+"""Places of the terms of a carrier that turns."""
+
+TERMS, SDD = len(SLIDING_TERMS), TERM_NAMES.index("sdd")
+
+OTHER_TERMS = 1e-8
+"""Deviation of the terms from the backend at a random carrier motion, relative to f, from which f has other terms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,21 +274,19 @@ def carrier_model(along: DynamicsAlongMotion, *, check: bool = True) -> CarrierM
     parts = (constant[:, :n], f_terms, constant[:, n:], force_terms)
     model = CarrierModel(along.motion.t, W, *(read_only(np.ascontiguousarray(part)) for part in parts))
     if check:
-        _require_polynomial(along, model)
+        _require_no_other_terms(along, model)
     return model
 
 
-SLIDING_TERMS, TURNING_TERMS = [0, 1, 2, 3, 4], [0, 2, 4, 5, *range(6, 22)]
-"""The terms (``terms``) of a carrier, by how it moves."""
-
-
-def turning_model(along: DynamicsAlongMotion) -> CarrierModel:
+def turning_model(along: DynamicsAlongMotion, *, check: bool = True) -> CarrierModel:
     """Read the coefficients off a backend where some carriers turn, from its exact derivatives at ten motions.
 
+    Without ``check`` nobody looks whether f has other terms too.
+
     Raises:
-        UnsupportedRobotError: f has other terms too, as where a carrier carries another; carries ``deviation``.
+        UnsupportedRobotError: f has other terms too, as where a carrier carries another.
     """
-    robot, samples, count = along.robot, len(along.motion), TURNING_TERMS[-1] + 1
+    robot, samples, count = along.robot, len(along.motion), len(TERM_NAMES)
     parked = along.reduce(CarrierMotion.parked(samples, robot.k))
     # five angles tell the waves apart, and two rates the terms with ṡ from those with ṡ²
     at = np.stack([np.tile(0.4 * np.pi * np.arange(5), 2), np.repeat([0.0, 1.0], 5), np.zeros(10)])
@@ -294,25 +306,44 @@ def turning_model(along: DynamicsAlongMotion) -> CarrierModel:
         force_terms[:, i, places] = np.einsum("jr,rn->nj", inverse, by_force[..., i, i])
     parts = (parked.f, f_terms, parked.carrier_force, force_terms)
     model = CarrierModel(along.motion.t, parked.W, *(read_only(np.asarray(part)) for part in parts))
-    _require_polynomial(along, model)
+    if check:
+        _require_no_other_terms(along, model)
     return model
 
 
-def _require_polynomial(along: DynamicsAlongMotion, model: CarrierModel) -> None:
-    """Compare the polynomial with the backend at one random carrier motion."""
+def turns(robot: Robot) -> bool:
+    """Return whether any carrier turns."""
+    return bool(turning_velocities(robot)[robot.carrier_velocity].any())
+
+
+def has_other_terms(along: DynamicsAlongMotion) -> bool:
+    """Return whether f has other terms than those of carriers that slide or turn, each on a link of its own."""
+    model = (turning_model if turns(along.robot) else carrier_model)(along, check=False)
+    return _deviation(along, model) > OTHER_TERMS
+
+
+def _deviation(along: DynamicsAlongMotion, model: CarrierModel) -> float:
+    """Return by how much f and forces deviate from the backend at one random carrier motion, relative to theirs."""
     rng = np.random.default_rng(5)
     s, sd, sdd = (rng.uniform(-1.0, 1.0, (len(model.t), model.k)) for _ in range(3))
     reduced = along.reduce(CarrierMotion(s, sd, sdd))
+    deviations = [0.0]
     for ours, theirs in ((model.f(s, sd, sdd), reduced.f), (model.carrier_force(s, sd, sdd), reduced.carrier_force)):
         size = float(np.nanmax(np.abs(theirs), initial=1e-9))
-        error = float(np.nanmax(np.abs(ours - theirs), initial=0.0)) / size
-        if error > _MODEL_TOLERANCE:
-            raise UnsupportedRobotError(
-                f"The carriers of {along.robot.name} are not on straight tracks: f deviates from a quadratic by "
-                f"{error:.2g} of its size.",
-                remedy="This planner needs prismatic carriers, each on a link of its own.",
-                deviation=error,
-            )
+        deviations.append(float(np.nanmax(np.abs(ours - theirs), initial=0.0)) / size)
+    return max(deviations)
+
+
+def _require_no_other_terms(along: DynamicsAlongMotion, model: CarrierModel) -> None:
+    deviation = _deviation(along, model)
+    if deviation > OTHER_TERMS:
+        how = "slide or turn" if model.f_terms.shape[-1] > TERMS else "slide"
+        raise UnsupportedRobotError(
+            f"f of {along.robot.name} deviates by {deviation:.2g} of its size from the terms of carriers that {how}, "
+            "each on a link of its own.",
+            remedy="This planner needs prismatic carriers, each on a link of its own.",
+            deviation=deviation,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,7 +428,7 @@ def _singular(what: str, t: float, margin: float) -> InfeasiblePlanError:
     return InfeasiblePlanError(f"The motion {what}", remedy=remedy, constraint="margin", time=t, margin=margin)
 
 
-MODEL_TOLERANCE = 1e-12
+COEFFICIENT_TOLERANCE = 1e-12
 """Of each group of coefficients, relative to its largest entry."""
 
 _LEAST_GROUP = 1e-4
@@ -440,7 +471,7 @@ class TimedModel:
             limited: Array = np.maximum(largest, _LEAST_GROUP * largest.max())[group]
             return limited
 
-        tolerance = MODEL_TOLERANCE if motion.exact else SAMPLED_TOLERANCE
+        tolerance = COEFFICIENT_TOLERANCE if motion.exact else SAMPLED_TOLERANCE
         interpolant = PiecewisePolynomial.fit(values, smooth_edges(motion, start, end), motion.knots, scale, tolerance)
         inner = motion.breaks[(motion.breaks > start) & (motion.breaks < end)]
         knots = np.setdiff1d(interpolant.edges[1:-1], inner)

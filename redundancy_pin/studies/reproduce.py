@@ -29,7 +29,6 @@ from redundancy_pin.crosscheck import CrossCheckReport
 from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError, OutputError
 from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
-from redundancy_pin.planners.optimal.nlp import casadi
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.simulation.replay import Drive, Replay, replay
@@ -116,11 +115,9 @@ def reproduce(
     Raises:
         CrossCheckError: the backends disagree.
         OutputError: the folder cannot be written or holds other files.
-        RedundancyPinError: an experiment cannot run, or matplotlib or, for the last chapters, casadi is not installed.
+        RedundancyPinError: an experiment cannot run, or matplotlib is not installed.
     """
     require_matplotlib()
-    if {"beyond", "future", "replay"} & set(extent.chapters):
-        casadi()
     require_replaceable(folder)
     total, steps, tell = _count(motions, extent), count(_CROSS_CHECK_STEPS + 1), progress or (lambda *_: None)
 

@@ -8,14 +8,13 @@ ripple is the objective, and the objective of the task is bounded by (1 + calm) 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.planners.intersample_check import IntersampleCheck, PlannedMotion, intersample_check
-from redundancy_pin.planners.optimal.mesh import NEAR, Grid, resample, singular_ratio, with_middles
+from redundancy_pin.planners.optimal.mesh import NEAR_SINGULAR, Grid, resample, singular_ratio, with_middles
 from redundancy_pin.planners.optimal.nlp import CALMING, Solution
 from redundancy_pin.planners.optimal.problem import Problem, Reader, Task, read_problem
 from redundancy_pin.planners.optimal.refine import Planned, Planning
@@ -47,15 +46,13 @@ class Chosen:
     check: IntersampleCheck
 
 
-def calmed(
-    planning: Planning, planned: Planned, readers: Sequence[Reader], seconds: float
-) -> tuple[Chosen, dict[str, object]]:
+def calmed(planning: Planning, planned: Planned, read: Reader, seconds: float) -> tuple[Chosen, dict[str, object]]:
     """Return a calmer solution than an optimum, or the optimum itself; and what was found, as plain data.
 
     Args:
         planning: the planner, whose task has the fraction ``calm`` that may be spent.
         planned: its least-cost plan.
-        readers: of the coefficients, as ``read_problem`` takes them.
+        read: what reads the coefficients, as ``read_problem`` takes it.
         seconds: time bound, s; none is tried without any left.
 
     Returns:
@@ -74,7 +71,7 @@ def calmed(
     for name, bound in task.settings.at_most.items():
         bounds[name] = min(bound, bounds.get(name, np.inf))
     calmer = replace(task, settings=replace(task.settings, objective={"ripple": 1.0}, at_most=bounds))
-    found = _solve(calmer, best, readers, seconds)
+    found = _solve(calmer, best, read, seconds)
     after = _most_reversals(found)
     chosen, solution = least, found.solution
     if solution.feasible and solution.optimal and after < before:
@@ -96,11 +93,11 @@ def _most_reversals(outcome: Outcome) -> int:
     return max(len(samples) for samples in effort_reversals(efforts))
 
 
-def _solve(task: Task, outcome: Outcome, readers: Sequence[Reader], seconds: float) -> Outcome:
+def _solve(task: Task, outcome: Outcome, read: Reader, seconds: float) -> Outcome:
     """Solve on denser nodes, from an optimum."""
     old = outcome.problem
     nodes = _denser(task, old.grid)
-    problem, _ = read_problem(task, nodes, readers, old.scales)
+    problem, _ = read_problem(task, nodes, read, old.scales)
     if old.shares is not None:
         problem = replace(problem, shares=resample({"shares": old.shares}, old.grid.t, nodes.t)["shares"])
     guess = old.resampled(outcome.solution.values, problem)
@@ -115,7 +112,7 @@ def _denser(task: Task, nodes: Grid) -> Grid:
         middles: Array = 0.5 * (nodes.t[steps] + nodes.t[steps + 1])
         ratio = singular_ratio(task.dynamics.along(task.source.sample_at(middles)).reduce())
         marked = np.zeros(len(nodes.h), dtype=bool)
-        marked[steps] = ratio < NEAR / 4.0**level
+        marked[steps] = ratio < NEAR_SINGULAR / 4.0**level
         nodes = with_middles(nodes, marked)
     smooth = np.zeros(len(nodes.t), dtype=bool)
     smooth[nodes.singular] = nodes.smooth[nodes.singular]

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
 
+import casadi as ca
 import numpy as np
 
 from redundancy_pin.arrays import Array, IntArray, read_only
@@ -31,7 +32,7 @@ from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions, apart
 from redundancy_pin.planners.intersample_check import PlannedMotion, intersample_check
 from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, with_nodes
-from redundancy_pin.planners.optimal.nlp import casadi
+from redundancy_pin.planners.optimal.nlp import Expression
 from redundancy_pin.planners.optimal.objectives import OBJECTIVES, Quantities, Scales
 from redundancy_pin.planners.optimal.problem import Task, scales_of
 from redundancy_pin.planners.optimal.sensitivity import MOVED, DesignSlopes, Moved, base_slopes, design_gradient
@@ -287,39 +288,39 @@ class _Symbols(Quantities):
     def __init__(self, grid: Grid, fixed: IntArray, scales: Scales, tau_target: Array) -> None:
         super().__init__(np.diff(grid.t[fixed]), scales, tau_target, np.zeros_like(tau_target))
         self._fixed = fixed.tolist()
-        ca, nodes = casadi(), len(tau_target)
+        nodes = len(tau_target)
         self.s = self.sd = self.sdd = self.force = ca.MX(nodes, 0)
         self.tau, self.actuated_rate = (ca.MX.sym("y", *tau_target.shape) for _ in range(2))
         self.base, length = ca.MX.sym("base", nodes, 6), ca.MX.sym("length")
         self.base_force, self.base_moment = self.base[:, :3], self.base[:, 3:]
-        self.scales = replace(scales, length=length)
+        self.scales = replace(scales, length=length)  # type: ignore[arg-type]  # costs are differentiated by it
 
-    def integral(self, integrand: Any) -> Any:
+    def integral(self, integrand: Expression) -> Expression:
         """Return ∫ Σ integrand dt by the trapezoidal rule."""
         return super().integral(integrand[self._fixed, :])
 
-    def rate(self, values: Any) -> Any:
+    def rate(self, values: Expression) -> Expression:
         """Return the time derivative in each step."""
         return super().rate(values[self._fixed, :])
 
-    def bending(self, values: Any) -> tuple[Any, Array]:
+    def bending(self, values: Expression) -> tuple[Expression, Array]:
         """Return by how much values at inner nodes deviate from the line through both neighbours, and weights."""
         return super().bending(values[self._fixed, :])
 
-    def absolute(self, values: Any, size: float) -> Any:
+    def absolute(self, values: Expression, size: float) -> Expression:
         """Return |values|."""
-        return casadi().fabs(values)
+        return ca.fabs(values)
 
-    def largest(self, values: Any, size: float) -> Any:
+    def largest(self, values: Expression, size: float) -> Expression:
         """Return the largest |value|."""
-        return casadi().mmax(casadi().fabs(values))
+        return ca.mmax(ca.fabs(values))
 
 
 def _objectives(
     task: Task, planned: PlannedMotion, plan: Plan, grid: Grid, fixed: IntArray
 ) -> tuple[dict[str, float], tuple[Array, Array, Array, float]]:
     """Return the objectives by name, and the derivatives of ``FollowedCost.by``."""
-    ca, settings, reduced, robot = casadi(), task.settings, planned.samples.reduced, task.dynamics.robot
+    settings, reduced, robot = task.settings, planned.samples.reduced, task.dynamics.robot
     nodes, n = len(grid.t), robot.n
     model = CarrierModel(
         grid.t,

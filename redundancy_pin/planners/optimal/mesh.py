@@ -19,7 +19,7 @@ MOST_NODES = 100_000  # unknowns and rows of the programme are a few dozen times
 LEAST_STEPS = 2
 """Steps between two events; fewer would tie the carriers' jerk to the distance of the events."""
 
-NEAR = 0.2
+NEAR_SINGULAR = 0.2
 """Smallest over largest singular value of W below which the steps get a middle node from the start: there a kink in s̈
 that is harmless elsewhere makes efforts between the nodes that the nodes do not show."""
 
@@ -80,7 +80,7 @@ def first_mesh(dynamics: Dynamics, source: Motion, dt: float, ends: bool = False
 
 def near_singular(reduced: ReducedDynamics) -> BoolArray:
     """Return (M,) at which nodes W is near a type II singularity."""
-    return singular_ratio(reduced) < NEAR
+    return singular_ratio(reduced) < NEAR_SINGULAR
 
 
 def singular_ratio(reduced: ReducedDynamics) -> Array:

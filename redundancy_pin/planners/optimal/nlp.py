@@ -6,12 +6,16 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
+import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import optional
+
+Expression: TypeAlias = Any
+"""casadi.MX, or casadi.DM where the variables are numbers; casadi says of neither what its operators return."""
 
 Options = dict[str, Any]
 """Options of IPOPT by name."""
@@ -42,8 +46,8 @@ PERIOD = 0.5
 
 LINEAR_SYSTEM: Options = {"ipopt.mumps_permuting_scaling": 0, "ipopt.mumps_scaling": 0, "ipopt.mumps_pivot_order": 2}
 """Leaves the linear system as it is, for the programme is scaled already, and orders it by approximate minimum fill.
-The search for a permutation takes a time that grows with the square of the nodes (25 s of 27 for six iterations at
-10 000 nodes), and METIS, which long problems get by themselves, takes 1.4 to 1.7 times as long."""
+The search for a permutation takes a time that grows with the square of the nodes, and METIS, which long problems get by
+themselves, takes longer (docs/whole_trajectory.md, *One solver*)."""
 
 BARRIER = 1e-10
 """Barrier parameter at which the solver ends. At a parameter that stays Newton's steps converge to rounding, also on
@@ -56,7 +60,7 @@ _EXACT: Options = {"ipopt.mu_target": BARRIER, "ipopt.acceptable_iter": LAST_STE
 
 FIRST: Options = {**_EXACT, **LINEAR_SYSTEM, "ipopt.mu_strategy": "adaptive", "ipopt.max_iter": 250}
 """Options from a guess: on least peak two thirds of the iterations of the monotone strategy. Plans take 10 to 100
-iterations, those of least energy up to 230."""
+iterations, and those of least energy come nearest to the bound."""
 
 FALLBACK: Options = _EXACT
 """Options where the first ones did not end at an optimum. The linear solver's own scaling takes time, and is needed
@@ -64,25 +68,41 @@ where events are a ten thousandth of a step apart."""
 
 _PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 
-WARM: Options = {
-    **_EXACT,
-    **LINEAR_SYSTEM,
-    "ipopt.max_iter": 250,
-    "ipopt.mu_init": 1e-4,
-    "ipopt.bound_mult_init_method": "mu-based",
-    **{f"ipopt.{name}": 1e-4 for name in _PUSHES},
-}
+
+def _from_optimum(barrier: float, push: float) -> Options:
+    """Return options from an optimum: first barrier parameter, and distance from bounds as a part of their range.
+
+    Mehrotra's probing step chooses the barrier parameters: a third fewer iterations than monotone ones.
+    """
+    return {
+        **LINEAR_SYSTEM,
+        "ipopt.mu_strategy": "adaptive",
+        "ipopt.mu_oracle": "probing",
+        "ipopt.mu_init": barrier,
+        "ipopt.bound_mult_init_method": "mu-based",
+        **{f"ipopt.{name}": push for name in _PUSHES},
+    }
+
+
+WARM: Options = {**_EXACT, **_from_optimum(1e-4, 1e-4), "ipopt.max_iter": 250}
 """Options from the optimum of the same task on other nodes, or with fewer rows."""
 
-CALMING: Options = {**WARM, "ipopt.mu_target": 1e-5}
-"""Options by which an optimum is made calmer: how calm it is exactly does not matter, and a larger last barrier
-parameter takes a third fewer iterations. Newton's steps converge to rounding there too, so backends agree."""
+CALMING: Options = {
+    **_from_optimum(1e-2, 0.1),
+    "ipopt.mu_target": 1e-5,
+    "ipopt.max_iter": 60,
+    # "acceptable" is here what keeps the rows and no longer changes the ripple
+    "ipopt.acceptable_iter": 2,
+    "ipopt.acceptable_obj_change_tol": 1e-2,
+    "ipopt.acceptable_constr_viol_tol": 0.1 * FEASIBLE,
+    **{f"ipopt.acceptable_{name}": 1e10 for name in ("tol", "dual_inf_tol", "compl_inf_tol")},
+}
+"""Options by which an optimum is made calmer: two steps that keep the rows and change the ripple by less than 1 % are
+the end, for how calm it is exactly does not matter.
 
-
-def casadi() -> Any:
-    """Return the optional solver library."""
-    remedy = "Install it with `pip install casadi`."
-    return optional("casadi", "Planning over the whole trajectory needs", remedy)
+Calmer motions leave limits that the optimum met. A start close to these would keep multipliers there, which shrink by
+half an iteration: hence the tenth of the range. The barrier parameter ends at 1e-5: Newton's steps then converge to
+rounding, and backends agree."""
 
 
 class NLP:
@@ -94,42 +114,43 @@ class NLP:
     """
 
     def __init__(self) -> None:
-        self.blocks: dict[str, Any] = {}
-        self.cost: Any = 0.0
+        self.blocks: dict[str, Expression] = {}
+        self.cost: Expression = 0.0
         self.size = 1.0
         self.derivatives: dict[str, Any] = {}
         self.rows: dict[str, Any] = {}
-        self._rows: list[Any] = []
+        self._rows: list[Expression] = []
         self._bounds: dict[str, list[Array]] = {"lbx": [], "ubx": [], "lbg": [], "ubg": []}
 
-    def variable(self, name: str, shape: tuple[int, int], lower: Any = -np.inf, upper: Any = np.inf) -> Any:
+    def variable(
+        self, name: str, shape: tuple[int, int], lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf
+    ) -> Expression:
         """Add a block of variables within bounds."""
-        self.blocks[name] = casadi().MX.sym(name, *shape)
+        self.blocks[name] = ca.MX.sym(name, *shape)
         for side, bound in (("lbx", lower), ("ubx", upper)):
             self._bounds[side].append(np.broadcast_to(bound, shape).ravel(order="F"))
         return self.blocks[name]
 
-    def within(self, expression: Any, lower: Any = 0.0, upper: Any = 0.0) -> None:
+    def within(self, expression: Expression, lower: Expression = 0.0, upper: Expression = 0.0) -> None:
         """Add lower ≤ expression ≤ upper where a bound is finite; bounds broadcast to the matrix.
 
         Bounds that are expressions themselves have a row each.
         """
-        if isinstance(lower, casadi().MX):
+        if isinstance(lower, ca.MX):
             self.within(expression - lower, 0.0, np.inf)
             self.within(expression - upper, -np.inf, 0.0)
             return
         low, high = (np.broadcast_to(bound, expression.shape).ravel(order="F") for bound in (lower, upper))
         bounded = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
         if len(bounded):
-            column = casadi().vec(expression)
+            column: Expression = ca.vec(expression)
             self._rows.append(column if len(bounded) == len(low) else column[bounded.tolist()])
             self._bounds["lbg"].append(low[bounded])
             self._bounds["ubg"].append(high[bounded])
 
     @cached_property
-    def functions(self) -> dict[str, Any]:
+    def functions(self) -> dict[str, Expression]:
         """The finished programme, as the solver wants it."""
-        ca = casadi()
         x = ca.vertcat(*(ca.vec(block) for block in self.blocks.values()))
         return {"x": x, "f": self.cost, "g": ca.densify(ca.vertcat(*self._rows))}
 
@@ -212,7 +233,7 @@ def solve_nlp(
         **({} if reporter is None else {"iteration_callback": reporter}),
         **options,
     }
-    function = casadi().nlpsol("plan", "ipopt", nlp.functions, settings)
+    function = ca.nlpsol("plan", "ipopt", nlp.functions, settings)
     nlp.keep_derivatives(function)
     result = function(x0=nlp.join(guess), **bounds)
     if reporter is not None and reporter.error is not None:
@@ -254,11 +275,9 @@ def _reporter(variables: int, rows: int, progress: Progress) -> Any:
 
     What ``progress`` raises stops the solver and is kept in the attribute ``error``.
     """
-    ca = casadi()
     sizes = {"x": variables, "f": 1, "g": rows, "lam_x": variables, "lam_g": rows, "lam_p": 0}
-    base: Any = ca.Callback
 
-    class Reporter(base):  # type: ignore[misc] # the base class exists only once the library is loaded
+    class Reporter(ca.Callback):
         def __init__(self) -> None:
             ca.Callback.__init__(self)
             self.count, self.report = 0, _now_and_then(progress)

@@ -9,12 +9,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.planners.optimal.nlp import casadi
+from redundancy_pin.planners.optimal.nlp import Expression
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,32 +48,33 @@ class Quantities(ABC):
     what the base feels about ``base_point`` beyond the load at rest; ``scales``: sizes of all of them.
     """
 
-    s: Any
-    sd: Any
-    sdd: Any
-    force: Any
-    tau: Any
-    base_force: Any
-    base_moment: Any
+    s: Expression
+    sd: Expression
+    sdd: Expression
+    force: Expression
+    tau: Expression
+    actuated_rate: Expression
+    base_force: Expression
+    base_moment: Expression
 
     def __init__(self, h: Array, scales: Scales, tau_target: Array, actuated_rate: Array) -> None:
-        self.scales, self.tau_target, self.actuated_rate = scales, casadi().DM(tau_target), casadi().DM(actuated_rate)
+        self.scales, self.tau_target, self.actuated_rate = scales, ca.DM(tau_target), ca.DM(actuated_rate)
         self._h, self._steps = h, np.flatnonzero(h > 0.0)
 
-    def integral(self, integrand: Any) -> Any:
+    def integral(self, integrand: Expression) -> Expression:
         """Return ∫ Σ integrand dt by the trapezoidal rule, which agrees with W τ = f being required at the nodes."""
         weights = 0.5 * (np.append(self._h, 0.0) + np.append(0.0, self._h))
-        return casadi().dot(casadi().DM(weights), casadi().sum2(integrand))
+        return ca.dot(ca.DM(weights), ca.sum2(integrand))
 
-    def rate(self, values: Any) -> Any:
+    def rate(self, values: Expression) -> Expression:
         """Return the time derivative in each step of what is linear in a step; jumps of the reference are no steps."""
         return (values[self._steps + 1, :] - values[self._steps, :]) / self._h[self._steps, None]
 
-    def integral_over_steps(self, integrand: Any) -> Any:
+    def integral_over_steps(self, integrand: Expression) -> Expression:
         """Return ∫ Σ integrand dt of what is constant in each step, as ``rate`` is."""
-        return casadi().dot(casadi().DM(self._h[self._steps]), casadi().sum2(integrand))
+        return ca.dot(ca.DM(self._h[self._steps]), ca.sum2(integrand))
 
-    def bending(self, values: Any) -> tuple[Any, Array]:
+    def bending(self, values: Expression) -> tuple[Expression, Array]:
         """Return by how much values at inner nodes deviate from the line through both neighbours, and weights h / T.
 
         Nodes at which the reference jumps are no inner ones.
@@ -85,11 +86,11 @@ class Quantities(ABC):
         return deviation, (before + after) / (2.0 * self.scales.duration)
 
     @abstractmethod
-    def absolute(self, values: Any, size: float) -> Any:
+    def absolute(self, values: Expression, size: float) -> Expression:
         """Return |values|, which has to be minimised; ``size`` is what the values are scaled by."""
 
     @abstractmethod
-    def largest(self, values: Any, size: float) -> Any:
+    def largest(self, values: Expression, size: float) -> Expression:
         """Return the largest of all |values|, which has to be minimised; ``size`` is what the values are scaled by."""
 
 
@@ -104,12 +105,12 @@ class ObjectiveTerm:
             smallest ones are taken.
     """
 
-    formula: Callable[[Quantities], Any]
+    formula: Callable[[Quantities], Expression]
     size: Callable[[Scales], float]
     efforts: bool = True
 
 
-def _energy(q: Quantities) -> Any:
+def _energy(q: Quantities) -> Expression:
     """∫ Σ |τ q̇| + Σ |F ṡ| dt: what motors draw that cannot recover energy."""
     power = q.scales.power
     return q.integral(q.absolute(q.tau * q.actuated_rate, power)) + q.integral(q.absolute(q.force * q.sd, power))
@@ -123,14 +124,13 @@ CARRIER_RIPPLE = 0.1
 the nodes; with weight 1 the efforts keep more reversals (docs/whole_trajectory.md, *Calm plans*)."""
 
 
-def _ripple(q: Quantities) -> Any:
+def _ripple(q: Quantities) -> Expression:
     """Mean square of what τ and s̈ at each node deviate from the line through both neighbours, over their sizes.
 
     What is smooth contributes with the fourth power of the step: this weighs the zigzag of the nodes and little else.
     """
     (tau, weights), (sdd, _) = q.bending(q.tau), q.bending(q.sdd)
     parts = ((tau, 1.0 / q.scales.tau), (sdd, np.sqrt(CARRIER_RIPPLE) / q.scales.sdd))
-    ca = casadi()
     return sum(ca.sumsqr(ca.DM(np.sqrt(weights) * factor * np.ones(part.shape)) * part) for part, factor in parts)
 
 

@@ -17,7 +17,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.planners.carrier_model import TERMS, CarrierModel, carrier_model, turning_model
+from redundancy_pin.planners.carrier_model import OTHER_TERMS, TERMS, CarrierModel, carrier_model, turning_model, turns
 from redundancy_pin.planners.optimal.mesh import Grid, near_singular
 from redundancy_pin.planners.optimal.objectives import Scales
 from redundancy_pin.planners.optimal.problem import (
@@ -31,11 +31,8 @@ from redundancy_pin.planners.optimal.problem import (
 )
 from redundancy_pin.planners.optimal.settings import Settings
 
-_ROUNDING = 1e-11
+_ZERO_COEFFICIENT = 1e-11
 """Coefficients below this fraction of the largest are none: they would be entries of the Jacobian."""
-
-_TOLERANCE = 1e-8
-"""Deviation of the combination from the backend at another speed and acceleration that counts as rounding."""
 
 
 def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
@@ -50,12 +47,7 @@ def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
         xdd = motion.xdd * speed**2 + motion.xd * acceleration
         there = dynamics.along(PlatformMotion(motion.t + later, motion.x, motion.xd * speed, xdd, check_rates=False))
         if robot.k:
-            try:
-                return carrier_model(there)
-            except UnsupportedRobotError as error:
-                if "deviation" not in error.details:
-                    raise
-            return turning_model(there)
+            return turning_model(there) if turns(robot) else carrier_model(there)
         reduced = there.reduce()
         none = (np.zeros((len(motion), *shape)) for shape in ((robot.n, 0, TERMS), (0,), (0, TERMS)))
         by_term, force0, force_terms = none
@@ -70,9 +62,9 @@ def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
         size = max(size, np.abs(plus).max(initial=0.0), 1e-300)
         split = np.stack([still, 0.5 * (plus - minus), 0.5 * (plus + minus) - still, pushed - still], axis=-1)
         over = tuple(range(split.ndim - (2 if name.endswith("_terms") else 1)))
-        split[..., np.abs(split).max(axis=over, initial=0.0) <= _ROUNDING * size] = 0.0
+        split[..., np.abs(split).max(axis=over, initial=0.0) <= _ZERO_COEFFICIENT * size] = 0.0
         deviation = float(np.abs(split @ np.array([1.0, 0.7, 0.49, -1.3]) - last).max(initial=0.0)) / size
-        if deviation > _TOLERANCE:
+        if deviation > OTHER_TERMS:
             raise UnsupportedRobotError(
                 f"f of {robot.name} is no sum of 1, ṗ, ṗ² and p̈ along the path alone: it deviates by {deviation:.2g}.",
                 remedy="Leave dry friction and loads that depend on time out, or plan at a given speed.",

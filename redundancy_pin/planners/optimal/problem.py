@@ -15,9 +15,8 @@ Where the motion crosses the singularity at a rate, (W; uᵀ Ẇ) has full rank,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -32,14 +31,18 @@ from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.base_wrench import BASE, BaseWrench, base_wrench, load_at_rest
 from redundancy_pin.planners.carrier_model import (
+    SDD,
     TERMS,
     CarrierModel,
     TimedModel,
     carrier_model,
+    has_other_terms,
     target_effort,
     turning_model,
+    turns,
 )
 from redundancy_pin.planners.optimal.mesh import Grid, resample
+from redundancy_pin.planners.optimal.nlp import Expression
 from redundancy_pin.planners.optimal.objectives import Scales
 from redundancy_pin.planners.optimal.settings import Settings
 from redundancy_pin.planners.singular_instant import CROSSED, LOST
@@ -48,11 +51,11 @@ from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import Motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times
 
-SDD = 4
-"""Place of s̈ among the terms of a ``CarrierModel``."""
-
 Reader = Callable[[DynamicsAlongMotion], CarrierModel]
 """Reads the coefficients off a backend along a platform motion."""
+
+INSTANTS = 3
+"""Instants of a motion at which f is asked for other terms: f has them nearly everywhere, or nowhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +111,7 @@ def required(timing: PathTiming | None) -> PathTiming:
     return timing
 
 
-def powers_of(*pace: Any) -> tuple[Any, ...]:
+def powers_of(*pace: Expression) -> tuple[Expression, ...]:
     """Return what coefficients are multiplied by: 1, and ṗ, ṗ² and p̈ where ṗ and p̈ are unknown."""
     if not pace:
         return (1.0,)
@@ -211,29 +214,30 @@ def linear_model(along: DynamicsAlongMotion) -> CarrierModel:
     return CarrierModel(along.motion.t, parked.W, parked.f, f_terms, parked.carrier_force, force_terms)
 
 
-READERS: tuple[Reader, ...] = (carrier_model, turning_model, linear_model)
-"""Carriers that slide, that turn too, and any others, whose f is an expression."""
+def reader_of(task: Task) -> Reader:
+    """Return what reads the coefficients of a task off its backend.
+
+    Carriers that slide, and those that turn, have terms of their own. Where f has others at some instants of the
+    motion, as with carriers on carriers, it is the backend's expression.
+    """
+    read = turning_model if turns(task.dynamics.robot) else carrier_model
+    few = np.linspace(task.source.start, task.source.end, INSTANTS)
+    return linear_model if has_other_terms(task.dynamics.along(task.source.sample_at(few))) else read
 
 
 def read_problem(
-    task: Task, grid: Grid, readers: Sequence[Reader] | None = None, scales: Scales | None = None
-) -> tuple[Problem, Sequence[Reader]]:
+    task: Task, grid: Grid, read: Reader | None = None, scales: Scales | None = None
+) -> tuple[Problem, Reader]:
     """Read the coefficients at all nodes off the backend.
 
-    ``task``: robot, motion and settings; ``readers``: what to try in turn, ``READERS`` when left out; ``scales``: those
-    of the same task on other nodes.
+    ``task``: robot, motion and settings; ``read``: what reads them, ``reader_of`` when left out; ``scales``: those of
+    the same task on other nodes.
 
     Returns:
-        The problem, and the readers in the order in which other nodes of the same task should try them.
+        The problem, and what read it.
     """
-    readers = READERS if readers is None else readers
-    for read in readers:
-        try:
-            return _read(task, grid, read, scales), (read, *(other for other in readers if other is not read))
-        except UnsupportedRobotError as error:
-            if "deviation" not in error.details or read is readers[-1]:
-                raise
-    raise AssertionError("The last reader returns a problem or raises.")
+    read = reader_of(task) if read is None else read
+    return _read(task, grid, read, scales), read
 
 
 def _read(task: Task, grid: Grid, read: Reader, scales: Scales | None) -> Problem:
@@ -353,10 +357,10 @@ def _spread(source: Motion) -> Array:
     return np.linspace(source.start, source.end, 101)
 
 
-APART = 2e-3
+RATE_SPAN = 2e-3
 """Distance of the times from which derivatives are formed, s, where the motion is smooth for so long."""
 
-DEGREE = 5
+RATE_DEGREE = 5
 """Of the polynomials in time whose derivatives they are."""
 
 
@@ -379,7 +383,7 @@ def times_beside(source: Motion, t: float, side: Side) -> tuple[Array, Array]:
     ahead = t == source.start or (side == "right" and t < source.end)
     # beyond a kink, or the end, the motion is another
     on_kink = bool((kinks == t).any())
-    start = t if on_kink and ahead else max(t - APART, float(kinks[kinks < t].max()))
-    end = t if on_kink and not ahead else min(t + APART, float(kinks[kinks > t].min()))
+    start = t if on_kink and ahead else max(t - RATE_SPAN, float(kinks[kinks < t].max()))
+    end = t if on_kink and not ahead else min(t + RATE_SPAN, float(kinks[kinks > t].min()))
     edges = np.array([start, end])
-    return edges, chebyshev_times(edges, DEGREE)
+    return edges, chebyshev_times(edges, RATE_DEGREE)

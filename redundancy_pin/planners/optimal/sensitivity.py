@@ -17,13 +17,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.limits import ResolvedLimits
-from redundancy_pin.planners.optimal.nlp import casadi
 from redundancy_pin.planners.optimal.objectives import OBJECTIVES
 from redundancy_pin.planners.optimal.problem import Problem, SingularNode, Task, times_beside
 from redundancy_pin.planners.optimal.settings import Settings
@@ -156,7 +156,7 @@ def _lagrangian(outcome: Outcome, problem: Problem) -> float:
     """Return the Lagrangian, with the multipliers of the optimum, of a problem with other numbers."""
     solution = outcome.solution
     nlp = transcribe(problem, **solution.rows)
-    ca, (x, lam_x, lam_g) = casadi(), solution.point
+    x, lam_x, lam_g = solution.point
     functions, bounds = nlp.functions, nlp.bounds
     cost, rows = ca.Function("rows", [functions["x"]], [functions["f"], functions["g"]])(x)
 

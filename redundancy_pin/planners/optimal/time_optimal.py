@@ -35,13 +35,13 @@ from redundancy_pin.trajectory.trajectory import Trajectory
 Begin = Literal["datum", "rest", "free"]
 """How the carriers begin: at rest where they park; at rest anywhere; or anyhow."""
 
-BESIDE = 2
+NEIGHBOURS = 2
 """Steps on both sides of one whose efforts exceed their limits inside it that get a middle node as well."""
 
-LONG = 0.05
+LONGEST_STEP = 0.05
 """Of the whole time, that a step may last when others are refined: where the platform nearly stands still."""
 
-APART = 0.02
+LEAST_DISTANCE = 0.02
 """Of a step, from a node to a new one inside at least."""
 
 
@@ -207,14 +207,14 @@ def finer_nodes(grid: Grid, times: Array, law: Callable[[Array], Array], exceedi
     ``grid``: places on the path; ``times`` (M,) at these, s; ``law``: places (N, 1) at times.
     """
     h = np.diff(times)
-    is_long = h > LONG * times[-1]
+    is_long = h > LONGEST_STEP * times[-1]
     steps = np.zeros(len(h), dtype=bool)
     steps[np.clip(np.searchsorted(times, exceeding, side="right") - 1, 0, len(h) - 1)] = True
-    marked = np.flatnonzero((widened(steps, BESIDE) | is_long) & (h > 0.0))
+    marked = np.flatnonzero((widened(steps, NEIGHBOURS) | is_long) & (h > 0.0))
     places = law(0.5 * (times[marked] + times[marked + 1]))[:, 0]
     left, right = grid.t[marked], grid.t[marked + 1]
     # a law that stands still in a step, or runs back, has no place of its own halfway
-    places = np.clip(places, left + APART * (right - left), right - APART * (right - left))
+    places = np.clip(places, left + LEAST_DISTANCE * (right - left), right - LEAST_DISTANCE * (right - left))
     return with_nodes(grid, marked, places, ~is_long[marked])
 
 

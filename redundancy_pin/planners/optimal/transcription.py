@@ -12,14 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
 
+import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.dynamics.base import ExactAlongMotion
 from redundancy_pin.planners.carrier_model import terms
-from redundancy_pin.planners.optimal.nlp import NLP, casadi
+from redundancy_pin.planners.optimal.nlp import NLP, Expression
 from redundancy_pin.planners.optimal.objectives import OBJECTIVES, Quantities
 from redundancy_pin.planners.optimal.problem import Problem, SingularNode, powers_of, required
 
@@ -52,7 +53,7 @@ PEAK = "largest"
 """With what the names of the copies of a largest value begin."""
 
 SHARED = 8
-"""Nodes that share one copy of the peak; 8 and 32 are a tenth faster than 1 and than all."""
+"""Nodes that share one copy of the peak: one a node is more unknowns, one for all fills the solver's factors."""
 
 
 def scaled_bounds(problem: Problem) -> dict[str, tuple[Array, Array]]:
@@ -111,9 +112,9 @@ class Transcription(Quantities):
         # Otherwise the barrier, which starts at one size, outweighs the objective of a long plan.
         self.nlp.size = float(len(problem.grid.t))
         self._problem, self._bounds = problem, scaled_bounds(problem)
-        self.h: Any = problem.grid.h[:, None]
-        self._pace: tuple[Any, ...] = ()
-        self._slack: dict[str, Any] = {}
+        self.h: Expression = problem.grid.h[:, None]
+        self._pace: tuple[Expression, ...] = ()
+        self._slack: dict[str, Expression] = {}
         for kind in elastic:
             self._slack[kind] = self._copies(slack_name(kind), len(problem.grid.t))
             self.nlp.cost += self._slack[kind][0]
@@ -122,7 +123,7 @@ class Transcription(Quantities):
         )
         self.tau = self._variable("tau", problem.model.W.shape[2], u.tau)
 
-    def _variable(self, name: str, columns: int, size: Any) -> Any:
+    def _variable(self, name: str, columns: int, size: ArrayLike) -> Expression:
         """Add s, ṡ, s̈, τ or the carriers' force at all nodes within limits, scaled, and return it in its unit."""
         shape = (len(self._problem.grid.t), columns)
         if KIND_OF[name] in self._slack:
@@ -132,14 +133,14 @@ class Transcription(Quantities):
             block = self.nlp.variable(name, shape, *self._bounds[name])
         return block * _rows(size, shape)
 
-    def _copies(self, name: str, count: int) -> Any:
+    def _copies(self, name: str, count: int) -> Expression:
         """Add copies of one variable, all equal: a single one in every row would fill the solver's factors."""
         copies = self.nlp.variable(name, (count, 1), 0.0)
         self.nlp.within(copies[1:] - copies[:-1])
         return copies
 
     @cached_property
-    def force(self) -> Any:
+    def force(self) -> Expression:
         """The forces of the carriers' actuators, which become variables once something needs them."""
         model = self._problem.model
         force = self._variable("force", model.k, self.scales.force)
@@ -153,7 +154,7 @@ class Transcription(Quantities):
         self.equal(force - by_carriers, alone, self.scales.force)
         return force
 
-    def _sum(self, first: Array, by_term: Array, *motion: Any) -> tuple[Any, Array]:
+    def _sum(self, first: Array, by_term: Array, *motion: Expression) -> tuple[Expression, Array]:
         """Return (M, r) what of a sum depends on unknowns, and what does not.
 
         ``first`` (M, r) and ``by_term`` (M, r, k, terms) coefficients, with an axis for 1, ṗ, ṗ² and p̈ in the end
@@ -162,7 +163,7 @@ class Transcription(Quantities):
         s, sd, sdd, *pace = motion or (self.s, self.sd, self.sdd, *self._pace)
         if self._problem.timing is None:
             first, by_term = first[..., None], by_term[..., None]
-        ca, powers = casadi(), powers_of(*pace)
+        powers = powers_of(*pace)
         used = [(first[..., q, None], power) for q, power in enumerate(powers) if q and first[..., q].any()]
         for j, term in enumerate(terms(s, sd, sdd, by_term.shape[3], ca) if s.shape[1] else ()):
             for q, power in enumerate(powers):
@@ -174,12 +175,12 @@ class Transcription(Quantities):
         return product(np.concatenate(coefficients, axis=2), ca.horzcat(*values)), first[..., 0]
 
     @cached_property
-    def base_force(self) -> Any:
+    def base_force(self) -> Expression:
         """The components of the force on the base, N, without those that are zero throughout."""
         return self._base[:, np.flatnonzero(self._base_rows < 3).tolist()]
 
     @cached_property
-    def base_moment(self) -> Any:
+    def base_moment(self) -> Expression:
         """Those of the moment, N·m."""
         return self._base[:, np.flatnonzero(self._base_rows >= 3).tolist()]
 
@@ -189,7 +190,7 @@ class Transcription(Quantities):
         return np.flatnonzero(base.felt if base else [])
 
     @cached_property
-    def _base(self) -> Any:
+    def _base(self) -> Expression:
         """The wrench on the base as variables (M, r), which only an objective needs."""
         base, at = self._problem.base, self._base_rows
         if base is None:
@@ -200,18 +201,18 @@ class Transcription(Quantities):
         self.equal(wrench - self._sum(base.w0[:, at], by_term)[0], base.w0[:, at], size)
         return wrench
 
-    def equal(self, expression: Any, value: Any, size: Any) -> None:
+    def equal(self, expression: Expression, value: Expression, size: Expression) -> None:
         """Require expression = value, over a size."""
         self.nlp.within(expression / _rows(size, expression.shape), value / size, value / size)
 
-    def limit(self, kind: str, expression: Any, lower: Any, upper: Any) -> None:
+    def limit(self, kind: str, expression: Expression, lower: Expression, upper: Expression) -> None:
         """Keep lower ≤ expression ≤ upper, all of them scaled; in an elastic programme let out by its fraction."""
         if kind not in self._slack:
             self.nlp.within(expression, lower, upper)
             return
         lower, upper = (np.broadcast_to(bound, expression.shape) for bound in (lower, upper))
         half = _room(lower, upper)
-        slack = casadi().repmat(self._slack[kind][: expression.shape[0]], 1, expression.shape[1])
+        slack = ca.repmat(self._slack[kind][: expression.shape[0]], 1, expression.shape[1])
         self.nlp.within(expression + half * slack, lower, np.inf)
         self.nlp.within(expression - half * slack, -np.inf, upper)
 
@@ -227,7 +228,7 @@ class Transcription(Quantities):
             self._singular_instants()
 
     @cached_property
-    def _exact(self) -> tuple[Any, Any]:
+    def _exact(self) -> tuple[Expression, Expression]:
         """Right sides f (M, n) and carrier forces (M, k) at the nodes, as the backend's expressions have them."""
         return loads_of(self._problem.exact, self.s, self.sd, self.sdd)
 
@@ -236,7 +237,7 @@ class Transcription(Quantities):
 
         Along a path the rates of the coefficients are those by p, and ṗ times these are those by time.
         """
-        ca, problem = casadi(), self._problem
+        problem = self._problem
         # one row for each lost direction u
         nodes = [node for node in problem.singular for _ in node.lost]
         u = np.concatenate([node.lost for node in problem.singular])
@@ -274,9 +275,9 @@ class Transcription(Quantities):
         self.equal(left - f_dot(*motion, *rates), 0.0, size * (problem.timing.speed if problem.timing else 1.0))
 
     @staticmethod
-    def _exact_at(nodes: Sequence[SingularNode], u: Array, *motion: Any) -> list[tuple[Any, Any]]:
+    def _exact_at(nodes: Sequence[SingularNode], u: Array, *motion: Expression) -> list[tuple[Expression, Expression]]:
         """Return uᵀ f and its derivative by time, the carriers held, for each row of the carriers' motion."""
-        ca, loads = casadi(), []
+        loads = []
         for row, (node, lost) in enumerate(zip(nodes, u, strict=True)):
             if node.exact is None:
                 raise ValueError("A singular node has no expressions.")
@@ -305,7 +306,9 @@ class Transcription(Quantities):
             for name in first:
                 self.limit("end", last[name] - first[name], 0.0, 0.0)
 
-    def _integrate(self, y: Any, yd: Any, ydd: Any, sizes: tuple[Any, Any, Any]) -> None:
+    def _integrate(
+        self, y: Expression, yd: Expression, ydd: Expression, sizes: tuple[Expression, Expression, Expression]
+    ) -> None:
         """Integrate ÿ, which is linear in a step, exactly; the jerk is the same on both sides of smooth nodes."""
         if not y.shape[1]:
             return
@@ -357,21 +360,22 @@ class Transcription(Quantities):
             gentle += self.integral(self.nlp.blocks["tau"] ** 2) / self.scales.duration
         self.nlp.cost += (ELASTIC_OBJECTIVE if self._slack else 1.0) * (cost + REGULARISATION * gentle)
 
-    def absolute(self, values: Any, size: float) -> Any:
+    def absolute(self, values: Expression, size: float) -> Expression:
         """Bound |values| by variables."""
         bound = self.nlp.variable(f"absolute_{len(self.nlp.blocks)}", values.shape, 0.0)
         for sign in (1.0, -1.0):
             self.nlp.within(bound - sign * values / size, 0.0, np.inf)
         return size * bound
 
-    def largest(self, values: Any, size: float) -> Any:
+    def largest(self, values: Expression, size: float) -> Expression:
         """Bound all |values| by one variable, of which there is a copy every few nodes."""
         copies = self._copies(f"{PEAK}_{len(self.nlp.blocks)}", -(-values.shape[0] // SHARED))
-        top = casadi().repmat(copies[np.arange(values.shape[0]) // SHARED], 1, values.shape[1])
+        top = ca.repmat(copies[np.arange(values.shape[0]) // SHARED], 1, values.shape[1])
         for sign in (1.0, -1.0):
             self.nlp.within(sign * values / size - top, -np.inf, 0.0)
         # the mean, so that all copies have a slope: the solver scales the whole objective by the largest one
-        return size * casadi().sum1(copies) / copies.shape[0]
+        mean: Expression = ca.sum1(copies) / copies.shape[0]
+        return size * mean
 
 
 class PathTranscription(Transcription):
@@ -398,7 +402,7 @@ class PathTranscription(Transcription):
         """Integrate p̈ and s̈; a lap ends as it began, and the platform never runs back."""
         grid, timing, (pd, pdd) = self._problem.grid, required(self._problem.timing), self._pace
         distance = np.where(grid.h > 0.0, grid.h, 1.0)[:, None]
-        self._integrate(casadi().DM(grid.t), pd, pdd, (distance, timing.speed, timing.acceleration))
+        self._integrate(ca.DM(grid.t), pd, pdd, (distance, timing.speed, timing.acceleration))
         if timing.lap:
             for block in (self.nlp.blocks["pd"], self.nlp.blocks["pdd"]):
                 self.nlp.within(block[-1, :] - block[0, :])
@@ -414,8 +418,9 @@ class PathTranscription(Transcription):
 
     def objective(self) -> None:
         """Add the duration over its size, and the regularisation."""
-        gentle = casadi().sumsqr(self.nlp.blocks["sdd"]) / (max(self._problem.model.k, 1) * self.nlp.size)
-        self.nlp.cost += casadi().sum1(self.h) / self.scales.duration + REGULARISATION_OF_TIME * gentle
+        gentle = ca.sumsqr(self.nlp.blocks["sdd"]) / (max(self._problem.model.k, 1) * self.nlp.size)
+        duration: Expression = ca.sum1(self.h)
+        self.nlp.cost += duration / self.scales.duration + REGULARISATION_OF_TIME * gentle
 
 
 class Evaluation(Quantities):
@@ -425,18 +430,18 @@ class Evaluation(Quantities):
         super().__init__(problem.grid.h, problem.scales, problem.target, problem.actuated_rate)
         for name, value in values.items():
             if name in KIND_OF:
-                setattr(self, name, casadi().DM(value * getattr(problem.scales, name)))
+                setattr(self, name, ca.DM(value * getattr(problem.scales, name)))
         if problem.base is not None:
             wrench = problem.base(problem.carriers(values))
-            self.base_force, self.base_moment = casadi().DM(wrench[:, :3]), casadi().DM(wrench[:, 3:])
+            self.base_force, self.base_moment = ca.DM(wrench[:, :3]), ca.DM(wrench[:, 3:])
 
-    def absolute(self, values: Any, size: float) -> Any:
+    def absolute(self, values: Expression, size: float) -> Expression:
         """Return |values|."""
-        return casadi().fabs(values)
+        return ca.fabs(values)
 
-    def largest(self, values: Any, size: float) -> Any:
+    def largest(self, values: Expression, size: float) -> Expression:
         """Return the largest |value|."""
-        return casadi().mmax(casadi().fabs(values))
+        return ca.mmax(ca.fabs(values))
 
 
 def objective_values(problem: Problem, values: dict[str, Array]) -> dict[str, float]:
@@ -477,7 +482,9 @@ def slack_name(kind: str) -> str:
     return f"slack_{kind}"
 
 
-def loads_of(along: ExactAlongMotion | None, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any]:
+def loads_of(
+    along: ExactAlongMotion | None, s: Expression, sd: Expression, sdd: Expression
+) -> tuple[Expression, Expression]:
     """Return f (N, n) and carrier forces (N, k) as expressions of the carriers' motion, (N, k) each."""
     if along is None:
         raise ValueError("The problem has no expressions.")
@@ -485,14 +492,13 @@ def loads_of(along: ExactAlongMotion | None, s: Any, sd: Any, sdd: Any) -> tuple
     return f.T, force.T
 
 
-def product(coefficients: Array, values: Any) -> Any:
+def product(coefficients: Array, values: Expression) -> Expression:
     """Return (M, r) the products of (M, r, c) matrices and the (M, c) rows of an expression."""
-    ca = casadi()
     # zeros are dropped, for they would be entries of the Jacobian
     return ca.horzcat(*(ca.sum2(ca.sparsify(ca.DM(row)) * values) for row in np.moveaxis(coefficients, 1, 0)))
 
 
-def _rows(size: Any, shape: tuple[int, int]) -> Any:
+def _rows(size: ArrayLike, shape: tuple[int, int]) -> Expression:
     """Return a size for each column as a matrix with equal rows (columns the library broadcasts by itself)."""
     size = np.asarray(size)
     if not size.size:

@@ -32,7 +32,7 @@ from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
-BESIDE = 4
+NEIGHBOURS = 4
 """Steps on both sides of one with a middle node that get one as well: the next plan would have its kink just beside the
 refined steps, and the grid would follow it one step at a time."""
 
@@ -139,20 +139,20 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     """
     began = time.perf_counter()
     nodes = first_mesh(task.dynamics, task.source, task.settings.dt)
-    problem, readers = read_problem(task, nodes)
+    problem, read = read_problem(task, nodes)
     guess = None if position is None else problem.scaled(carriers_at(position, nodes.t))
 
     def finer(problem: Problem, _: Solution, found: IntersampleCheck, marked: BoolArray, first: bool) -> Problem:
         # on the first mesh the carriers still use what they find between the nodes, and most of it goes by itself
         nodes = problem.grid
         for least in (0.0,) if first else (0.0, TWICE):
-            nodes = with_middles(nodes, steps_around(nodes, found.middle[marked & (found.worst > least)], BESIDE))
-        return read_problem(task, nodes, readers, problem.scales)[0]
+            nodes = with_middles(nodes, steps_around(nodes, found.middle[marked & (found.worst > least)], NEIGHBOURS))
+        return read_problem(task, nodes, read, problem.scales)[0]
 
     planning = Planning("whole_trajectory", task, partial(_solve, task), lambda *_: task.source, finer)
     planned = plan_and_refine(planning, problem, guess)
     left = began + task.settings.solver.seconds - time.perf_counter()
-    chosen, calming = calmed(planning, planned, readers, left)
+    chosen, calming = calmed(planning, planned, read, left)
     plan = _plan(task, planned, chosen)
     found = {"calm": calming, "seconds": time.perf_counter() - began}
     return replace(plan, diagnostics={**plan.diagnostics, **found}), planned.best

@@ -6,7 +6,6 @@ import contextlib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ import redundancy_pin as rp
 import redundancy_pin.planners.optimal.problem as problem  # whose readers of f are taken away
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.planners.base_wrench import base_wrench
-from redundancy_pin.planners.carrier_model import carrier_model, turning_model
+from redundancy_pin.planners.carrier_model import turning_model
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, reference
@@ -34,12 +33,8 @@ def robot() -> Robot:
 @contextlib.contextmanager
 def unknown_terms() -> Iterator[None]:
     """Take the terms of turning carriers from the planner."""
-
-    def unknown(along: Any) -> Any:
-        raise UnsupportedRobotError("f has other terms.", deviation=1.0)
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(problem, "READERS", (carrier_model, unknown, problem.linear_model))
+        patch.setattr(problem, "reader_of", lambda task: problem.linear_model)
         yield
 
 

@@ -89,7 +89,7 @@ def test_the_barrier_parameter_ends_at_a_known_value(options):
     nlp = solver.NLP()
     s = nlp.variable("s", (3, 1), 0.0)
     nlp.within(s, -np.inf, 10.0)
-    nlp.cost = solver.casadi().dot(solver.casadi().DM(weights), s)
+    nlp.cost = solver.ca.dot(solver.ca.DM(weights), s)
     found = solver.solve_nlp(nlp, {"s": np.ones((3, 1))}, 10.0, options)
     assert found.optimal
     np.testing.assert_allclose(found.values["s"] * weights, 1e-10, rtol=1e-2)
