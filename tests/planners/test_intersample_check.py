@@ -194,14 +194,10 @@ def planned(dynamics: Dynamics, motion: Trajectory, random: np.random.Generator)
         return rp.plan_stepwise(dynamics, motion.sample(dt=dt, two_sided=bool(random.random() < 0.5)))
     if planner == "switch off":
         return rp.plan_switch_off(dynamics, motion, threshold=float(random.uniform(4.0, 15.0)), dt=5e-3)
-    return rp.plan_whole_trajectory(
-        dynamics,
-        motion,
-        mesh=rp.Mesh(dt=float(random.choice([0.02, 0.05])), refinements=int(random.choice([0, 1, 3]))),
-        objective=str(random.choice(["effort", "effort", "peak"])),
-        end=str(random.choice(["free", "datum"])),
-        solver=rp.Solver(seconds=5.0),
-    )
+    step, objective = float(random.choice([0.02, 0.05])), str(random.choice(["effort", "effort", "peak"]))
+    end, refinements = str(random.choice(["free", "datum"])), int(random.choice([0, 1, 3]))
+    mesh, solver = rp.Mesh(dt=step, refinements=refinements), rp.Solver(seconds=5.0)
+    return rp.plan_whole_trajectory(dynamics, motion, objective=objective, end=end, mesh=mesh, solver=solver)
 
 
 def resampled(plan: Plan, dynamics: Dynamics) -> tuple[Array, int]:
