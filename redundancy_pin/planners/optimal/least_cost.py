@@ -1,10 +1,12 @@
 """The least cost of one task by one robot, and its derivatives by numbers of the robot: what co-design minimises.
 
-A robot with carriers has a plan to choose: its least cost is that of ``plan_whole_trajectory``, with the derivatives of
-``optimal.sensitivity``. Of a robot without carriers the motion determines the efforts, W(x; p) τ = f(x, ẋ, ẍ; p), and
-where it has more actuators than degrees of freedom those of least norm are taken. Its cost is a function J(τ, q̇, ...)
-of them at nodes (``OBJECTIVES``), and dJ/dp = Σ ∂J/∂τ dτ/dp + ..., with dτ/dp by implicit differentiation of W τ = f.
-That holds the motion of the platform, and closes the loops again: joint angles change with lengths.
+The objective "time" is the duration of a path by ``plan_time_optimal``, of any robot. For other objectives a robot with
+carriers has a plan to choose: its least cost is that of ``plan_whole_trajectory``. Both have the derivatives of
+``optimal.sensitivity``, by the multipliers of the optimum: no plan is made again. Of a robot without carriers the
+motion determines the efforts, W(x; p) τ = f(x, ẋ, ẍ; p), and where it has more actuators than degrees of freedom those
+of least norm are taken. Its cost is a function J(τ, q̇, ...) of them at nodes (``OBJECTIVES``), and
+dJ/dp = Σ ∂J/∂τ dτ/dp + ..., with dτ/dp by implicit differentiation of W τ = f. That holds the motion of the platform,
+and closes the loops again: joint angles change with lengths.
 
 Every instant at which an effort of the continuous motion is largest is a node. A peak is therefore that of the
 continuous motion. That the instant moves with p adds nothing to the derivative, since the effort is stationary there.
@@ -36,16 +38,21 @@ from redundancy_pin.planners.optimal.nlp import Expression
 from redundancy_pin.planners.optimal.objectives import OBJECTIVES, Quantities, Scales
 from redundancy_pin.planners.optimal.problem import Task, scales_of
 from redundancy_pin.planners.optimal.sensitivity import MOVED, DesignSlopes, Moved, base_slopes, design_gradient
-from redundancy_pin.planners.optimal.settings import Settings, checked_settings
+from redundancy_pin.planners.optimal.settings import checked_settings
 from redundancy_pin.planners.optimal.solve import Outcome
+from redundancy_pin.planners.optimal.time_optimal import optimise_timing, path_task
 from redundancy_pin.planners.optimal.transcription import objective_values
 from redundancy_pin.planners.optimal.whole_trajectory import optimise
-from redundancy_pin.planners.options import Objective
+from redundancy_pin.planners.options import Limits, Objective, group_of
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus, SampleStatus, solved_status
-from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
+from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.paths import Path
+
+TIME = "time"
+"""Objective of a path whose timing is planned."""
 
 FOLLOWED = "inverse_dynamics"
 """Planner of a plan whose efforts follow from the motion."""
@@ -97,7 +104,7 @@ class LeastCost(Protocol):
 
 def least_cost(
     dynamics: Dynamics,
-    motion: PlatformMotion | TimedTrajectory,
+    motion: PlatformMotion | TimedTrajectory | Path,
     options: Mapping[str, Any],
     near: LeastCost | None = None,
 ) -> LeastCost:
@@ -105,8 +112,8 @@ def least_cost(
 
     Args:
         dynamics: a backend of the robot.
-        motion: of the platform.
-        options: keywords of ``plan_whole_trajectory``.
+        motion: of the platform; for the objective "time" a path, or a trajectory for its path.
+        options: keywords of ``plan_whole_trajectory``; for the objective "time" those of ``plan_time_optimal``.
         near: the least cost of the task by a similar robot, whose plan is a good first guess.
 
     Raises:
@@ -114,7 +121,13 @@ def least_cost(
             singularity or needs efforts beyond their limits.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
-    task = Task(dynamics, as_motion(motion), settings_of(dynamics.robot, options))
+    rest = dict(options)
+    objective = replace(Objective.of(rest.pop("objective", "effort")), calm=0.0)
+    if objective.weights == TIME:
+        timed = path_task(dynamics, motion, **rest)  # type: ignore[arg-type]  # which refuses samples
+        return PlannedCost(timed.task, rest.get("limits"), *optimise_timing(timed))
+    source = as_motion(motion)  # type: ignore[arg-type]  # which refuses paths
+    task = Task(dynamics, source, checked_settings(dynamics.robot, objective, **rest))
     if not dynamics.robot.k:
         return follow(task)
     require_carriers(dynamics.robot)
@@ -122,40 +135,43 @@ def least_cost(
     if isinstance(near, PlannedCost):
         position = near.outcome.problem.position(near.outcome.solution.values)
     plan, outcome = optimise(task, position)
-    return PlannedCost(task, options, plan, outcome)
+    return PlannedCost(task, rest.get("limits"), plan, outcome, task.source)
 
 
-def settings_of(robot: Robot, options: Mapping[str, Any]) -> Settings:
-    """Return the settings that keywords of ``plan_whole_trajectory`` stand for: least costs, no calmer plans."""
-    rest = dict(options)
-    objective = Objective.of(rest.pop("objective", "effort"))
-    return checked_settings(robot, replace(objective, calm=0.0), **rest)
-
-
-# --- with carriers: a plan to choose ----------------------------------------------------------------------------------
+# --- a plan to choose -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedCost:
-    """The least cost of a task by a robot with carriers, see ``LeastCost``."""
+    """The least cost of a task that is planned, see ``LeastCost``.
+
+    Attributes:
+        task: the task.
+        limits: as given, in place of the robot's own.
+        plan: its plan.
+        outcome: programme and solution.
+        platform: motion of the platform.
+    """
 
     task: Task
-    options: Mapping[str, Any]
+    limits: Limits | None
     plan: Plan
     outcome: Outcome
+    platform: Motion
 
     @cached_property
     def value(self) -> float:
-        """The weighted objectives, without the regularisation."""
-        values = objective_values(self.outcome.problem, self.outcome.solution.values)
-        return sum(weight * values[name] for name, weight in self.task.settings.objective.items())
+        """The weighted objectives, or the duration, s, without the regularisation."""
+        problem, values = self.outcome.problem, self.outcome.solution.values
+        if problem.timing is not None:
+            return float(problem.times(values)[-1])
+        return self.task.settings.weighted(objective_values(problem, values))
 
     def gradient(self, designed: DesignedRobot) -> Array:
         """Return (d,) the derivatives of the least cost by the parameters."""
-        moved = [
-            Moved(settings_of(robot, self.options).limits, robot.characteristic_length) for robot in designed.increased
-        ]
-        return design_gradient(self.task, self.outcome, designed.slopes, moved)
+        limits = group_of(self.limits, Limits)
+        moved = [Moved(limits.resolved(robot), robot.characteristic_length) for robot in designed.increased]
+        return design_gradient(self.task, self.outcome, self.platform, designed.slopes, moved)
 
 
 # --- without: the motion determines the efforts -----------------------------------------------------------------------
@@ -181,7 +197,7 @@ class FollowedCost:
     @property
     def value(self) -> float:
         """The weighted objectives."""
-        return sum(weight * self.values[name] for name, weight in self.task.settings.objective.items())
+        return self.task.settings.weighted(self.values)
 
     def gradient(self, designed: DesignedRobot) -> Array:
         """Return (d,) the derivatives of the cost by the parameters.

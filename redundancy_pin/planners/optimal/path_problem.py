@@ -18,6 +18,7 @@ from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedD
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import OTHER_TERMS, TERMS, CarrierModel, carrier_model, turning_model, turns
+from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.optimal.mesh import Grid, near_singular
 from redundancy_pin.planners.optimal.objectives import Scales
 from redundancy_pin.planners.optimal.problem import (
@@ -97,7 +98,7 @@ def read_path_problem(task: Task, nodes: Grid, begin: str, lap: bool, before: Pr
     along = dynamics.along(motion)
     model, parked = read_model(along, dynamics), along.reduce()
     rate: Array = np.einsum("nim,ni->nm", model.W, motion.xd)
-    fastest = (settings.limits.actuator_speed / np.maximum(np.abs(rate), 1e-300)).min(axis=1, initial=1e300)
+    fastest = fastest_speed(rate, settings.limits)
     place = nodes.t / nodes.t[-1]
     if before is None or before.timing is None:
         speed = _first_speed(model, parked, settings, place * unit.end, fastest)
@@ -116,6 +117,12 @@ def read_path_problem(task: Task, nodes: Grid, begin: str, lap: bool, before: Pr
         scales=scales,
         timing=PathTiming(begin, lap, speed, acceleration, steps, fastest),
     )
+
+
+def fastest_speed(rate: Array, limits: ResolvedLimits) -> Array:
+    """Return (M,) the largest ṗ that limits of the actuators' rates allow, m/s, of (M, m) rates at unit speed."""
+    fastest: Array = (limits.actuator_speed / np.maximum(np.abs(rate), 1e-300)).min(axis=1, initial=1e300)
+    return fastest
 
 
 def _first_speed(
