@@ -29,6 +29,7 @@ from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import Command
 from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.planners.receding_horizon.run import OnLineRun
+from redundancy_pin.planners.singular_instant import SingularInstant
 from redundancy_pin.simulation import ForwardDynamics, closed_state, inverse_derivatives, linearise
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.studies.cases import SINGULAR
@@ -91,6 +92,7 @@ def objects() -> dict[str, Any]:
         "legs": three_rrr.inverse_displacement(three_rrr.ThreeRrrGeometry.from_parameters(robot.parameters), motion.x),
         "two legs": two_rpr.inverse_displacement(small.parameters["base_distance"], circle.sample(dt=0.1).x),
         "reduced": reduced,
+        "singular instant": SingularInstant(0.1, *[np.ones((1, 1))] * 3, three, three, 1.0, three, 1.0),
         "derivatives": along.carrier_derivatives(carriers),
         "one sample": dynamics.sample(motion.x[0], motion.xd[0], motion.xdd[0]),
         "efforts": efforts,

@@ -203,14 +203,15 @@ def design(**given: Any) -> None:
         --vary carrier_mass=0.5:3 --vary track_offset=0.05:0.2 --parameter objective=peak --parameter dt=0.01
     """
     ranges = dict(map(_range, given["ranges"]))
-    parameters = in_groups(PLANNERS[WHOLE], _planner_parameters(given["parameters"]))
+    parameters = _planner_parameters(given["parameters"])
+    grouped = in_groups(PLANNERS[WHOLE], parameters)
     folder = expanded(given["out"] or f"design-{Path(given['robot']).stem}")
     robot = load(given["robot"], given["mode"] or (), as_options(**given["settings"]), given["gravity"], given["trust"])
     dynamics = options.dynamics_of(robot, given["backend"] or (VIRTUAL_WORK if robot.closed_form else None))
     kinds = [text.partition(":")[0] for text in given["tasks"]]
     named = {kind if kinds.count(kind) == 1 else text: text for kind, text in zip(kinds, given["tasks"], strict=True)}
     tasks = {
-        name: DesignTask(dynamics, options.make_trajectory(*trajectory_of(text)), parameters)
+        name: DesignTask(dynamics, options.make_trajectory(*trajectory_of(text)), grouped)
         for name, text in named.items()
     }
     with progress("design") as advance:

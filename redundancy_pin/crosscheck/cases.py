@@ -20,10 +20,10 @@ from redundancy_pin.errors import (
     WorkingModeError,
 )
 from redundancy_pin.kinematics.branch import BranchEnd, follower
+from redundancy_pin.kinematics.closed_state import closed_around, typical_margin
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates, in_working_mode
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.kinematics.margins import closed_around, typical_margin
 from redundancy_pin.loading import load_robot, load_with
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot

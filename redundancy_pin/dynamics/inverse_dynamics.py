@@ -51,7 +51,7 @@ the second where the search fails."""
 
 
 @dataclass(frozen=True, eq=False)
-class SingularInstant:
+class SingularInterval:
     """A type II singularity that a motion meets, at a sample or between two.
 
     Attributes:
@@ -103,7 +103,7 @@ class InverseDynamics(Frozen):
         return ResultStatus.UNRESOLVED if self.unresolved else ResultStatus.OK
 
     @cached_property
-    def instants(self) -> tuple[SingularInstant, ...]:
+    def instants(self) -> tuple[SingularInterval, ...]:
         """The type II singularities met, at a sample or between two, in order of time."""
         met = [one for one in self._crossings[0] if one.kind != SingularityKind.TYPE_I]
         return _instants(self._dynamics, self._along.motion, self._carriers, met, self._unreachable) if met else ()
@@ -234,7 +234,7 @@ def _instants(
     carriers: CarrierMotion | None,
     met: list[Crossing],
     unreachable: OnUnreachable,
-) -> tuple[SingularInstant, ...]:
+) -> tuple[SingularInterval, ...]:
     """Return what the efforts do at crossings, which are put among the samples: one branch is followed through all."""
     t = np.array([one.t for one in met])
     new = ~np.isin(t, motion.t)
@@ -262,7 +262,7 @@ def _instants(
         if solved.rank[k] == min(reduced.W.shape[1:]):
             continue  # the closures lose rank there, W on the branch that goes through does not
         status, residual = SampleStatus(solved.status[k]), float(solved.residual[k])
-        instants.append(SingularInstant(one.t, one.until, one.kind, one.crosses, status, residual))
+        instants.append(SingularInterval(one.t, one.until, one.kind, one.crosses, status, residual))
     return tuple(instants)
 
 

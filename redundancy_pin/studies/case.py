@@ -68,6 +68,15 @@ GROUPS: Mapping[str, type] = {"objective": Objective, "limits": Limits, "mesh": 
 """Groups of options, by the keyword of a planner that takes one."""
 
 
+def options_of(planner: Callable[..., Any]) -> tuple[str, ...]:
+    """Return the names of a planner's options as flags, problem files and cases write them: see ``in_groups``."""
+    own = inspect.signature(planner).parameters
+    keywords = [key.name for key in own.values() if key.kind is key.KEYWORD_ONLY]
+    inner = [field.name for group in GROUPS if group in own for field in fields(GROUPS[group])]
+    taken = [name for name in (*keywords, *inner) if name not in GROUPS or name == "objective"]
+    return tuple(dict.fromkeys(name for name in taken if name != "weights"))
+
+
 def in_groups(planner: Callable[..., Any], options: Mapping[str, Any]) -> dict[str, Any]:
     """Return keyword arguments of a planner from options as flags, problem files and cases write them: in one mapping.
 

@@ -15,7 +15,7 @@ from redundancy_pin.arrays import require_few
 from redundancy_pin.errors import InputError, did_you_mean
 from redundancy_pin.robot import Robot
 from redundancy_pin.studies import case
-from redundancy_pin.studies.case import PLANNERS, STEPWISE, SWITCH_OFF, TRAJECTORIES, WHOLE, Case
+from redundancy_pin.studies.case import PLANNERS, STEPWISE, SWITCH_OFF, TRAJECTORIES, WHOLE, Case, options_of
 from redundancy_pin.studies.table import json_data
 
 Scale = Literal["linear", "log"]
@@ -260,8 +260,7 @@ class MapProblem:
                     f"lam = {given['lam']:g} needs a baseline, and {self.robot} cannot be loaded without carriers.",
                     remedy="Leave lam out.",
                 )
-            keywords = inspect.signature(PLANNERS[planner]).parameters.values()
-            names = [key.name for key in keywords if key.kind is key.KEYWORD_ONLY and key.name not in _OF_THE_MAP]
+            names = [name for name in options_of(PLANNERS[planner]) if name not in _OF_THE_MAP]
             hint = "Limits are those of the map (max_effort, stroke, ...). " if {*given} & {*_OF_THE_MAP} else ""
             _require(given, names, f"parameter of {planner} in a map", hint)
 

@@ -28,8 +28,8 @@ from redundancy_pin.dynamics import virtual_work
 from redundancy_pin.dynamics.rnea import RneaAlongMotion, RneaDynamics
 from redundancy_pin.errors import InputError, ModelFileError, UnreachablePoseError
 from redundancy_pin.kinematics.branch import Follower
+from redundancy_pin.kinematics.closed_state import NEAR_RANK_LOSS, closed_around, near_rank_loss
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.margins import NEAR_RANK_LOSS, closed_around, near_rank_loss
 from redundancy_pin.loading import load_robot
 from redundancy_pin.robot import Closure, JointForces, Spring, Wrench
 from redundancy_pin.simulation.system import ConstraintDynamics

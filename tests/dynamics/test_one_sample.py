@@ -425,6 +425,8 @@ def test_arguments_of_any_kind_are_taken_and_others_refused(backend: Backend) ->
         want, strided = call(*given), [np.repeat(part, 2)[::2] for part in given]
         assert not strided[0].flags.c_contiguous
         listed = [part.tolist() for part in given]
+        named = dict(zip(inspect.signature(call).parameters, given, strict=False))
+        assert_alike(call(**named), want, rounding, rounding)
         unmasked = [np.ma.masked_array(part) for part in given]
         for other in (call(*strided), call(*listed), call(*listed[:2], *given[2:]), call(*unmasked)):
             assert_alike(other, want, rounding, rounding)

@@ -26,11 +26,10 @@ from redundancy_pin.kinematics.branch import (
     Follower,
     follower,
 )
-from redundancy_pin.kinematics.closed_state import are_continuous
+from redundancy_pin.kinematics.closed_state import NEAR_RANK_LOSS, are_continuous, near_rank_loss
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import mode_indicator, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.kinematics.margins import NEAR_RANK_LOSS, near_rank_loss
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Payload
 from redundancy_pin.singularities.classify import classify_motion

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -356,9 +355,3 @@ def test_carriers_without_mass_are_one_clear_error(backend: Any) -> None:
             with pytest.raises(UnsupportedRobotError, match="no mass") as caught:
                 plan(backend(robot), motion, **in_groups(plan, {"dt": 0.02}))
             assert caught.value.details["carriers"] == robot.carriers
-
-
-def test_a_missing_solver_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "casadi", None)
-    with pytest.raises(RedundancyPinError, match=r"pip install casadi"):
-        rp.plan_whole_trajectory(two(), CIRCLE, mesh=rp.Mesh(dt=0.1))

@@ -304,7 +304,7 @@ def test_limits_that_shrink_below_the_state_are_softened_and_said():
         command = planner.update(0.02 * i, ACROSS)
     sd = command.motion_at(0.2)[1]
     assert np.abs(sd).max() > 0.1
-    planner.limits = rp.planners.limits.Limits(speed=0.5 * float(np.abs(sd).max()))
+    planner.limits = rp.Limits(speed=0.5 * float(np.abs(sd).max()))
     softened = planner.update(0.2, ACROSS)
     assert softened.status is UpdateStatus.RELAXED
     for i in range(11, 24):
