@@ -17,7 +17,14 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.planners.carrier_model import OTHER_TERMS, TERMS, CarrierModel, carrier_model, turning_model, turns
+from redundancy_pin.planners.carrier_model import (
+    OTHER_TERMS,
+    CarrierModel,
+    carrier_model,
+    plain_model,
+    turning_model,
+    turns,
+)
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.optimal.mesh import Grid, near_singular
 from redundancy_pin.planners.optimal.objectives import Scales
@@ -47,12 +54,9 @@ def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
     def at(speed: float, acceleration: float, later: float = 0.0) -> CarrierModel:
         xdd = motion.xdd * speed**2 + motion.xd * acceleration
         there = dynamics.along(PlatformMotion(motion.t + later, motion.x, motion.xd * speed, xdd, check_rates=False))
-        if robot.k:
-            return turning_model(there) if turns(robot) else carrier_model(there)
-        reduced = there.reduce()
-        none = (np.zeros((len(motion), *shape)) for shape in ((robot.n, 0, TERMS), (0,), (0, TERMS)))
-        by_term, force0, force_terms = none
-        return CarrierModel(motion.t, reduced.W, reduced.f, by_term, force0, force_terms)
+        if not robot.k:
+            return plain_model(there)
+        return turning_model(there) if turns(robot) else carrier_model(there)
 
     rest, ahead, back, push, other = at(0.0, 0.0), at(1.0, 0.0), at(-1.0, 0.0), at(0.0, 1.0), at(0.7, -1.3, 0.37)
     names = [field.name for field in fields(CarrierModel)][2:]
