@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from enum import IntEnum
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -114,6 +115,42 @@ class Frozen:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take the attributes over, arrays read-only."""
         assign(self, **{name: _as_it_was(value) for name, value in state.items()})
+
+
+class ByValue(Frozen):
+    """Base of frozen dataclasses with arrays that are equal where their fields have the same numbers."""
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether the fields are the same."""
+        if type(other) is not type(self):
+            return NotImplemented
+        return self._values == other._values
+
+    def __hash__(self) -> int:
+        """Equal values have equal hashes."""
+        return hash(self._values)
+
+    @property
+    def _values(self) -> tuple[object, ...]:
+        """The fields in a form that can be compared: bytes of arrays would not do, 0.0 and -0.0 differ in them."""
+        return tuple(_comparable(getattr(self, field.name)) for field in fields(self))  # type: ignore[arg-type]
+
+
+def _comparable(value: Any) -> object:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return frozenset((name, _comparable(part)) for name, part in value.items())
+    return tuple(_comparable(part) for part in value) if isinstance(value, (list, tuple)) else value
+
+
+def detached(value: Any) -> Any:
+    """Return what an argument holds, out of reach of its owner: arrays copied, read-only, lists as tuples, mappings."""
+    if isinstance(value, np.ndarray):
+        return read_only(value.copy())
+    if isinstance(value, Mapping):
+        return MappingProxyType({name: detached(part) for name, part in value.items()})
+    return tuple(detached(part) for part in value) if isinstance(value, (list, tuple)) else value
 
 
 class _Proxied(dict[str, Any]):
@@ -292,6 +329,13 @@ def rows_of(values: ArrayLike, name: str, shape: tuple[int | str, int | str]) ->
     return checked(np.atleast_2d(np.asanyarray(values)) if one else values, name, shape)
 
 
+def real(value: Any) -> float:
+    """Return a single number as a float; TypeError for text and flags, which ``float`` takes too."""
+    if isinstance(value, (str, bytes, bool, np.bool_)):
+        raise TypeError(f"{type(value).__name__} is no number")
+    return float(value)
+
+
 def positive(value: float, name: str, unit: str) -> float:
     """Return ``value`` as a float after checking that it is positive and finite: from 1e-100 to 1e100.
 
@@ -301,10 +345,10 @@ def positive(value: float, name: str, unit: str) -> float:
         unit: its unit; empty for a number without.
 
     Raises:
-        InputError: not a number, zero, negative, NaN or infinite.
+        InputError: not a number (text neither), zero, negative, NaN or infinite.
     """
     try:
-        number = float(value)
+        number = real(value)
     except (TypeError, ValueError, OverflowError) as error:
         of = f" of {unit}" if unit else ""
         raise InputError(f"{name} is {shown(value)}, expected a number{of}.", name=name) from error
@@ -316,9 +360,13 @@ def positive(value: float, name: str, unit: str) -> float:
 
 def fraction(value: float, name: str) -> float:
     """Return a number after checking that it is from 0 to 1."""
-    if isinstance(value, bool) or not (isinstance(value, (int, float, np.number)) and 0.0 <= value <= 1.0):
+    try:
+        number = real(value)
+    except (TypeError, ValueError, OverflowError):
+        number = np.nan
+    if not 0.0 <= number <= 1.0:
         raise InputError(f"{name} is {shown(value)}, expected a number in [0, 1].", name=name, value=value)
-    return float(value)
+    return number
 
 
 def whole(value: Any, name: str, least: int, most: int) -> int:
@@ -344,11 +392,14 @@ def each(
         finite: whether they have to be finite.
 
     Raises:
-        InputError: no numbers, another number of them, NaN, or one that is not positive or not finite.
+        InputError: no numbers (text and flags neither), another number of them, NaN, or one that is not positive or
+            not finite.
     """
     text = shown(values.tolist() if isinstance(values, np.ndarray) else values)  # as a user typed it
     count = f"two ends, or two for each of {shape[0]} carriers" if len(shape) == 2 else f"{shape[0]} numbers or one"
     try:
+        if np.asarray(values).dtype.kind in "SUb":
+            raise TypeError("numpy makes numbers of text and of flags")
         numbers = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} is {text}, expected {count}.", name=name, value=values) from error

@@ -15,7 +15,7 @@ from copies import arrays_of, digest, types_of
 from forked import import_all
 
 import redundancy_pin as rp
-from redundancy_pin.arrays import Frozen
+from redundancy_pin.arrays import ByValue, Frozen
 from redundancy_pin.crosscheck import run
 from redundancy_pin.dynamics.allocation import CarrierForces, allocate
 from redundancy_pin.dynamics.compiled import design_of
@@ -25,7 +25,7 @@ from redundancy_pin.dynamics.virtual_work import three_rrr, two_rpr
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.optimal.co_design import CoDesign, DesignTask
-from redundancy_pin.planners.options import Limits
+from redundancy_pin.planners.options import Limits, Objective
 from redundancy_pin.planners.receding_horizon import Command
 from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.planners.receding_horizon.run import OnLineRun
@@ -113,7 +113,8 @@ def objects() -> dict[str, Any]:
         "rows of efforts": closing.rows(np.ones(len(closing.names)), 0.0, 1.0),
         "crossings": rp.find_crossings(small, circle),
         "locus": rp.singular_locus(small, resolution=8),
-        "limits": Limits(),
+        "limits": Limits(effort=np.ones(3)),
+        "objective": Objective({"effort": 1.0}, base_point=np.zeros(3)),
         "resolved": Limits().resolved(robot),
         "spline": rp.trajectory.SplinePath(np.array([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]])),
         "polynomial": rp.trajectory.rest_to_rest_345(0.0, 1.0, three, 0.0 * three),
@@ -178,16 +179,15 @@ def test_every_type_with_read_only_arrays_is_among_them(objects: dict[str, Any])
         kind = pending.pop()
         pending += kind.__subclasses__()
         every.add(kind.__name__)
-    assert every - types - ELSEWHERE - {"Frozen"} == set()
+    assert every - types - ELSEWHERE - {"Frozen", "ByValue"} == set()
 
 
 def test_results_are_compared_by_what_they_are_and_not_by_their_arrays(objects: dict[str, Any]) -> None:
-    """Equality of arrays has no truth value; what is compared by identity can be a key."""
+    """Equality of arrays has no truth value; what is compared by identity can be a key; options are by value."""
     for name, one in objects.items():
         if isinstance(one, Frozen):
             assert {one: name}[one] == name
-            by_value = name == "resolved"  # the limits of two plans are compared
-            assert (one == copy.deepcopy(one)) is by_value, name
+            assert (one == copy.deepcopy(one)) is isinstance(one, ByValue), name
 
 
 def test_copies_compute_what_the_originals_do(objects: dict[str, Any]) -> None:

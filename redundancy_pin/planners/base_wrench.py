@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, checked, frozen, read_only
+from redundancy_pin.arrays import Array, BoolArray, checked, frozen, read_only, real
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
-from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.errors import InputError, UnsupportedRobotError, shown
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import SLIDING_TERMS, TERM_NAMES, TERMS, TURNING_TERMS, terms
 from redundancy_pin.robot.scales import turning_velocities
@@ -37,8 +37,16 @@ def weights_of(objective: str | Mapping[str, float], known: Collection[str]) -> 
             f"objective is {unknown!r}.", remedy=f"Use {', '.join(known)}, or weights of them.", objective=unknown
         )
     for weight in given.values():
-        if not (isinstance(weight, (int, float)) and math.isfinite(weight) and weight >= 0.0):
-            raise InputError(f"A weight of the objective is {weight!r}.", remedy="Weights are positive.", weight=weight)
+        try:
+            usable = math.isfinite(number := real(weight)) and number >= 0.0
+        except (TypeError, ValueError, OverflowError):
+            usable = False
+        if not usable:
+            raise InputError(
+                f"A weight of the objective is {shown(weight)}.",
+                remedy="Weights are numbers that are not negative.",
+                weight=weight,
+            )
     kept = {name: float(weight) for name, weight in given.items() if weight > 0.0}
     if not kept:
         raise InputError("Nothing to minimise: every weight is zero.", remedy="Give one objective a weight.")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, Frozen, each, frozen, runs
+from redundancy_pin.arrays import Array, ByValue, each, frozen, runs
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.robot.joint_ranges import joint_ranges
@@ -28,7 +28,7 @@ speed and acceleration of carriers are polynomials, which planners keep within l
 
 
 @dataclass(frozen=True, eq=False)
-class ResolvedLimits(Frozen):
+class ResolvedLimits(ByValue):
     """The limits a planner keeps to, all of them arrays; infinite for none.
 
     ``names`` (k,) names of the carriers; ``track`` (k, 2) ends, m; ``speed``, ``acceleration``, ``carrier_force``,
@@ -44,21 +44,6 @@ class ResolvedLimits(Frozen):
     jerk: Array
     effort: Array
     actuator_speed: Array
-
-    def __eq__(self, other: object) -> bool:
-        """Return whether names and numbers are the same."""
-        if not isinstance(other, ResolvedLimits):
-            return NotImplemented
-        return self._values == other._values
-
-    def __hash__(self) -> int:
-        """Equal limits have equal hashes."""
-        return hash(self._values)
-
-    @property
-    def _values(self) -> tuple[object, ...]:
-        """Names and numbers as tuples: bytes of 0.0 and -0.0 would differ."""
-        return (self.names, *(tuple(getattr(self, field.name).ravel().tolist()) for field in fields(self)[1:]))
 
     @property
     def of_carriers(self) -> tuple[CarrierLimits, ...]:

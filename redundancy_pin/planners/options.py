@@ -13,7 +13,18 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, Frozen, each, fraction, frozen, positive, require_type, whole
+from redundancy_pin.arrays import (
+    Array,
+    ByValue,
+    assign,
+    detached,
+    each,
+    fraction,
+    frozen,
+    positive,
+    require_type,
+    whole,
+)
 from redundancy_pin.dynamics.default import DynamicsLike
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.motion import PlatformMotion, require_consistent
@@ -38,7 +49,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Limits(Frozen):
+class Limits(ByValue):
     """Limits of a plan; what is None is what the robot declares, ``numpy.inf`` takes a limit away.
 
     Example:
@@ -61,6 +72,10 @@ class Limits(Frozen):
     carrier_force: ArrayLike | None = None
     effort: ArrayLike | None = None
     actuator_speed: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        """Copy the arrays."""
+        assign(self, **{field.name: detached(getattr(self, field.name)) for field in fields(self)})
 
     def resolved(self, robot: Robot) -> ResolvedLimits:
         """Return them as arrays, with the robot's own by default.
@@ -109,7 +124,7 @@ def _declared_efforts(robot: Robot) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Objective:
+class Objective(ByValue):
     """What a plan minimises.
 
     Example:
@@ -142,10 +157,11 @@ class Objective:
         if self.weights is None:
             object.__setattr__(self, "weights", "tracking" if aims else "effort")
         point_of(self.base_point)
+        assign(self, **{name: detached(getattr(self, name)) for name in ("weights", "baseline", "base_point")})
         if self.calm is not None:
             fraction(self.calm, "calm")
         named = [self.weights] if isinstance(self.weights, str) else self.weights
-        if aims and isinstance(named, (list, Mapping)) and "tracking" not in named:
+        if aims and isinstance(named, (list, tuple, Mapping)) and "tracking" not in named:
             raise InputError(
                 "lam and baseline say what to track, but the objective does not have tracking.",
                 remedy="Leave them out, or add tracking to the objective.",

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from collections.abc import Callable
+from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import pytest
 import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError
+from redundancy_pin.planners.optimal.settings import checked_settings
 from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import reference
 
@@ -32,6 +37,61 @@ from redundancy_pin.trajectory import reference
 def test_a_group_checks_its_numbers(make: Callable[[], object], name: str) -> None:
     with pytest.raises(InputError, match=name):
         make()
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda given: rp.Mesh(dt=given),
+        lambda given: rp.Solver(seconds=given),
+        lambda given: rp.Objective("tracking", lam=given),
+        lambda given: rp.Objective(calm=given),
+        lambda given: rp.Limits(effort=given).resolved(zoo.robot_of("3rrr")),
+        lambda given: rp.Limits(speed=[given, given, given]).resolved(zoo.robot_of("3rrr")),
+        lambda given: checked_settings(zoo.robot_of("3rrr"), {"effort": given}),
+    ],
+    ids=["dt", "seconds", "lam", "calm", "effort", "speed", "weight"],
+)
+def test_a_number_is_one_of_any_kind_and_no_text(make: Callable[[Any], object]) -> None:
+    for number in (0.5, np.float32(0.5), np.array(0.5)):
+        make(number)
+    for other in ("0.5", np.str_("0.5"), True, float("nan"), 0.5j):
+        with pytest.raises(InputError):
+            make(other)
+
+
+GROUPS: dict[str, tuple[Callable[[Any], Any], Any, Callable[[Any], None]]] = {
+    "limits": (lambda given: rp.Limits(effort=given), np.ones(3), lambda given: given.fill(9.0)),
+    "list": (lambda given: rp.Limits(track=given), [[-0.1, 0.1]], lambda given: given[0].append(9.0)),
+    "weights": (rp.Objective, {"effort": 1.0}, lambda given: given.update(peak=9.0)),
+    "point": (lambda given: rp.Objective(base_point=given), np.zeros(3), lambda given: given.fill(9.0)),
+    "baseline": (lambda given: rp.Objective(baseline=given), np.ones((2, 3)), lambda given: given.fill(9.0)),
+}
+"""How a group is made of a value, and a change of that value by its owner."""
+
+
+@pytest.mark.parametrize("name", GROUPS)
+def test_groups_do_not_change_with_their_arguments(name: str) -> None:
+    make, given, change = GROUPS[name]
+    group, same = make(given), make(copy.deepcopy(given))
+    for twin in (same, copy.copy(group), copy.deepcopy(group), pickle.loads(pickle.dumps(group))):
+        assert (group == twin, hash(group) == hash(twin)) == (True, True)
+    change(given)
+    assert group == same
+    assert group != make(given)
+    for part in (vars(each) for each in (group, pickle.loads(pickle.dumps(group)))):
+        assert not any(value.flags.writeable for value in part.values() if isinstance(value, np.ndarray))
+        assert not any(isinstance(value, (dict, list)) for value in part.values())
+
+
+def test_groups_are_equal_by_value() -> None:
+    assert rp.Limits(effort=2.5) == rp.Limits(effort=2.5) != rp.Limits(effort=2.6)
+    assert rp.Limits(effort=2.5) != rp.Limits(speed=2.5)
+    assert rp.Limits(effort=[1.0, 0.0]) == rp.Limits(effort=np.array([1.0, -0.0]))
+    assert rp.Objective({"effort": 1.0, "peak": 2.0}) == rp.Objective({"peak": 2.0, "effort": 1.0})
+    assert rp.Objective("peak") != rp.Objective("peak", calm=0.0)
+    assert rp.Objective(MappingProxyType({"peak": 1.0})) == rp.Objective({"peak": 1.0})
+    assert rp.Limits() != rp.Mesh()
 
 
 def test_lam_and_baseline_ask_for_tracking() -> None:
