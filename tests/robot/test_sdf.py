@@ -399,9 +399,9 @@ def test_a_moment_may_be_negative_by_what_files_round(least: float, right: bool,
     path = tmp_path / "pendulum.sdf"
     inertia = f"<inertia><ixx>1</ixx><iyy>1</iyy><izz>{least!r}</izz></inertia>"
     path.write_text(
-        f"<sdf version='1.9'><model name='pendulum'><link name='rod'><inertial><mass>1</mass>{inertia}</inertial></link>"
-        "<joint name='pin' type='revolute'><parent>world</parent><child>rod</child><axis><xyz>0 1 0</xyz></axis></joint>"
-        "</model></sdf>"
+        f"<sdf version='1.9'><model name='arm'><link name='rod'><inertial><mass>1</mass>{inertia}</inertial></link>"
+        "<joint name='pin' type='revolute'><parent>world</parent><child>rod</child>"
+        "<axis><xyz>0 1 0</xyz></axis></joint></model></sdf>"
     )
     if right:
         robot = rp.load_robot(path, actuated="pin")
