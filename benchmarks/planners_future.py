@@ -105,30 +105,48 @@ def base_wrench():
     )
 
 
-def gradient():
-    """Slopes of a least cost by three numbers of the machine, against plans made anew."""
-    design = {"carrier_mass": (0.5, 2.0), "track_offset": (0.05, 0.15), "end_effector_mass": (0.1, 1.0)}
+def gradients():
+    """Slopes of least costs by three numbers of a robot, against plans made anew."""
     circle = reference.circle(speed=0.5, ramp_time=0.2, ramp_length=0.05)
-    options = {"limits": rp.Limits(acceleration=20.0), "mesh": rp.Mesh(dt=0.02, refinements=0)}
-    robot, least = rp.load_robot("2rpr", end_effector_mass=0.5), rp.Objective("effort", calm=0.0)
+    fixed = rp.Mesh(dt=0.02, refinements=0)
+    options = {"objective": "effort", "limits": rp.Limits(acceleration=20.0), "mesh": fixed}
+    least = {**options, "objective": rp.Objective("effort", calm=0.0)}
 
-    def value(**changed):
-        dynamics = rp.VirtualWork(rp.with_parameters(robot, **changed))
-        return rp.plan_whole_trajectory(
-            dynamics, circle, **in_groups(rp.plan_whole_trajectory, dict(objective=least, **options))
-        ).diagnostics["objective"]["effort"]
+    def effort(robot):
+        plan = rp.plan_whole_trajectory(rp.VirtualWork(robot), circle, **least)
+        return plan.diagnostics["objective"]["effort"]
+
+    yield slopes_compared(
+        "slopes of a least cost by three numbers of the 2-RPR",
+        DesignTask(rp.VirtualWork(rp.load_robot("2rpr", end_effector_mass=0.5)), circle, options),
+        ("carrier_mass", "track_offset", "end_effector_mass"),
+        effort,
+    )
+    line = rp.trajectory.Line([0.1, 0.0, -0.5], [-0.1, 0.1, -0.45])
+    fastest = {"limits": rp.Limits(effort=30.0), "mesh": rp.Mesh(steps=100, refinements=0)}
+    yield slopes_compared(
+        "slopes of a least time by three numbers of the delta robot",
+        DesignTask(rp.load_robot("delta"), line, {"objective": "time", **fastest}),
+        ("arm_length", "rod_length", "platform_mass"),
+        lambda robot: rp.plan_time_optimal(robot, line, **fastest).t[-1],
+    )
+
+
+def slopes_compared(what, task, names, value):
+    """A row: slopes of a task's least cost by numbers of its robot; ``value`` is the least cost of another robot."""
+    robot = task.dynamics.robot
+    at = {name: float(robot.parameters[name]) for name in names}
 
     def differences():
         slopes = []
-        for name in design:
-            at = float(robot.parameters[name])
-            ends = [value(**{name: at * (1.0 + sign * STEP)}) for sign in (1, -1)]
-            slopes.append((ends[0] - ends[1]) / (2.0 * at * STEP))
+        for name in names:
+            ends = [value(rp.with_parameters(robot, **{name: at[name] * (1.0 + sign * STEP)})) for sign in (1, -1)]
+            slopes.append((ends[0] - ends[1]) / (2.0 * at[name] * STEP))
         return np.array(slopes)
 
-    search = Search([DesignTask(rp.VirtualWork(robot), circle, options)], design)
-    yield compared(
-        "slopes of a least cost by three numbers of the 2-RPR, plans made anew over multipliers and exact derivatives",
+    search = Search([task], {name: (0.5 * at[name], 2.0 * at[name]) for name in names})
+    return compared(
+        f"{what}, plans made anew over multipliers and exact derivatives",
         differences,
         lambda: search.machine(search.start).gradients[0],
         1.0,
@@ -138,7 +156,7 @@ def gradient():
 
 def rows():
     """Least time, base wrench, co-design."""
-    return [*least_time(), *base_wrench(), *gradient()]
+    return [*least_time(), *base_wrench(), *gradients()]
 
 
 if __name__ == "__main__":

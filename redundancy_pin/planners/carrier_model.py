@@ -278,6 +278,13 @@ def carrier_model(along: DynamicsAlongMotion, *, check: bool = True) -> CarrierM
     return model
 
 
+def plain_model(along: DynamicsAlongMotion) -> CarrierModel:
+    """Read W and f of a robot without carriers off a backend along a platform motion: coefficients without terms."""
+    reduced, samples, n = along.reduce(), len(along.motion), along.robot.n
+    none = (np.zeros((samples, *shape)) for shape in ((n, 0, TERMS), (0,), (0, TERMS)))
+    return CarrierModel(along.motion.t, reduced.W, reduced.f, *none)
+
+
 def turning_model(along: DynamicsAlongMotion, *, check: bool = True) -> CarrierModel:
     """Read the coefficients off a backend where some carriers turn, from its exact derivatives at ten motions.
 

@@ -1,7 +1,8 @@
 """Robot and motions designed together: numbers of a robot as unknowns beside the efforts and plans of several tasks.
 
 For each robot that is tried, every task has its least cost and the derivatives of that (``optimal.least_cost``): with
-carriers those of the best plan, without carriers those of the efforts that the motion determines. The weighted sum of
+carriers, or where the time of a path is minimised, those of the best plan; else those of the efforts that the motion
+determines. The weighted sum of
 the least costs is minimised over the numbers of the robot, within bounds. A robot that cannot carry out a task counts
 as worse than any that can.
 
@@ -38,13 +39,15 @@ from redundancy_pin.errors import (
 )
 from redundancy_pin.loading import with_parameters
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.planners.optimal.least_cost import DesignedRobot, LeastCost, least_cost
+from redundancy_pin.planners.optimal.least_cost import TIME, DesignedRobot, LeastCost, least_cost
+from redundancy_pin.planners.optimal.time_optimal import plan_time_optimal
 from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
 from redundancy_pin.planners.options import Objective, refuse_fields
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
+from redundancy_pin.trajectory.paths import Path
 
 NO_MACHINE = (InfeasiblePlanError, UnreachablePoseError, SingularPoseError, WorkingModeError, DeclarationError)
 """What tells that a machine cannot carry out a task."""
@@ -78,14 +81,16 @@ class DesignTask(Frozen):
     Attributes:
         dynamics: a backend of the robot to begin with; made by ``as_dynamics`` where a robot, its name or its path is
             given. With carriers the task is planned; without, the motion determines the efforts.
-        motion: of the platform, as for ``plan_whole_trajectory``.
+        motion: of the platform, as for ``plan_whole_trajectory``; for the objective "time" a path, or a trajectory
+            for its path.
         options: keywords of ``plan_whole_trajectory``: objective, limits, mesh, solver and the others. Without carriers
-            those of the carriers' motion have no effect.
+            those of the carriers' motion have no effect. For the objective "time", which stands alone, those of
+            ``plan_time_optimal`` beside it.
         weight: of its least cost, over what that is for the robot to begin with.
     """
 
     dynamics: Dynamics
-    motion: PlatformMotion | TimedTrajectory
+    motion: PlatformMotion | TimedTrajectory | Path
     options: Mapping[str, Any] = field(default_factory=dict)
     weight: float = 1.0
 
@@ -287,20 +292,20 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
     tasks = tuple(one if isinstance(one, DesignTask) else DesignTask(*one) for one in given)
     if not tasks:
         raise InputError("There is no task to design for.", remedy=remedy)
-    known = set(inspect.signature(plan_whole_trajectory).parameters) - {"dynamics", "motion"}
     for task in tasks:
         require_type(task.options, Mapping, "A mapping of a task's options", remedy)
         positive(task.weight, "weight", "")
+        objective = Objective.of(task.options.get("objective", "effort"))
+        refuse_fields(objective, {"calm": "machines are compared by least costs"})
+        planner = plan_time_optimal if objective.weights == TIME else plan_whole_trajectory
+        known = {"objective", *inspect.signature(planner).parameters} - {"dynamics", "motion", "path"}
         for name in task.options:
             if name not in known:
                 raise InputError(
                     f"A task has the option {shown(name)}.",
-                    remedy=f"{did_you_mean(name, known)}Options are those of plan_whole_trajectory.",
+                    remedy=f"{did_you_mean(name, known)}Options are objective and those of {planner.__name__}.",
                     name=name,
                 )
-        refuse_fields(
-            Objective.of(task.options.get("objective", "effort")), {"calm": "machines are compared by least costs"}
-        )
     return tasks
 
 

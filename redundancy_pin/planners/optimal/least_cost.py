@@ -1,10 +1,12 @@
 """The least cost of one task by one robot, and its derivatives by numbers of the robot: what co-design minimises.
 
-A robot with carriers has a plan to choose: its least cost is that of ``plan_whole_trajectory``, with the derivatives of
-``optimal.sensitivity``. Of a robot without carriers the motion determines the efforts, W(x; p) τ = f(x, ẋ, ẍ; p), and
-where it has more actuators than degrees of freedom those of least norm are taken. Its cost is a function J(τ, q̇, ...)
-of them at nodes (``OBJECTIVES``), and dJ/dp = Σ ∂J/∂τ dτ/dp + ..., with dτ/dp by implicit differentiation of W τ = f.
-That holds the motion of the platform, and closes the loops again: joint angles change with lengths.
+The objective "time" is the duration of a path by ``plan_time_optimal``, of any robot. For other objectives a robot with
+carriers has a plan to choose: its least cost is that of ``plan_whole_trajectory``. Both have the derivatives of
+``optimal.sensitivity``, by the multipliers of the optimum: no plan is made again. Of a robot without carriers the
+motion determines the efforts, W(x; p) τ = f(x, ẋ, ẍ; p), and where it has more actuators than degrees of freedom those
+of least norm are taken. Its cost is a function J(τ, q̇, ...) of them at nodes (``OBJECTIVES``), and
+dJ/dp = Σ ∂J/∂τ dτ/dp + ..., with dτ/dp by implicit differentiation of W τ = f. That holds the motion of the platform,
+and closes the loops again: joint angles change with lengths.
 
 Every instant at which an effort of the continuous motion is largest is a node. A peak is therefore that of the
 continuous motion. That the instant moves with p adds nothing to the derivative, since the effort is stationary there.
@@ -15,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -26,26 +28,30 @@ from redundancy_pin.dynamics.default import design_derivatives
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.loading import with_parameters
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.base_wrench import load_at_rest, shift_moment_point
-from redundancy_pin.planners.carrier_model import TERMS, CarrierModel, require_carriers, target_effort
+from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions, apart
 from redundancy_pin.planners.intersample_check import PlannedMotion, intersample_check
 from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, with_nodes
 from redundancy_pin.planners.optimal.nlp import Expression
-from redundancy_pin.planners.optimal.objectives import OBJECTIVES, Quantities, Scales
-from redundancy_pin.planners.optimal.problem import Task, scales_of
+from redundancy_pin.planners.optimal.objectives import OBJECTIVES
+from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
 from redundancy_pin.planners.optimal.sensitivity import MOVED, DesignSlopes, Moved, base_slopes, design_gradient
-from redundancy_pin.planners.optimal.settings import Settings, checked_settings
+from redundancy_pin.planners.optimal.settings import checked_settings
 from redundancy_pin.planners.optimal.solve import Outcome
-from redundancy_pin.planners.optimal.transcription import objective_values
+from redundancy_pin.planners.optimal.time_optimal import optimise_timing, path_task
+from redundancy_pin.planners.optimal.transcription import Evaluation, objective_values
 from redundancy_pin.planners.optimal.whole_trajectory import optimise
-from redundancy_pin.planners.options import Objective
+from redundancy_pin.planners.options import Limits, Objective, group_of
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus, SampleStatus, solved_status
-from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
+from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.paths import Path
+
+TIME = "time"
+"""Objective of a path whose timing is planned."""
 
 FOLLOWED = "inverse_dynamics"
 """Planner of a plan whose efforts follow from the motion."""
@@ -75,29 +81,9 @@ class DesignedRobot:
         return tuple(with_parameters(self.robot, **{name: value}) for name, value in values.items())  # type: ignore[arg-type]
 
 
-class LeastCost(Protocol):
-    """The least cost of a task by a robot.
-
-    Attributes:
-        plan: the plan that has it.
-        value: the weighted objectives, in their unit.
-    """
-
-    @property
-    def plan(self) -> Plan:
-        """The plan that has it."""
-
-    @property
-    def value(self) -> float:
-        """The weighted objectives, in their unit."""
-
-    def gradient(self, designed: DesignedRobot) -> Array:
-        """Return (d,) the derivatives of the value by the parameters, in their units."""
-
-
 def least_cost(
     dynamics: Dynamics,
-    motion: PlatformMotion | TimedTrajectory,
+    motion: PlatformMotion | TimedTrajectory | Path,
     options: Mapping[str, Any],
     near: LeastCost | None = None,
 ) -> LeastCost:
@@ -105,8 +91,8 @@ def least_cost(
 
     Args:
         dynamics: a backend of the robot.
-        motion: of the platform.
-        options: keywords of ``plan_whole_trajectory``.
+        motion: of the platform; for the objective "time" a path, or a trajectory for its path.
+        options: keywords of ``plan_whole_trajectory``; for the objective "time" those of ``plan_time_optimal``.
         near: the least cost of the task by a similar robot, whose plan is a good first guess.
 
     Raises:
@@ -114,7 +100,13 @@ def least_cost(
             singularity or needs efforts beyond their limits.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
-    task = Task(dynamics, as_motion(motion), settings_of(dynamics.robot, options))
+    rest = dict(options)
+    objective = replace(Objective.of(rest.pop("objective", "effort")), calm=0.0)
+    if objective.weights == TIME:
+        timed = path_task(dynamics, motion, **rest)  # type: ignore[arg-type]  # which refuses samples
+        return PlannedCost(timed.task, rest.get("limits"), *optimise_timing(timed))
+    source = as_motion(motion)  # type: ignore[arg-type]  # which refuses paths
+    task = Task(dynamics, source, checked_settings(dynamics.robot, objective, **rest))
     if not dynamics.robot.k:
         return follow(task)
     require_carriers(dynamics.robot)
@@ -122,40 +114,43 @@ def least_cost(
     if isinstance(near, PlannedCost):
         position = near.outcome.problem.position(near.outcome.solution.values)
     plan, outcome = optimise(task, position)
-    return PlannedCost(task, options, plan, outcome)
+    return PlannedCost(task, rest.get("limits"), plan, outcome, task.source)
 
 
-def settings_of(robot: Robot, options: Mapping[str, Any]) -> Settings:
-    """Return the settings that keywords of ``plan_whole_trajectory`` stand for: least costs, no calmer plans."""
-    rest = dict(options)
-    objective = Objective.of(rest.pop("objective", "effort"))
-    return checked_settings(robot, replace(objective, calm=0.0), **rest)
-
-
-# --- with carriers: a plan to choose ----------------------------------------------------------------------------------
+# --- a plan to choose -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedCost:
-    """The least cost of a task by a robot with carriers, see ``LeastCost``."""
+    """The least cost of a task that is planned, see ``LeastCost``.
+
+    Attributes:
+        task: the task.
+        limits: as given, in place of the robot's own.
+        plan: its plan.
+        outcome: programme and solution.
+        platform: motion of the platform.
+    """
 
     task: Task
-    options: Mapping[str, Any]
+    limits: Limits | None
     plan: Plan
     outcome: Outcome
+    platform: Motion
 
     @cached_property
     def value(self) -> float:
-        """The weighted objectives, without the regularisation."""
-        values = objective_values(self.outcome.problem, self.outcome.solution.values)
-        return sum(weight * values[name] for name, weight in self.task.settings.objective.items())
+        """The weighted objectives, or the duration, s, without the regularisation."""
+        problem, values = self.outcome.problem, self.outcome.solution.values
+        if problem.timing is not None:
+            return float(problem.times(values)[-1])
+        return self.task.settings.weighted(objective_values(problem, values))
 
     def gradient(self, designed: DesignedRobot) -> Array:
         """Return (d,) the derivatives of the least cost by the parameters."""
-        moved = [
-            Moved(settings_of(robot, self.options).limits, robot.characteristic_length) for robot in designed.increased
-        ]
-        return design_gradient(self.task, self.outcome, designed.slopes, moved)
+        limits = group_of(self.limits, Limits)
+        moved = [Moved(limits.resolved(robot), robot.characteristic_length) for robot in designed.increased]
+        return design_gradient(self.task, self.outcome, self.platform, designed.slopes, moved)
 
 
 # --- without: the motion determines the efforts -----------------------------------------------------------------------
@@ -181,7 +176,7 @@ class FollowedCost:
     @property
     def value(self) -> float:
         """The weighted objectives."""
-        return sum(weight * self.values[name] for name, weight in self.task.settings.objective.items())
+        return self.task.settings.weighted(self.values)
 
     def gradient(self, designed: DesignedRobot) -> Array:
         """Return (d,) the derivatives of the cost by the parameters.
@@ -232,7 +227,7 @@ def follow(task: Task) -> FollowedCost:
             time=event.worst,
             amount=event.amount,
         )
-    values, by = _objectives(task, planned, plan, grid, fixed)
+    values, by = _objectives(task, plan, grid, fixed)
     for name, bound in task.settings.at_most.items():
         if values[name] > bound:
             raise InfeasiblePlanError(
@@ -278,22 +273,22 @@ def _planned(task: Task, grid: Grid) -> PlannedMotion:
     )
 
 
-class _Symbols(Quantities):
-    """The quantities of a followed motion as symbols: efforts and rates (M, m), the wrench on the base (M, 6).
+class _Symbols(Evaluation):
+    """The quantities of a followed motion, of which those that change with the robot are symbols.
 
-    Integrals, rates and ripples are those at the nodes that were there before the peaks of the efforts: a node that
-    moves with the robot would change the error of the trapezoidal rule.
+    These are efforts and rates (M, m), the wrench on the base (M, 6) and the characteristic length. Integrals, rates
+    and ripples are those at the nodes that were there before the peaks of the efforts: a node that moves with the robot
+    would change the error of the trapezoidal rule.
     """
 
-    def __init__(self, grid: Grid, fixed: IntArray, scales: Scales, tau_target: Array) -> None:
-        super().__init__(np.diff(grid.t[fixed]), scales, tau_target, np.zeros_like(tau_target))
+    def __init__(self, problem: Problem, fixed: IntArray) -> None:
+        none = np.zeros((len(problem.grid.t), 0))
+        super().__init__(problem, {"s": none, "sd": none, "sdd": none, "force": none}, np.diff(problem.grid.t[fixed]))
         self._fixed = fixed.tolist()
-        nodes = len(tau_target)
-        self.s = self.sd = self.sdd = self.force = ca.MX(nodes, 0)
-        self.tau, self.actuated_rate = (ca.MX.sym("y", *tau_target.shape) for _ in range(2))
-        self.base, length = ca.MX.sym("base", nodes, 6), ca.MX.sym("length")
+        self.tau, self.actuated_rate = (ca.MX.sym("y", *problem.target.shape) for _ in range(2))
+        self.base, length = ca.MX.sym("base", len(none), 6), ca.MX.sym("length")
         self.base_force, self.base_moment = self.base[:, :3], self.base[:, 3:]
-        self.scales = replace(scales, length=length)  # type: ignore[arg-type]  # costs are differentiated by it
+        self.scales = replace(problem.scales, length=length)  # type: ignore[arg-type]  # costs are differentiated by it
 
     def integral(self, integrand: Expression) -> Expression:
         """Return ∫ Σ integrand dt by the trapezoidal rule."""
@@ -307,43 +302,26 @@ class _Symbols(Quantities):
         """Return by how much values at inner nodes deviate from the line through both neighbours, and weights."""
         return super().bending(values[self._fixed, :])
 
-    def absolute(self, values: Expression, size: float) -> Expression:
-        """Return |values|."""
-        return ca.fabs(values)
-
-    def largest(self, values: Expression, size: float) -> Expression:
-        """Return the largest |value|."""
-        return ca.mmax(ca.fabs(values))
-
 
 def _objectives(
-    task: Task, planned: PlannedMotion, plan: Plan, grid: Grid, fixed: IntArray
+    task: Task, plan: Plan, grid: Grid, fixed: IntArray
 ) -> tuple[dict[str, float], tuple[Array, Array, Array, float]]:
     """Return the objectives by name, and the derivatives of ``FollowedCost.by``."""
-    settings, reduced, robot = task.settings, planned.samples.reduced, task.dynamics.robot
-    nodes, n = len(grid.t), robot.n
-    model = CarrierModel(
-        grid.t,
-        reduced.W,
-        reduced.f,
-        np.zeros((nodes, n, 0, TERMS)),
-        np.zeros((nodes, 0)),
-        np.zeros((nodes, 0, TERMS)),
-    )
-    scales = scales_of(model, settings, reduced.row_scale, task.source.end - task.source.start, plan.actuated_rate)
-    named = {**settings.objective, **settings.at_most}
-    lam = settings.lam if "tracking" in named else 0.0
-    target, _ = target_effort(robot, plan.motion, lam, settings.baseline if lam else None)
-    symbols = _Symbols(grid, fixed, scales, target)
-    formulas = {name: OBJECTIVES[name].formula(symbols) for name in named}
-    cost = sum(weight * formulas[name] for name, weight in settings.objective.items())
+    problem, _ = read_problem(task, grid)
+    symbols, objective = _Symbols(problem, fixed), task.settings.objective
+    formulas = {name: OBJECTIVES[name].formula(symbols) for name in {**objective, **task.settings.at_most}}
+    cost = sum(weight * formulas[name] for name, weight in objective.items())
     variables = [symbols.tau, symbols.actuated_rate, symbols.base, symbols.scales.length]
     outputs = [*formulas.values(), *(ca.gradient(cost, variable) for variable in variables)]
-    rest = load_at_rest(task.dynamics, plan.motion, settings.start, settings.base_point)
-    base = shift_moment_point(planned.along.base_wrench(planned.carriers), settings.base_point) - rest
+    base = problem.base.w0 if problem.base else np.zeros((len(grid.t), 6))
     values = ca.Function("objectives", variables, outputs).call(
-        [plan.tau, plan.actuated_rate, base, robot.characteristic_length]
+        [plan.tau, plan.actuated_rate, base, task.dynamics.robot.characteristic_length]
     )
     by_tau, by_rate, by_base, by_length = (part.full() for part in values[len(formulas) :])
     found = {name: float(value) for name, value in zip(formulas, values, strict=False)}
     return found, (by_tau, by_rate, by_base, by_length.item())
+
+
+LeastCost: TypeAlias = PlannedCost | FollowedCost
+"""The least cost of a task by a robot: ``plan`` has it, ``value`` is in the unit of the objective, and ``gradient`` are
+its derivatives by parameters of the robot."""

@@ -17,7 +17,15 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.planners.carrier_model import OTHER_TERMS, TERMS, CarrierModel, carrier_model, turning_model, turns
+from redundancy_pin.planners.carrier_model import (
+    OTHER_TERMS,
+    CarrierModel,
+    carrier_model,
+    plain_model,
+    turning_model,
+    turns,
+)
+from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.optimal.mesh import Grid, near_singular
 from redundancy_pin.planners.optimal.objectives import Scales
 from redundancy_pin.planners.optimal.problem import (
@@ -46,12 +54,9 @@ def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
     def at(speed: float, acceleration: float, later: float = 0.0) -> CarrierModel:
         xdd = motion.xdd * speed**2 + motion.xd * acceleration
         there = dynamics.along(PlatformMotion(motion.t + later, motion.x, motion.xd * speed, xdd, check_rates=False))
-        if robot.k:
-            return turning_model(there) if turns(robot) else carrier_model(there)
-        reduced = there.reduce()
-        none = (np.zeros((len(motion), *shape)) for shape in ((robot.n, 0, TERMS), (0,), (0, TERMS)))
-        by_term, force0, force_terms = none
-        return CarrierModel(motion.t, reduced.W, reduced.f, by_term, force0, force_terms)
+        if not robot.k:
+            return plain_model(there)
+        return turning_model(there) if turns(robot) else carrier_model(there)
 
     rest, ahead, back, push, other = at(0.0, 0.0), at(1.0, 0.0), at(-1.0, 0.0), at(0.0, 1.0), at(0.7, -1.3, 0.37)
     names = [field.name for field in fields(CarrierModel)][2:]
@@ -97,7 +102,7 @@ def read_path_problem(task: Task, nodes: Grid, begin: str, lap: bool, before: Pr
     along = dynamics.along(motion)
     model, parked = read_model(along, dynamics), along.reduce()
     rate: Array = np.einsum("nim,ni->nm", model.W, motion.xd)
-    fastest = (settings.limits.actuator_speed / np.maximum(np.abs(rate), 1e-300)).min(axis=1, initial=1e300)
+    fastest = fastest_speed(rate, settings.limits)
     place = nodes.t / nodes.t[-1]
     if before is None or before.timing is None:
         speed = _first_speed(model, parked, settings, place * unit.end, fastest)
@@ -116,6 +121,12 @@ def read_path_problem(task: Task, nodes: Grid, begin: str, lap: bool, before: Pr
         scales=scales,
         timing=PathTiming(begin, lap, speed, acceleration, steps, fastest),
     )
+
+
+def fastest_speed(rate: Array, limits: ResolvedLimits) -> Array:
+    """Return (M,) the largest ṗ that limits of the actuators' rates allow, m/s, of (M, m) rates at unit speed."""
+    fastest: Array = (limits.actuator_speed / np.maximum(np.abs(rate), 1e-300)).min(axis=1, initial=1e300)
+    return fastest
 
 
 def _first_speed(

@@ -37,6 +37,7 @@ from redundancy_pin.planners.carrier_model import (
     TimedModel,
     carrier_model,
     has_other_terms,
+    plain_model,
     target_effort,
     turning_model,
     turns,
@@ -220,6 +221,8 @@ def reader_of(task: Task) -> Reader:
     Carriers that slide, and those that turn, have terms of their own. Where f has others at some instants of the
     motion, as with carriers on carriers, it is the backend's expression.
     """
+    if not task.dynamics.robot.k:
+        return plain_model
     read = turning_model if turns(task.dynamics.robot) else carrier_model
     few = np.linspace(task.source.start, task.source.end, INSTANTS)
     return linear_model if has_other_terms(task.dynamics.along(task.source.sample_at(few))) else read

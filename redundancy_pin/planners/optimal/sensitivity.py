@@ -1,8 +1,10 @@
-"""How the optimum of a whole-trajectory plan changes with the machine: the envelope theorem.
+"""How the optimum of a whole-trajectory or least-time plan changes with the machine: the envelope theorem.
 
 Of the least cost φ(p) of a programme with the Lagrangian L(x, λ; p) the derivative is ∂L/∂p at the optimum: what the
 plan changes adds nothing. Here p enters by the numbers of the programme alone: W, f, the carriers' forces and the rates
 of the actuators at the nodes, by the kernels' exact derivatives along the plan, and the limits that a machine has.
+Along a path whose timing is planned, f and the forces are sums over 1, ṗ, ṗ² and p̈; at the optimum these are numbers,
+so what the sum changes by may stand in its first coefficient. There p enters by the largest ṗ of the actuators too.
 L is affine in them, so the numbers are moved by a finite amount, and the difference is the derivative to rounding. Not
 so in the characteristic length, nor need ends of tracks be in a number of the file: hence the amount is small.
 
@@ -21,14 +23,17 @@ import casadi as ca
 import numpy as np
 
 from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.limits import ResolvedLimits
-from redundancy_pin.planners.optimal.objectives import OBJECTIVES
-from redundancy_pin.planners.optimal.problem import Problem, SingularNode, Task, times_beside
+from redundancy_pin.planners.optimal.path_problem import fastest_speed
+from redundancy_pin.planners.optimal.problem import PathTiming, Problem, SingularNode, Task, times_beside
 from redundancy_pin.planners.optimal.settings import Settings
 from redundancy_pin.planners.optimal.solve import Outcome
-from redundancy_pin.planners.optimal.transcription import transcribe
+from redundancy_pin.planners.optimal.transcription import objective_sizes, transcribe
+from redundancy_pin.planners.singular_instant import LOST, SingularInstant
+from redundancy_pin.trajectory.continuous_motion import Motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 MOVED = 1e-6
@@ -59,50 +64,60 @@ Slopes = Callable[[PlatformMotion, CarrierMotion], DesignSlopes]
 """Derivatives of a backend by the parameters, along a motion."""
 
 
-def design_gradient(task: Task, outcome: Outcome, slopes: Slopes, machines: Sequence[Moved]) -> Array:
-    """Return (d,) derivatives of the weighted objectives of an optimum by design parameters, in their units.
+def design_gradient(task: Task, outcome: Outcome, platform: Motion, slopes: Slopes, machines: Sequence[Moved]) -> Array:
+    """Return (d,) derivatives of the weighted objectives, or of the duration, of an optimum by design parameters.
 
     Args:
         task: the task.
         outcome: its optimum.
+        platform: motion of the platform at the optimum: that of the task, or the one along its path.
         slopes: the backend's derivatives by the parameters.
         machines: for each parameter.
 
     Raises:
         UnsupportedRobotError: f is an expression, as with carriers on carriers.
     """
-    problem, solution = outcome.problem, outcome.solution
+    problem, solution, timing = outcome.problem, outcome.solution, outcome.problem.timing
     if problem.exact is not None or solution.rows["elastic"]:
         raise UnsupportedRobotError(
             f"f of {task.dynamics.robot.name} has other terms than those of carriers that slide or turn on a link: how "
             "the optimum changes with the machine is not known.",
             remedy="Design with carriers that stand on links.",
         )
-    carriers, motion = problem.carriers(solution.values), task.source.sample_at(problem.grid.t)
-    at_nodes, tau = slopes(motion, carriers), problem.tau(solution.values)
-    turned = [_turned(task, problem, node, carriers, tau, slopes) for node in problem.singular]
+    carriers, motion = problem.carriers(solution.values), platform.sample_at(problem.times(solution.values))
+    at_nodes, per_time = slopes(motion, carriers), task.source.sample_at(problem.grid.t).xd
+    turned = [_turned(task, outcome, platform, node, slopes) for node in problem.singular]
     at_optimum, at_length = _lagrangian(outcome, problem), task.dynamics.robot.characteristic_length
-    terms = ((weight, OBJECTIVES[name]) for name, weight in problem.settings.objective.items())
-    size = sum(weight * term.size(problem.scales) for weight, term in terms)
+    size = problem.scales.duration if timing else problem.settings.weighted(objective_sizes(problem))
     gradient = np.empty(at_nodes.f.shape[-1])
     base = base_slopes(problem.settings, motion, at_nodes.base_wrench, slopes)
     for j, machine in enumerate(machines):
         W, f, force = (MOVED * part[..., j] for part in (at_nodes.W, at_nodes.f, at_nodes.carrier_force))
-        model = problem.model
+        model, rate = problem.model, problem.actuated_rate + np.einsum("nim,ni->nm", W, per_time)
         moved = replace(
             problem,
-            model=replace(model, W=model.W + W, f0=model.f0 + f, force0=model.force0 + force),
-            actuated_rate=problem.actuated_rate + np.einsum("nim,ni->nm", W, motion.xd),
+            model=replace(
+                model, W=model.W + W, f0=_added(model.f0, f, timing), force0=_added(model.force0, force, timing)
+            ),
+            actuated_rate=rate,
             singular=tuple(
-                replace(node, rate=replace(node.rate, f0=node.rate.f0 - MOVED * change[None, :, j]))
+                replace(node, rate=replace(node.rate, f0=_added(node.rate.f0, -MOVED * change[None, :, j], timing)))
                 for node, change in zip(problem.singular, turned, strict=True)
             ),
             settings=replace(problem.settings, limits=machine.limits),
             scales=replace(problem.scales, length=problem.scales.length + machine.length - at_length),
             base=problem.base and replace(problem.base, w0=problem.base.w0 + MOVED * base[..., j]),
+            timing=timing and replace(timing, fastest=fastest_speed(rate, machine.limits)),
         )
         gradient[j] = size * (_lagrangian(outcome, moved) - at_optimum) / MOVED
     return read_only(gradient)
+
+
+def _added(coefficients: Array, change: Array, timing: PathTiming | None) -> Array:
+    """Return coefficients with a change of their sum: along a path, of the part that neither ṗ nor p̈ multiplies."""
+    added = coefficients.copy()
+    added[... if timing is None else (..., 0)] += change
+    return added
 
 
 def base_slopes(settings: Settings, motion: PlatformMotion, by: Array, slopes: Slopes) -> Array:
@@ -117,38 +132,44 @@ def base_slopes(settings: Settings, motion: PlatformMotion, by: Array, slopes: S
     return np.concatenate([less[:, :3], moment], axis=1)
 
 
-def _turned(task: Task, problem: Problem, node: SingularNode, plan: CarrierMotion, tau: Array, slopes: Slopes) -> Array:
-    """Return (n, d) the rate of δW τ − δf along the plan at a singular node."""
-    h, t, i = problem.grid.h, float(problem.grid.t[node.index]), node.index
-    before = i == len(h) or h[i] == 0.0
-    edges, times = times_beside(task.source, t, "left" if i < len(h) and before else "right")
+def _turned(task: Task, outcome: Outcome, platform: Motion, node: SingularNode, slopes: Slopes) -> Array:
+    """Return (n, d) the rate of δW τ − δf along the plan at a singular node: by time, along a path by its length."""
+    problem, values, i = outcome.problem, outcome.solution.values, node.index
+    plan, tau, nodes = problem.carriers(values), problem.tau(values), problem.times(values)
+    t, h, jump = float(nodes[i]), np.diff(nodes), problem.grid.h == 0.0
+    before = i == len(h) or bool(jump[i])
+    edges, times = times_beside(platform, t, "left" if i < len(h) and before else "right")
     step = i - 1 if before else i  # whose jerk both sides have
-    jerk, since = (plan.sdd[step + 1] - plan.sdd[step]) / h[step], (times - t)[:, None]
-    # values and first rates at the node are all that counts
-    s, sd, sdd = (
-        values[i] + since * rate for values, rate in ((plan.s, plan.sd[i]), (plan.sd, plan.sdd[i]), (plan.sdd, jerk))
-    )
-    motion, carriers = task.source.sample_at(times), CarrierMotion(s, sd, sdd, check_rates=False)
-    reduced, by_design = task.dynamics.along(motion).reduce(carriers), slopes(motion, carriers)
+    jerk = (plan.sdd[step + 1] - plan.sdd[step]) / h[step]
 
-    def at(values: Array) -> tuple[Array, Array]:
+    def at(times: Array) -> tuple[PlatformMotion, CarrierMotion]:
+        """Return the motion at times; values and first rates at the node are all that counts."""
+        rates = ((plan.s, plan.sd[i]), (plan.sd, plan.sdd[i]), (plan.sdd, jerk))
+        carriers = (values[i] + (times - t)[:, None] * rate for values, rate in rates)
+        return platform.sample_at(times), CarrierMotion(*carriers, check_rates=False)
+
+    def reduced_at(times: Array) -> ReducedDynamics:
+        motion, carriers = at(times)
+        return task.dynamics.along(motion).reduce(carriers)
+
+    def rate(values: Array) -> tuple[Array, Array]:
         """Return a function of time at the node, and its rate."""
-        values = np.asarray(values)
         fitted = PiecewisePolynomial.from_values(edges, values.reshape(1, len(times), -1))
         return fitted.at(t).reshape(values.shape[1:]), fitted.derivative().at(t).reshape(values.shape[1:])
 
-    W, W_rate = at(reduced.W)
-    _, f_rate = at(reduced.f)
-    by_W, by_W_rate = at(by_design.W)
-    _, by_f_rate = at(by_design.f)
-    tau_rate = np.linalg.lstsq(W, f_rate - W_rate @ tau[i], rcond=1e-6)[0]
+    instant, by_design = SingularInstant.along(reduced_at, edges, t), slopes(*at(times))
+    by_W, by_W_rate = rate(by_design.W)
+    _, by_f_rate = rate(by_design.f)
+    tau_rate = np.linalg.lstsq(instant.W, instant.f_rate - instant.W_rate @ tau[i], rcond=LOST)[0]
     # what W annihilates of it decides nothing here but how the instant moves: the plan's own slope is near enough
-    null = np.eye(W.shape[1]) - np.linalg.pinv(W, rcond=1e-6) @ W
-    around = [j for j in (i - 1, i + 1) if 0 <= j <= len(h) and problem.grid.t[j] != t]
-    at_steps = np.array([(tau[j] - tau[i]) / (problem.grid.t[j] - t) for j in around])
-    share = np.abs([problem.grid.t[j] - t for j in around[::-1]])
+    null = np.eye(tau.shape[1]) - np.linalg.pinv(instant.W, rcond=LOST) @ instant.W
+    around = [j for j in (i - 1, i + 1) if 0 <= j <= len(h) and nodes[j] != t]
+    at_steps = np.array([(tau[j] - tau[i]) / (nodes[j] - t) for j in around])
+    share = np.abs([nodes[j] - t for j in around[::-1]])
     tau_rate = tau_rate + null @ (share @ at_steps / share.sum())
     change: Array = np.einsum("imd,m->id", by_W_rate, tau[i]) + np.einsum("imd,m->id", by_W, tau_rate) - by_f_rate
+    if problem.timing is not None:
+        change /= problem.timing.powers(values)[i, 1]
     return change
 
 

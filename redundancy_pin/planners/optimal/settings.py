@@ -53,6 +53,10 @@ class Settings:
     solver: Solver
     at_most: Mapping[str, float] = field(default_factory=dict)
 
+    def weighted(self, values: Mapping[str, float]) -> float:
+        """Return the weighted sum of the objectives, of values by name."""
+        return sum(weight * values[name] for name, weight in self.objective.items())
+
     @property
     def parameters(self) -> dict[str, object]:
         """The settings as plain data, for the plan."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, get_args
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, frozen, one_of
+from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.carrier_model import require_carriers
@@ -23,7 +24,7 @@ from redundancy_pin.planners.optimal.path_problem import read_path_problem
 from redundancy_pin.planners.optimal.problem import Problem, Task, required
 from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
 from redundancy_pin.planners.optimal.settings import End, Settings
-from redundancy_pin.planners.optimal.solve import Multistart, multistart
+from redundancy_pin.planners.optimal.solve import Multistart, Outcome, multistart
 from redundancy_pin.planners.options import FEWEST_STEPS, Limits, Mesh, Solver, group_of, refuse_fields
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.trajectory.continuous_motion import Motion, as_motion
@@ -92,8 +93,42 @@ def plan_time_optimal(
         InfeasiblePlanError: no timing keeps the limits (constraint "effort"); or a singularity is touched.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
-    began = time.perf_counter()
-    dynamics = as_dynamics(dynamics)
+    options = {"limits": limits, "mesh": mesh, "solver": solver, "begin": begin, "end": end, "datum": datum, "lap": lap}
+    return optimise_timing(path_task(as_dynamics(dynamics), path, **options))[0]  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class PathTask:
+    """A path whose timing is planned.
+
+    ``path``: the path; ``task``: robot, motion along the path at unit speed, and settings; ``begin``, ``lap``,
+    ``steps``: as of ``plan_time_optimal``.
+    """
+
+    path: Path
+    task: Task
+    begin: Begin
+    lap: bool
+    steps: int
+
+
+def path_task(
+    dynamics: Dynamics,
+    path: Path | Trajectory,
+    *,
+    limits: Limits | None = None,
+    mesh: Mesh | None = None,
+    solver: Solver | None = None,
+    begin: Begin = "datum",
+    end: End = "datum",
+    datum: ArrayLike = 0.0,
+    lap: bool = False,
+) -> PathTask:
+    """Return the task of ``plan_time_optimal`` after checking every option.
+
+    Raises:
+        InputError: as ``plan_time_optimal``.
+    """
     robot = dynamics.robot
     path = path.path if isinstance(path, Trajectory) else path
     if not (hasattr(path, "evaluate") and hasattr(path, "length")):
@@ -135,18 +170,31 @@ def plan_time_optimal(
         refinements=mesh.refinements,
         solver=solver,
     )
-    task = Task(dynamics, unit, settings)
-    problem = read_path_problem(task, first_mesh(dynamics, unit, path.length / count, ends=not lap), begin, lap)
-    planning = Planning("time_optimal", task, partial(_solve, task), partial(platform_of, path), partial(_finer, task))
-    planned = plan_and_refine(planning, problem)
+    return PathTask(path, Task(dynamics, unit, settings), begin, lap, count)
+
+
+def optimise_timing(timed: PathTask) -> tuple[Plan, Outcome, Motion]:
+    """Return the plan of a task, the programme and solution of least time, and the motion of the platform.
+
+    Raises:
+        InfeasiblePlanError, UnsupportedRobotError: as ``plan_time_optimal``.
+    """
+    began = time.perf_counter()
+    task, settings = timed.task, timed.task.settings
+    nodes = first_mesh(task.dynamics, task.source, settings.dt, ends=not timed.lap)
+    problem = read_path_problem(task, nodes, timed.begin, timed.lap)
+    platform = partial(platform_of, timed.path)
+    planned = plan_and_refine(
+        Planning("time_optimal", task, partial(_solve, task), platform, partial(_finer, task)), problem
+    )
     parameters = {
-        "begin": begin,
-        "end": end,
-        "lap": lap,
-        "datum": park.tolist(),
-        "steps": count,
-        "seconds": solver.seconds,
-        "refinements": mesh.refinements,
+        "begin": timed.begin,
+        "end": settings.end,
+        "lap": timed.lap,
+        "datum": settings.datum.tolist(),
+        "steps": timed.steps,
+        "seconds": settings.solver.seconds,
+        "refinements": settings.refinements,
     }
     found = {
         **planned.diagnostics,
@@ -154,7 +202,8 @@ def plan_time_optimal(
         "seconds": time.perf_counter() - began,
     }
     motion = replace(planned.motion, parameters=parameters, findings=planned.findings, diagnostics=found)
-    return finish_plan(motion, planned.check)
+    best = planned.best
+    return finish_plan(motion, planned.check), best, platform(best.problem, best.solution)
 
 
 def _solve(

@@ -424,10 +424,10 @@ class PathTranscription(Transcription):
 
 
 class Evaluation(Quantities):
-    """The quantities as numbers, of scaled variables by name."""
+    """The quantities as numbers, of scaled variables by name; ``h``: steps in place of the problem's, s."""
 
-    def __init__(self, problem: Problem, values: dict[str, Array]) -> None:
-        super().__init__(problem.grid.h, problem.scales, problem.target, problem.actuated_rate)
+    def __init__(self, problem: Problem, values: Mapping[str, Array], h: Array | None = None) -> None:
+        super().__init__(problem.grid.h if h is None else h, problem.scales, problem.target, problem.actuated_rate)
         for name, value in values.items():
             if name in KIND_OF:
                 setattr(self, name, ca.DM(value * getattr(problem.scales, name)))
@@ -444,7 +444,7 @@ class Evaluation(Quantities):
         return ca.mmax(ca.fabs(values))
 
 
-def objective_values(problem: Problem, values: dict[str, Array]) -> dict[str, float]:
+def objective_values(problem: Problem, values: Mapping[str, Array]) -> dict[str, float]:
     """Return each weighted or bounded objective at the nodes, in its unit, from scaled variables by name."""
     quantities = Evaluation(problem, values)
     named = {**problem.settings.objective, **problem.settings.at_most}

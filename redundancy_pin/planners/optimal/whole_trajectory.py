@@ -206,8 +206,7 @@ def _plan(task: Task, planned: Planned, chosen: Chosen) -> Plan:
         "objective": objective_values(chosen.problem, chosen.solution.values),
         "objective_size": objective_sizes(chosen.problem),
     }
-    least_cost = sum(weight * costs[name] for name, weight in task.settings.objective.items())
-    findings = replace(planned.findings, least_cost=least_cost)
+    findings = replace(planned.findings, least_cost=task.settings.weighted(costs))
     parameters = task.settings.parameters
     return finish_plan(
         replace(chosen.motion, parameters=parameters, findings=findings, diagnostics=found), chosen.check

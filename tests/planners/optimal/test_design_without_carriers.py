@@ -1,5 +1,5 @@
-"""Robots without carriers designed: a slider-crank against Lagrange's equation by hand, gradients against robots that
-are made anew, optima against a search by brute force.
+"""Robots without carriers designed: a slider-crank against Lagrange's equation and the balance of energy by hand,
+gradients against robots that are made anew, optima against a search by brute force.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from scipy.optimize import minimize
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.planners.optimal import refine, transcription
 from redundancy_pin.planners.optimal.co_design import DesignTask, Search
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory
 
@@ -67,6 +68,25 @@ def peak(rod: float, counterweight: float, samples: int = 4001) -> float:
     return float(np.abs(torque(rod, counterweight, np.linspace(0.0, 1.0, samples))).max())
 
 
+def least_time(rod: float, counterweight: float, most: float, samples: int = 4000) -> float:
+    """Return the least time of a turn from rest to rest with a torque of at most ``most``, N·m.
+
+    The motor pushes as much as it can, and then brakes as much. Its work is the energy of the mechanism:
+    ½ M(θ) θ̇² + V(θ) = T θ before the change, T (2π − θ) after it.
+    """
+    phase = np.pi * (np.arange(samples) + 0.5) / samples
+    th, step = np.pi * (1.0 - np.cos(phase)), np.pi * np.sin(phase) * np.pi / samples
+    r, m = CRANK, ROD_DENSITY * rod
+    s, c = np.sin(th), np.cos(th)
+    sin_b = r * s / rod
+    cos_b = np.sqrt(1.0 - sin_b**2)
+    b1 = r * c / (rod * cos_b)
+    x1, gx1, gy1 = -r * s - rod * sin_b * b1, -r * s - rod / 2.0 * sin_b * b1, rod / 2.0 * cos_b * b1
+    M = counterweight * r**2 + m * rod**2 / 12.0 * b1**2 + m * (gx1**2 + gy1**2) + SLIDER_MASS * x1**2
+    kinetic = most * np.minimum(th, 2.0 * np.pi - th) - GRAVITY * r * s * (m / 2.0 - counterweight)
+    return float((step / np.sqrt(2.0 * kinetic / M)).sum()) if kinetic.min() > 0.0 else np.inf
+
+
 def cost(task: DesignTask, robot: rp.Robot) -> float:
     """Return what a task costs by a robot that was made anew."""
     name = next(key for key, value in robot.parameters.items() if not isinstance(value, (bool, str)))
@@ -94,6 +114,84 @@ def test_least_peak_torque_of_a_slider_crank(crank_and_rod: rp.Robot) -> None:
     np.testing.assert_allclose(plan.tau[:, 0], torque(rod, counterweight, plan.t), atol=1e-9)
     assert plan.peak_effort[0] == pytest.approx(result.values[0], rel=1e-9)
     assert rp.check_plan(plan, rp.RneaDynamics(rp.load_robot_of(plan, crank_and_rod.source))).passed
+
+
+TURN = Line([0.0], [2.0 * np.pi])
+
+
+def test_least_time_of_a_slider_crank(crank_and_rod: rp.Robot) -> None:
+    """A weak motor that gravity hinders: the rod as short as it may be, a counterweight between its bounds."""
+    most, first = 0.5, {"rod_length": 0.3, "counterweight": 0.8}
+    options = {"objective": "time", "limits": rp.Limits(effort=most), "mesh": rp.Mesh(steps=60)}
+    task = (rp.with_parameters(crank_and_rod, **first), TURN, options)  # type: ignore[arg-type]
+    result = rp.co_design([task], {"rod_length": (0.2, 0.6), "counterweight": (0.0, 4.0)})
+    assert result.before[0] == pytest.approx(least_time(*first.values(), most), rel=5e-3)
+    assert result.values[0] == result.plans[0].t[-1]
+    assert result.plans[0].peak_effort[0] <= 1.001 * most
+    assert result.optimal
+    assert result.at_bounds == ("rod_length",)
+    grid = ((least_time(a, b, most, 400), a, b) for a in np.linspace(0.2, 0.6, 21) for b in np.linspace(0.0, 4.0, 41))
+    _, rod, counterweight = min(grid)
+    assert rod == 0.2
+    best = minimize(lambda z: least_time(rod, z[0], most), [counterweight], method="Nelder-Mead")
+    assert result.parameters["rod_length"] == 0.2
+    found = least_time(0.2, result.parameters["counterweight"], most)
+    assert found == pytest.approx(best.fun, rel=1e-3)
+    assert result.values[0] == pytest.approx(found, rel=5e-3)
+
+
+@pytest.mark.parametrize("name", ["rod_length", "counterweight"])
+def test_gradient_of_least_time_against_the_balance_of_energy(crank_and_rod: rp.Robot, name: str) -> None:
+    values = {"rod_length": 0.4, "counterweight": 0.5}
+    robot = rp.with_parameters(crank_and_rod, **values)  # type: ignore[arg-type]
+    task = DesignTask(robot, TURN, {"objective": "time", "limits": rp.Limits(effort=3.0), "mesh": rp.Mesh(steps=150)})
+    search = Search((task,), {name: (0.2, 0.8)})
+    ends = [least_time(*{**values, name: values[name] + by}.values(), 3.0) for by in (1e-4, -1e-4)]
+    assert search.machine(search.start).gradients[0, 0] == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=5e-3)
+
+
+QUICK: dict[str, tuple[str, dict[str, Any], Any, tuple[str, ...], dict[str, Any]]] = {
+    "speeds": (
+        "delta",
+        {},
+        rp.trajectory.Line([0.1, 0.0, -0.5], [-0.1, 0.1, -0.45]),
+        ("arm_length", "rod_length", "platform_mass"),
+        {"limits": rp.Limits(effort=30.0, actuator_speed=1.5)},
+    ),
+    "carriers through a singularity": (
+        "2rpr",
+        {"end_effector_mass": 0.5},
+        rp.trajectory.reference.line().path,
+        ("base_distance", "track_offset", "end_effector_mass"),
+        {"limits": rp.Limits(effort=1.0), "end": "free"},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_gradient_of_least_time_against_robots_made_anew(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the same places, with the same limits there, and nothing beside the time."""
+    monkeypatch.setattr(refine, "LOWERED", 0)
+    monkeypatch.setattr(transcription, "REGULARISATION_OF_TIME", 1e-7)
+    file, numbers, path, names, options = QUICK[name]
+    robot, options = rp.load_robot(file, **numbers), {**options, "mesh": rp.Mesh(steps=30, refinements=0)}
+    values = {key: float(robot.parameters[key]) for key in names}  # type: ignore[arg-type]
+    ranges = {key: (0.5 * value, 2.0 * value) for key, value in values.items()}
+    search = Search((DesignTask(robot, path, {"objective": "time", **options}),), ranges)
+    gradient = search.machine(search.start).gradients[0]
+    for i, (key, value) in enumerate(values.items()):
+        machines = (rp.with_parameters(robot, **{key: value * (1.0 + by)}) for by in (1e-3, -1e-3))  # type: ignore[arg-type]
+        up, down = (rp.plan_time_optimal(machine, path, **options).t[-1] for machine in machines)
+        assert gradient[i] == pytest.approx((up - down) / (2e-3 * value), rel=1e-4), key
+
+
+def test_least_time_is_that_of_a_path(crank_and_rod: rp.Robot) -> None:
+    quick = {"objective": "time", "limits": rp.Limits(effort=3.0)}
+    with pytest.raises(InputError, match="path was expected"):
+        rp.co_design([(crank_and_rod, turn().sample(0.01), quick)], {"rod_length": (0.2, 0.6)})
+    with pytest.raises(InputError, match="at_most") as raised:
+        rp.co_design([(crank_and_rod, turn(), {**quick, "at_most": {"energy": 1.0}})], {"rod_length": (0.2, 0.6)})
+    assert "plan_time_optimal" in raised.value.remedy
 
 
 def driven_twice(folder: Path) -> rp.Robot:
