@@ -198,7 +198,6 @@ def optimise_timing(timed: PathTask) -> tuple[Plan, Outcome, Motion]:
     }
     found = {
         **planned.diagnostics,
-        "duration": float(planned.motion.motion.t[-1]),
         "seconds": time.perf_counter() - began,
     }
     motion = replace(planned.motion, parameters=parameters, findings=planned.findings, diagnostics=found)
