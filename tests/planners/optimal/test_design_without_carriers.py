@@ -163,7 +163,8 @@ QUICK: dict[str, tuple[str, dict[str, Any], Any, tuple[str, ...], dict[str, Any]
         {"end_effector_mass": 0.5},
         rp.trajectory.reference.line().path,
         ("base_distance", "track_offset", "end_effector_mass"),
-        {"limits": rp.Limits(effort=1.0), "end": "free"},
+        # the first motor is at its limit there
+        {"limits": rp.Limits(effort=(0.2, 1.0), acceleration=3.0), "end": "free"},
     ),
 }
 
