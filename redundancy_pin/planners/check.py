@@ -208,14 +208,15 @@ def _wider_limits(plan: Plan, robot: Robot) -> tuple[str, ...]:
         if used[0][i, j] < own[0][i, j] or used[1][i, j] > own[1][i, j]
     )
     declared = (
-        ("effort", np.abs(robot.effort_limits).max(axis=0), judged.effort),
-        ("speed", robot.speed_limits, judged.actuator_speed),
+        ("effort", *robot.effort_limits, judged.effort),
+        ("speed", -robot.speed_limits, robot.speed_limits, judged.actuator_speed),
     )
     motors = (
-        f"{name}: judged by {quantity} up to {bound:g}, the robot's own is {most:g}."
+        f"{name}: judged by {quantity} up to {bound:g}, the robot's own is "
+        + (f"{most:g}." if least == -most else f"{least:g} to {most:g}.")
         for quantity, *columns in declared
-        for name, most, bound in zip(robot.actuated, *columns, strict=True)
-        if bound > most
+        for name, least, most, bound in zip(robot.actuated, *columns, strict=True)
+        if -bound < least or bound > most
     )
     return (*carriers, *motors)
 

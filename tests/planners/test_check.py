@@ -16,7 +16,7 @@ from redundancy_pin.errors import InputError, PlanFileError
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.trajectory import reference
+from redundancy_pin.trajectory import Line, reference
 
 
 def other(plan: Plan) -> rp.RneaDynamics | rp.VirtualWork:
@@ -182,6 +182,24 @@ def test_limits_wider_than_those_of_motors_are_noted() -> None:
         "base_1: judged by effort up to 1e+09, the robot's own is 0.001.",
         "base_2: judged by speed up to 1e+09, the robot's own is 0.01.",
     )
+
+
+@pytest.mark.parametrize(("control", "most", "own"), [("-0.5 2", 6.0, "-5 to 20"), ("-2 0.5", 6.0, "-20 to 5"),
+                                                     ("-0.5 2", 4.0, None)])  # fmt: skip
+def test_a_limit_wider_than_an_uneven_range_is_noted(
+    control: str, most: float, own: str | None, tmp_path: Path
+) -> None:
+    """A limit counts both ways, so that one below the larger end may still be beyond the smaller one."""
+    text = """<mujoco><worldbody><body><joint name="motor" type="hinge" axis="0 0 1"/>
+    <geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.02" mass="1"/></body></worldbody>
+    <actuator><motor joint="motor" gear="10" ctrllimited="true" ctrlrange="RANGE"/></actuator></mujoco>"""
+    (tmp_path / "bar.xml").write_text(text.replace("RANGE", control), encoding="utf-8")
+    robot = rp.load_robot(tmp_path / "bar.xml", actuated="motor")
+    limits, mesh = rp.Limits(effort=most), rp.Mesh(steps=20)
+    plan = rp.plan_time_optimal(rp.RneaDynamics(robot), Line([0.0], [1.0]), limits=limits, mesh=mesh)
+    assert np.abs(plan.tau).max() == pytest.approx(most, rel=1e-4)
+    noted = f"motor: judged by effort up to {most:g}, the robot's own is {own}."
+    assert rp.check_plan(plan, rp.RneaDynamics(robot)).wider_limits == (() if own is None else (noted,))
 
 
 def test_what_a_plan_says_of_its_limits_is_compared(whole: Plan) -> None:

@@ -199,6 +199,13 @@ def test_ranges_of_joints_are_those_of_the_file(kind: str, given: str, expected:
         assert robot.model.nq == 2
 
 
+@pytest.mark.parametrize("key", ["effort", "velocity"])
+@pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic"])
+def test_a_negative_limit_is_named(kind: str, key: str, tmp_path: Path) -> None:
+    with pytest.raises(ModelFileError, match=rf"joint 'turn' of .*negative {key} limit, -7 \(line"):
+        load_robot(arm(tmp_path, kind=kind, limit=LIMIT.replace(f'{key}="9"', f'{key}="-7"')))
+
+
 @pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0, 1e3])
 def test_moments_may_miss_those_of_a_body_by_what_files_round(size: float, tmp_path: Path) -> None:
     """A millionth of the largest, or 1e-12 kg·m² where that is more; beyond it a note, and below zero a refusal."""

@@ -39,7 +39,7 @@ from redundancy_pin.errors import (
 )
 from redundancy_pin.loading import with_parameters
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.planners.optimal.least_cost import TIME, DesignedRobot, LeastCost, least_cost
+from redundancy_pin.planners.optimal.least_cost import NO_ROBOT, TIME, DesignedRobot, LeastCost, least_cost
 from redundancy_pin.planners.optimal.time_optimal import plan_time_optimal
 from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
 from redundancy_pin.planners.options import Objective, refuse_fields
@@ -112,7 +112,7 @@ class CoDesign(Frozen):
         at_bounds: parameters that lie on a bound which the cost presses on.
         optimal: whether no small change within the bounds makes the machine better; else the method did not converge.
         history: one record an accepted machine: cost (1 to begin with), and parameters.
-        rejected: how many machines were tried that a task has no plan for.
+        rejected: how many machines were tried that the file makes no robot of, or that a task has no plan for.
     """
 
     parameters: Mapping[str, float]
@@ -216,10 +216,23 @@ class Search:
 
     def machine(self, u: Array, near: _Machine | None = None) -> _Machine:
         """Plan every task with a machine, (d,) of the ranges, beginning from the plans of one that is near."""
-        parameters = dict(zip(self.names, ((1.0 - u) * self.low + u * self.high).tolist(), strict=True))
+        return self._planned(u, self._robots(u), near)
+
+    def _parameters(self, u: Array) -> dict[str, float]:
+        """Return the parameters of a machine by name."""
+        return dict(zip(self.names, ((1.0 - u) * self.low + u * self.high).tolist(), strict=True))
+
+    def _robots(self, u: Array) -> tuple[DesignedRobot, ...]:
+        """Return the robot of each task, by a machine."""
         own = {id(task.dynamics.robot): task.dynamics.robot for task in self.tasks}
-        made = {key: DesignedRobot(with_parameters(robot, **parameters), self.names) for key, robot in own.items()}
-        robots = tuple(made[id(task.dynamics.robot)] for task in self.tasks)
+        made = {
+            key: DesignedRobot(with_parameters(robot, **self._parameters(u)), self.names)  # type: ignore[arg-type]
+            for key, robot in own.items()
+        }
+        return tuple(made[id(task.dynamics.robot)] for task in self.tasks)
+
+    def _planned(self, u: Array, robots: tuple[DesignedRobot, ...], near: _Machine | None) -> _Machine:
+        """Plan every task with the robots of a machine."""
         known = [None] * len(robots) if near is None else near.costs
         costs = tuple(
             least_cost(task.dynamics.for_robot(one.robot), task.motion, task.options, similar)
@@ -232,12 +245,17 @@ class Search:
                 remedy="Choose an objective that its efforts have a part in.",
                 name="objective",
             )
-        return _Machine(self, u, parameters, robots, costs, values, values if near is None else near.before)
+        return _Machine(self, u, self._parameters(u), robots, costs, values, values if near is None else near.before)
 
     def machine_or_none(self, u: Array, near: _Machine) -> _Machine | None:
-        """Return a machine, None where a task has no plan by it."""
+        """Return a machine, None where the file makes no robot of its numbers or a task has no plan by it."""
         try:
-            return self.machine(u, near)
+            robots = self._robots(u)
+        except NO_ROBOT:  # by number alone: the file and its other arguments have made the first machine
+            self.rejected += 1
+            return None
+        try:
+            return self._planned(u, robots, near)
         except NO_MACHINE:
             self.rejected += 1
             return None

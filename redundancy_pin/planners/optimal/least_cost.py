@@ -25,7 +25,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, IntArray, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import design_derivatives
-from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.errors import DeclarationError, InfeasiblePlanError, InputError, ModelFileError
 from redundancy_pin.loading import with_parameters
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import require_carriers
@@ -36,7 +36,7 @@ from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, with_nodes
 from redundancy_pin.planners.optimal.nlp import Expression
 from redundancy_pin.planners.optimal.objectives import OBJECTIVES
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
-from redundancy_pin.planners.optimal.sensitivity import MOVED, DesignSlopes, Moved, base_slopes, design_gradient
+from redundancy_pin.planners.optimal.sensitivity import STEP, DesignSlopes, Neighbour, base_slopes, design_gradient
 from redundancy_pin.planners.optimal.settings import checked_settings
 from redundancy_pin.planners.optimal.solve import Outcome
 from redundancy_pin.planners.optimal.time_optimal import optimise_timing, path_task
@@ -55,6 +55,10 @@ TIME = "time"
 
 FOLLOWED = "inverse_dynamics"
 """Planner of a plan whose efforts follow from the motion."""
+
+NO_ROBOT = (DeclarationError, InputError, ModelFileError)
+"""What ``with_parameters`` raises for a number of which the robot's file makes no robot: loops that do not close, a
+condition under ``requires``, a negative mass."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +79,18 @@ class DesignedRobot:
         return DesignSlopes(*(part.parameters for part in (by.W, by.f, by.carrier_force, by.base_wrench)))
 
     @cached_property
-    def increased(self) -> tuple[Robot, ...]:
-        """(d,) the robots with one parameter increased by ``MOVED`` each."""
-        values = {name: float(self.robot.parameters[name]) + MOVED for name in self.names}
-        return tuple(with_parameters(self.robot, **{name: value}) for name, value in values.items())  # type: ignore[arg-type]
+    def neighbours(self) -> tuple[tuple[Robot, float], ...]:
+        """(d,) the robots with one parameter changed each, and by how much; decreased where a larger one is none."""
+        return tuple(self._neighbour(name) for name in self.names)
+
+    def _neighbour(self, name: str) -> tuple[Robot, float]:
+        value = float(self.robot.parameters[name])
+        # of a number near 0 the size is not known: as in ``compiled.design``, small for a length of the machine
+        step = STEP * max(abs(value), min(1.0, self.robot.characteristic_length))
+        try:
+            return with_parameters(self.robot, **{name: value + step}), step  # type: ignore[arg-type]
+        except NO_ROBOT:
+            return with_parameters(self.robot, **{name: value - step}), -step  # type: ignore[arg-type]
 
 
 def least_cost(
@@ -149,8 +161,10 @@ class PlannedCost:
     def gradient(self, designed: DesignedRobot) -> Array:
         """Return (d,) the derivatives of the least cost by the parameters."""
         limits = group_of(self.limits, Limits)
-        moved = [Moved(limits.resolved(robot), robot.characteristic_length) for robot in designed.increased]
-        return design_gradient(self.task, self.outcome, self.platform, designed.slopes, moved)
+        neighbours = [
+            Neighbour(limits.resolved(robot), robot.characteristic_length, step) for robot, step in designed.neighbours
+        ]
+        return design_gradient(self.task, self.outcome, self.platform, designed.slopes, neighbours)
 
 
 # --- without: the motion determines the efforts -----------------------------------------------------------------------
@@ -192,8 +206,9 @@ class FollowedCost:
             base = base_slopes(self.task.settings, motion, along.base_wrench.parameters, designed.slopes)
             gradient = gradient + np.einsum("nc,ncd->d", by_base, base)
         if by_length:
-            lengths = np.array([robot.characteristic_length for robot in designed.increased])
-            gradient = gradient + by_length * (lengths - designed.robot.characteristic_length) / MOVED
+            own = designed.robot.characteristic_length
+            slopes = [(robot.characteristic_length - own) / step for robot, step in designed.neighbours]
+            gradient = gradient + by_length * np.array(slopes)
         return read_only(gradient)
 
 

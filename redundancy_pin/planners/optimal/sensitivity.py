@@ -5,8 +5,8 @@ plan changes adds nothing. Here p enters by the numbers of the programme alone: 
 of the actuators at the nodes, by the kernels' exact derivatives along the plan, and the limits that a machine has.
 Along a path whose timing is planned, f and the forces are sums over 1, ṗ, ṗ² and p̈; at the optimum these are numbers,
 so what the sum changes by may stand in its first coefficient. There p enters by the largest ṗ of the actuators too.
-L is affine in them, so the numbers are moved by a finite amount, and the difference is the derivative to rounding. Not
-so in the characteristic length, nor need ends of tracks be in a number of the file: hence the amount is small.
+L is affine in them, so the numbers are changed by a finite step, and the difference is the derivative to rounding. Not
+so in the characteristic length, nor need ends of tracks be in a number of the file: hence the step is small.
 
 At a singular instant the programme requires uᵀ (Ẇ τ − ḟ) = 0, u turning with p: uᵀ W = 0 gives δuᵀ W = −uᵀ δW, and
 with Ẇ τ − ḟ = −W τ̇ the row changes by uᵀ d/dt (δW τ − δf) along the plan. That the instant itself moves adds nothing
@@ -36,8 +36,9 @@ from redundancy_pin.planners.singular_instant import LOST, SingularInstant
 from redundancy_pin.trajectory.continuous_motion import Motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
-MOVED = 1e-6
-"""By which parameters are moved, in their units. From 1e-2 to 1e-7 gradients are the same to 1e-8 where L is affine."""
+STEP = 1e-6
+"""Step of the differences, relative to the parameter (``Neighbour``). Where L is affine, gradients are the same to 1e-8
+from 1e-2 to 1e-7; where it is not, they err by about this."""
 
 
 class DesignSlopes(NamedTuple):
@@ -53,18 +54,24 @@ class DesignSlopes(NamedTuple):
     base_wrench: Array
 
 
-class Moved(NamedTuple):
-    """What else a machine with a parameter increased by ``MOVED`` has: limits and characteristic length, m."""
+class Neighbour(NamedTuple):
+    """What else a machine with one parameter changed has: limits and characteristic length, m.
+
+    ``step``: by how much the parameter is changed, in its unit; negative where a larger one makes no machine.
+    """
 
     limits: ResolvedLimits
     length: float
+    step: float
 
 
 Slopes = Callable[[PlatformMotion, CarrierMotion], DesignSlopes]
 """Derivatives of a backend by the parameters, along a motion."""
 
 
-def design_gradient(task: Task, outcome: Outcome, platform: Motion, slopes: Slopes, machines: Sequence[Moved]) -> Array:
+def design_gradient(
+    task: Task, outcome: Outcome, platform: Motion, slopes: Slopes, neighbours: Sequence[Neighbour]
+) -> Array:
     """Return (d,) derivatives of the weighted objectives, or of the duration, of an optimum by design parameters.
 
     Args:
@@ -72,7 +79,7 @@ def design_gradient(task: Task, outcome: Outcome, platform: Motion, slopes: Slop
         outcome: its optimum.
         platform: motion of the platform at the optimum: that of the task, or the one along its path.
         slopes: the backend's derivatives by the parameters.
-        machines: for each parameter.
+        neighbours: a machine with that parameter changed, for each parameter.
 
     Raises:
         UnsupportedRobotError: f is an expression, as with carriers on carriers.
@@ -91,8 +98,8 @@ def design_gradient(task: Task, outcome: Outcome, platform: Motion, slopes: Slop
     size = problem.scales.duration if timing else problem.settings.weighted(objective_sizes(problem))
     gradient = np.empty(at_nodes.f.shape[-1])
     base = base_slopes(problem.settings, motion, at_nodes.base_wrench, slopes)
-    for j, machine in enumerate(machines):
-        W, f, force = (MOVED * part[..., j] for part in (at_nodes.W, at_nodes.f, at_nodes.carrier_force))
+    for j, (limits, length, step) in enumerate(neighbours):
+        W, f, force = (step * part[..., j] for part in (at_nodes.W, at_nodes.f, at_nodes.carrier_force))
         model, rate = problem.model, problem.actuated_rate + np.einsum("nim,ni->nm", W, per_time)
         moved = replace(
             problem,
@@ -101,15 +108,15 @@ def design_gradient(task: Task, outcome: Outcome, platform: Motion, slopes: Slop
             ),
             actuated_rate=rate,
             singular=tuple(
-                replace(node, rate=replace(node.rate, f0=_added(node.rate.f0, -MOVED * change[None, :, j], timing)))
+                replace(node, rate=replace(node.rate, f0=_added(node.rate.f0, -step * change[None, :, j], timing)))
                 for node, change in zip(problem.singular, turned, strict=True)
             ),
-            settings=replace(problem.settings, limits=machine.limits),
-            scales=replace(problem.scales, length=problem.scales.length + machine.length - at_length),
-            base=problem.base and replace(problem.base, w0=problem.base.w0 + MOVED * base[..., j]),
-            timing=timing and replace(timing, fastest=fastest_speed(rate, machine.limits)),
+            settings=replace(problem.settings, limits=limits),
+            scales=replace(problem.scales, length=problem.scales.length + length - at_length),
+            base=problem.base and replace(problem.base, w0=problem.base.w0 + step * base[..., j]),
+            timing=timing and replace(timing, fastest=fastest_speed(rate, limits)),
         )
-        gradient[j] = size * (_lagrangian(outcome, moved) - at_optimum) / MOVED
+        gradient[j] = size * (_lagrangian(outcome, moved) - at_optimum) / step
     return read_only(gradient)
 
 

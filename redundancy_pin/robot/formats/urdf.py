@@ -268,13 +268,16 @@ def _is_bounded(part: UrdfPart, kind: str) -> bool:
         if kind in ("revolute", "prismatic"):
             part.refuse(f"{part.owner} is {kind} and has no <limit>")
         return False
-    lower, upper, *_ = (
-        limit.number(key, f"{key} limit", sys.float_info.max)
+    limits = {
+        key: limit.number(key, f"{key} limit", sys.float_info.max)
         if key in limit.element.attrib or key in ("effort", "velocity")
         else 0.0
         for key in ("lower", "upper", "effort", "velocity")
-    )
-    return lower < upper
+    }
+    for key in ("effort", "velocity"):
+        if limits[key] < 0.0 and kind in _SINGLE:  # Pinocchio passes over it for the other kinds
+            limit.refuse(f"{part.owner} has a negative {key} limit, {limits[key]:g}")
+    return limits["lower"] < limits["upper"]
 
 
 def _in_order(

@@ -195,12 +195,16 @@ def test_least_time_is_that_of_a_path(crank_and_rod: rp.Robot) -> None:
     assert "plan_time_optimal" in raised.value.remedy
 
 
+def four_bar(folder: Path, old: str, new: str) -> rp.Robot:
+    """Return the four-bar with another line in its declaration."""
+    for path in (ROOT / "models" / "four_bar").iterdir():
+        (folder / path.name).write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    return rp.load_robot(folder)
+
+
 def driven_twice(folder: Path) -> rp.Robot:
     """Return the four-bar with a second motor at its rocker: two efforts for one degree of freedom."""
-    for path in (ROOT / "models" / "four_bar").iterdir():
-        text = path.read_text(encoding="utf-8").replace("actuated: [crank]", "actuated: [crank, rocker]")
-        (folder / path.name).write_text(text, encoding="utf-8")
-    return rp.load_robot(folder)
+    return four_bar(folder, "actuated: [crank]", "actuated: [crank, rocker]")
 
 
 CASES: dict[str, tuple[tuple[str, ...], Any]] = {
@@ -229,6 +233,22 @@ def test_gradients_against_robots_made_anew(name: str, objective: str | Mapping[
         h = 1e-4 * value
         ends = [cost(task, rp.with_parameters(robot, **{key: value + by})) for by in (h, -h)]  # type: ignore[arg-type]
         assert gradient[i] == pytest.approx((ends[0] - ends[1]) / (2.0 * h), rel=1e-5, abs=1e-6 * size / value), key
+
+
+COARSE = {"mesh": rp.Mesh(dt=0.05), "limits": rp.Limits(effort=np.inf, actuator_speed=np.inf)}
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-3, 1e3])
+def test_gradient_of_small_and_large_machines(size: float) -> None:
+    """The objective has the characteristic length, which no kernel differentiates."""
+    usual = rp.load_robot("four_bar").parameters
+    lengths = {key: size * value for key, value in usual.items() if key.endswith("length")}  # type: ignore[operator]
+    robot, value = rp.load_robot("four_bar", **lengths), lengths["rocker_length"]
+    task = DesignTask(rp.CompiledDynamics(robot), turn(), {"objective": "base_wrench", **COARSE})
+    search, h = Search((task,), {"rocker_length": (0.5 * value, 2.0 * value)}), 1e-4 * value
+    ends = [cost(task, rp.with_parameters(robot, rocker_length=value + by)) for by in (h, -h)]
+    gradient = search.machine(search.start).gradients[0, 0]
+    assert gradient == pytest.approx((ends[0] - ends[1]) / (2.0 * h), rel=1e-6)
 
 
 @pytest.mark.parametrize("objective", ["peak", "effort", "energy"])
@@ -284,6 +304,22 @@ def test_robots_that_do_not_close_are_passed_over(crank_and_rod: rp.Robot) -> No
     here = search.machine(search.start)
     assert search.machine_or_none(np.array([0.0]), here) is None
     assert search.rejected == 1
+
+
+@pytest.mark.parametrize(
+    ("most", "range_of", "objective"),
+    [(0.28, (0.2, 0.4), "peak"), (0.27, (0.2, 0.27), {"base_wrench": 1.0, "peak": 10.0})],
+    ids=["within the range", "at its end"],
+)
+def test_a_condition_of_the_file_bounds_the_search(
+    most: float, range_of: tuple[float, float], objective: Any, tmp_path: Path
+) -> None:
+    """Beyond it there is no machine; on it slopes are those of machines below."""
+    robot = four_bar(tmp_path, "requires:\n", f"requires:\n  - rocker_length <= {most}\n")
+    best = rp.co_design([(robot, turn(), {"objective": objective})], {"rocker_length": range_of}, iterations=6)
+    assert best.values[0] < best.before[0]
+    assert 0.25 < best.parameters["rocker_length"] <= most
+    assert (best.rejected > 0, best.at_bounds) == ((True, ()) if range_of[1] > most else (False, ("rocker_length",)))
 
 
 def test_what_costs_nothing_cannot_be_designed(crank_and_rod: rp.Robot) -> None:
