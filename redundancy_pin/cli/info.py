@@ -85,6 +85,10 @@ def describe(robot: Robot, declaration: Any, *, trust: bool = False, untrusted: 
             name: {"position": [own.lower, own.upper], **{key: getattr(own, key) for key in _LIMITS}}
             for name, own in limits
         },
+        "motor_limits": {
+            name: {"effort": [float(least), float(most)], "speed": float(speed)}
+            for name, least, most, speed in zip(robot.actuated, *robot.effort_limits, robot.speed_limits, strict=True)
+        },
         **{name: getattr(robot, name) for name in ("gravity", "characteristic_length", "closed_form")},
         "notes": [*robot.notes, *filter(None, [too_few_motors(robot)])],
         "gravity_acts": gravity_acts(robot),
@@ -227,6 +231,12 @@ def _tables(facts: dict[str, Any]) -> Iterator[TextTable]:
     if limits:
         headings = ("carrier", "position [m]", "speed [m/s]", "acceleration [m/s²]", "force [N]")
         yield TextTable("carrier limits", headings, limits, numbers=True)
+    motors = [
+        (name, " … ".join(f"{end:g}" for end in entry["effort"]), f"{entry['speed']:g}")
+        for name, entry in facts["motor_limits"].items()
+    ]
+    headings = ("motor", "effort [N] or [N·m]", "speed [m/s] or [rad/s]")
+    yield TextTable("limits of motors, which plans keep", headings, motors, numbers=True)
     if facts["loads"]:
         yield _loads_table(facts)
 

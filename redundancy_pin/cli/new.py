@@ -39,7 +39,7 @@ def _positions(context: click.Context, option: click.Parameter, text: str | None
 @click.command()
 @click.argument("path", metavar="FILE")
 @click.option(
-    "--close", multiple=True, metavar="A,B[,KIND]", help="Links that meet in a ball or KIND; may be repeated."
+    "--close", multiple=True, metavar="A,B[,KIND]", help="Links whose origins meet in a ball or KIND; may be repeated."
 )
 @click.option("--open", "is_open", is_flag=True, help="Close no loops but those that are stated or named here.")
 @click.option("--actuate", metavar="A,B,...", callback=_names, help="Joints that are driven.")

@@ -56,7 +56,7 @@ def propose_robot(
         >>> proposal, robot = propose_robot(Path("five_bar.urdf"), close=["ltip,rtip"], actuate=["a", "c"])
     """
     parameters, read = open_model(path, arguments, trust=trust, untrusted=untrusted)
-    named = (*actuate, *independent)
+    named = (*actuate, *carriers, *independent)
     proposal = propose(read(None, named), close=close, actuate=actuate, carriers=carriers, is_open=is_open)
     mechanism = proposal.mechanism
     if proposal.questions:

@@ -177,7 +177,10 @@ class Proposal:
         ]
         motors = f"motors: {', '.join(self.mechanism.actuated)}, {self.motors}" if self.motors else "motors: not known"
         frames = [f"links that close no loop: {', '.join(self.frames)}"] if self.frames else []
-        none = "loops: none; where links meet in a joint that the file leaves out, name it: --close A,B"
+        none = (
+            "loops: none; where origins of links meet in a joint that the file leaves out, name it: --close A,B; "
+            "elsewhere, `closures: [{hinge: [A, B], at: [[...], [...]], axis: z}]` in the robot.yaml"
+        )
         carriers = [f"carriers: {', '.join(self.mechanism.carriers)}"] if self.mechanism.carriers else []
         return (*(loops or [none]), motors, *carriers, *frames)
 

@@ -325,9 +325,8 @@ def backend_record(plans: Plans, case: Case) -> Record:
 def starts_record(plans: Plans, case: Case) -> Record:
     """Return the scaled costs of a case from each first guess, parked carriers first; NaN where none was reached."""
     outcome = plans.outcome(case)
-    given: Any = (
-        [math.nan] * case.option("starts") if isinstance(outcome, InfeasiblePlanError) else outcome.diagnostics["costs"]
-    )
+    starts: Any = {} if isinstance(outcome, InfeasiblePlanError) else outcome.diagnostics["starts"]
+    given = starts.get("costs", [math.nan] * case.option("starts"))
     costs = [float(cost) for cost in given]
     reached = sorted(cost for cost in costs if not math.isnan(cost))
     optima, last = 0, -math.inf

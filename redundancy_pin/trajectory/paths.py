@@ -405,7 +405,7 @@ def _jumping_joints(segments: Sequence[Path], length: float) -> Array:
                 f"Segments {k} and {k + 1} do not meet: the positions differ by {distance:.3g} m, "
                 f"the unit tangents by {kink:.3g}."
             )
-            remedy = "A kink cannot be passed at speed: join straights by an arc (see rounded_polygon)."
+            remedy = "A kink cannot be passed at speed: round it (rounded_polygon), or stop there and plan two motions."
             raise InputError(message, remedy=remedy, segment=k, gap=distance, kink=kink)
         change = np.abs(start.curvature - end.curvature).max()
         size = max(np.abs(start.curvature).max(), np.abs(end.curvature).max())

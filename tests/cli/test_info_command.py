@@ -44,6 +44,7 @@ def test_describes_every_robot(name: str) -> None:
     assert roles.count("passive") == robot.model.njoints - 1 - robot.m - robot.k
     assert [closure["axes"] for closure in facts["closures"]] == [list(c.axes) for c in robot.closures]
     assert facts["reference"]["type_ii_margin"] > 0.0
+    assert [facts["motor_limits"][motor]["speed"] for motor in robot.actuated] == robot.speed_limits.tolist()
     text = call("info", "--robot", name).stdout
     for parameter in robot.parameters:
         assert parameter in text

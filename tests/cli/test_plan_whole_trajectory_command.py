@@ -80,7 +80,7 @@ def test_every_flag_reaches_the_planner(tmp_path: Path) -> None:
     plan = rp.load_plan(out)
     _same(plan, expected)
     assert plan.parameters == expected.parameters
-    assert plan.diagnostics["costs"] == expected.diagnostics["costs"]
+    assert plan.diagnostics["starts"] == expected.diagnostics["starts"]
     assert plot.read_text(encoding="utf-8").startswith("<?xml")
     assert "effort, 0.5 peak, 2 tracking" in result.stdout
     assert "local optimum in" in result.stdout

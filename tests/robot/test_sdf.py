@@ -394,6 +394,23 @@ def test_masses_are_placed_by_the_pose_of_the_inertial(tmp_path: Path) -> None:
     assert (bare.mass, bare.inertia.tolist()) == (1.0, np.eye(3).tolist())
 
 
+@pytest.mark.parametrize(("least", "right"), [(-0.9e-6, True), (-2e-6, False)])
+def test_a_moment_may_be_negative_by_what_files_round(least: float, right: bool, tmp_path: Path) -> None:
+    path = tmp_path / "pendulum.sdf"
+    inertia = f"<inertia><ixx>1</ixx><iyy>1</iyy><izz>{least!r}</izz></inertia>"
+    path.write_text(
+        f"<sdf version='1.9'><model name='arm'><link name='rod'><inertial><mass>1</mass>{inertia}</inertial></link>"
+        "<joint name='pin' type='revolute'><parent>world</parent><child>rod</child>"
+        "<axis><xyz>0 1 0</xyz></axis></joint></model></sdf>"
+    )
+    if right:
+        robot = rp.load_robot(path, actuated="pin")
+        np.testing.assert_array_equal(robot.model.inertias[1].inertia, np.diag([1.0, 1.0, least]))
+    else:
+        with pytest.raises(ModelFileError, match="a negative one"):
+            rp.load_robot(path, actuated="pin")
+
+
 def test_base_and_driven_joints(tmp_path: Path) -> None:
     path = written(
         tmp_path,

@@ -13,15 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.planners.options import Progress
 
 Expression: TypeAlias = Any
 """casadi.MX, or casadi.DM where the variables are numbers; casadi says of neither what its operators return."""
 
 Options = dict[str, Any]
 """Options of IPOPT by name."""
-
-Progress = Callable[[str], None]
-"""Takes one line of text."""
 
 TOLERANCE = 1e-9
 """Of the conditions of a minimum, in scaled variables."""

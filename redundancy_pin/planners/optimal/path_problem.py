@@ -84,11 +84,11 @@ SPEEDS = np.geomspace(1e-3, 1e3, 121)
 USED = 0.9
 """Largest share of the limits of efforts and rates that the first guess may take."""
 
-FAR = 100.0
-"""Limit of an effort over the size of efforts, from which it is not the size of efforts: the rates limit the time."""
-
 AT_REST = 1.05
 """The same, of the least share at any speed, which may be more than ``USED`` where the robot carries its weight."""
+
+FAR = 100.0
+"""Limit of an effort over the size of efforts, from which it is not the size of efforts: the rates limit the time."""
 
 
 def read_path_problem(task: Task, nodes: Grid, begin: str, lap: bool, before: Problem | None = None) -> Problem:

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, each, frozen, one_of, positive, require_type
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import as_dynamics
-from redundancy_pin.errors import InputError
 from redundancy_pin.planners.base_wrench import point_of, weights_of
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.optimal.objectives import OBJECTIVES
@@ -91,11 +90,6 @@ def checked_settings(
     goal, mesh, solver = Objective.of(objective), group_of(mesh, Mesh), group_of(solver, Solver)
     refuse_fields(mesh, {"steps": "the nodes are in time, and dt is their largest distance"})
     weights = weights_of(goal.weights or {}, OBJECTIVES)
-    if "tracking" in weights and goal.lam > 0.0 and goal.baseline is None:
-        raise InputError(
-            f"lam = {goal.lam:g} asks for a fraction of the baseline effort, and there is no baseline.",
-            remedy='Pass baseline=load_robot("3rrr", carriers=False).',
-        )
     resolved = group_of(limits, Limits).resolved(robot)
     park = resolved.on_track(datum, "datum")
     return Settings(

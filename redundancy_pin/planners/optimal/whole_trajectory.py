@@ -201,8 +201,6 @@ def _plan(task: Task, planned: Planned, chosen: Chosen) -> Plan:
         "smooth_nodes": np.flatnonzero(nodes.smooth).tolist(),
         "cost": least.solution.cost,
         "starts": starts,
-        "costs": starts["costs"],
-        "solver_messages": starts["messages"],
         "objective": objective_values(chosen.problem, chosen.solution.values),
         "objective_size": objective_sizes(chosen.problem),
     }

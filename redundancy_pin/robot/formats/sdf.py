@@ -463,7 +463,9 @@ class _Reader:
     def _add_link(self, link: LinkEntry, full: str, index: int, place: pin.SE3) -> None:
         self._carriers[full] = index, place
         if link.mass or link.inertia.any():
-            self.model.appendBodyToJoint(index, pin.Inertia(link.mass, link.centre, link.inertia), place)
+            body = pin.Inertia(link.mass, link.centre, np.zeros((3, 3)))
+            body.inertia = link.inertia  # as written: Pinocchio's constructor refuses what is negative by rounding
+            self.model.appendBodyToJoint(index, body, place)
         self.model.addBodyFrame(link.name, index, place, 0)
 
     def _add_marks(self) -> None:
