@@ -24,7 +24,8 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics, TorqueSample
 from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.kinematics.branch import BranchEnd, follower
+from redundancy_pin.kinematics import branch
+from redundancy_pin.kinematics.branch import BranchEnd, Follower, follower
 from redundancy_pin.machine_code import find_compiler
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint
@@ -399,6 +400,50 @@ def test_motors_without_a_pose_have_a_status() -> None:
     assert dynamics.joint_state(np.array([np.nan, 0.3])).status is SampleStatus.NOT_FINITE
     with pytest.raises(UnsupportedRobotError, match="1 actuated"):
         dynamics_of("fewer actuators").joint_state([0.0])
+
+
+@pytest.fixture
+def work(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What kinematics do: their steps along branches, and searches by Newton's method."""
+    done: list[str] = []
+    step, assemble = Follower.step, branch.assemble
+    monkeypatch.setattr(Follower, "step", lambda *given: (done.append("step"), step(*given))[1])
+    monkeypatch.setattr(branch, "assemble", lambda *given: (done.append("search"), assemble(*given))[1])
+    return done
+
+
+BEYOND = {"2rpr": [-0.6, 0.6], "3rrr": [0.6, 0.6, 0.6], "five_bar": [0.6, -0.6]}
+"""From the reference to where no pose is: of the 2-RPR and the five-bar a triangle's side is longer than the others."""
+
+
+@pytest.mark.parametrize("name", BEYOND)
+def test_set_points_out_of_reach_cost_a_loop_no_kinematics(name: str, work: list[str]) -> None:
+    """Noise on set-points beyond the reach, each with another velocity; encoders in counts, a glitch."""
+    robot, dynamics, random = machine(name), dynamics_of(name), np.random.default_rng(2)
+    home = np.array(robot.q_reference)
+    at, away = home[actuated_positions(robot)], np.array(BEYOND[name])
+    work.clear()
+    for _ in range(20):
+        near = away + 1e-3 * random.normal(size=robot.m)
+        far = away * 10.0 ** random.uniform(3.5, 8.0)
+        for offset, status in ((near, SampleStatus.UNREACHABLE), (far, SampleStatus.BRANCH_LOST)):
+            got = dynamics.joint_state(at + offset, random.normal(size=robot.m), start=home)
+            assert got.status is status
+            assert (got.residual > 1e-3) == (status is SampleStatus.UNREACHABLE)
+            assert np.isnan(got.q).all()
+    assert not work
+    assert dynamics.joint_state(at, start=home).status is SampleStatus.OK
+
+
+def test_what_is_refused_is_not_looked_for_again_at_other_velocities(work: list[str]) -> None:
+    """The flat pose of the 2-RPR, which kinematics name: a set-point that is held while its rate is noisy."""
+    robot, dynamics = machine("2rpr"), dynamics_of("2rpr")
+    dynamics.joint_state(robot.q_reference[actuated_positions(robot)], start=robot.q_reference)
+    counts = []
+    for rate in (0.0, 1.0, -1e-3):
+        assert dynamics.joint_state([0.2, 0.3], [rate, rate]).status is SampleStatus.TYPE_II
+        counts.append(len(work))
+    assert 0 < counts[0] == counts[-1] < 50
 
 
 # --- inputs

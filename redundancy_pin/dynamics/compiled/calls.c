@@ -10,7 +10,10 @@ typedef struct {
 } Range;
 
 #define MOST_SEARCHES 100 /* steps of Newton's method: half a turn of every joint takes some 50 */
+#define FARTHEST_LOST 20.0 /* rad or characteristic lengths of an actuator, three turns: what is lost on a longer way is not looked for */
 #define STALLED 10 /* steps of it; where so many reduce the residual by less than a tenth, no configuration is near */
+
+enum { FOR_KINEMATICS = STATUSES };
 
 static int in_ranges(const double *q, const Range *ranges, int count) {
   for (int i = 0; i < count; ++i) {
@@ -50,15 +53,28 @@ static int close_start(const double *numbers, const double *start, Pose *pose, d
   return moved * moved * all < 0.25; /* half of the margin, 1 / sqrt(all) */
 }
 
-/* The largest residual, without unit, after Newton's method with a line search at coordinates x; q is moved. It ends where steps no
-   longer reduce the residual, at latest after MOST_SEARCHES. Kinematics decide where the result is zero: where K is singular, and
-   next to a double root (a leg at full stretch), which rounding moves by the square root of the tolerance. */
-static double least_residual(const double *numbers, double *q, const double *x) {
+/* What Newton's method solves at a configuration: residual (NP), its matrix, and alignment of hinges, for a goal of coordinates or
+   actuators. */
+typedef void Linearise(const double *numbers, const double *q, const double *trig, const double *goal, double *residual, double *K, double *alignment);
+
+/* The square of the Frobenius norm of an inverse. */
+static double inverse_size(const double *lu, const int *pivot) {
+  double X[NP + 1][NP + 1], size = 0.0;
+  invert(lu, pivot, X);
+  for (int i = 0; i < NP; ++i) size += dot(X[i], X[i], NP);
+  return size;
+}
+
+/* Where a goal is looked for by Newton's method with a line search; q is moved. It ends where steps no longer reduce the residual, at
+   latest after MOST_SEARCHES. Returns STATUS_UNREACHABLE where the largest residual, without unit, is not zero; STATUS_OK where it is, at
+   a regular configuration; and FOR_KINEMATICS where these decide whether it is: where the matrix is singular, next to a double root (a
+   leg at full stretch), which rounding moves by the square root of the tolerance, and of a hinge the wrong way round. */
+static int search(const double *numbers, Linearise *linearise, double *q, const double *goal, double *least) {
   double trig[2 * NT + 1], residual[NP + 1], step[NP + 1], part[NP + 1], K[NP * NP + 1], alignment[NALIGN], from[NQ];
   double before = INFINITY;
   int pivot[NP + 1];
   turns_of(q, trig);
-  rows(numbers, q, trig, x, residual, K, alignment);
+  linearise(numbers, q, trig, goal, residual, K, alignment);
   for (int iteration = 0; iteration < MOST_SEARCHES; ++iteration) {
     double size = dot(residual, residual, NP), share = 1.0;
     if (iteration % STALLED == 0) {
@@ -67,22 +83,28 @@ static double least_residual(const double *numbers, double *q, const double *x) 
     }
     copy(step, residual, NP);
     copy(from, q, NQ);
-    if (decompose(K, pivot) == 0.0) return 0.0;
+    if (decompose(K, pivot) == 0.0) return FOR_KINEMATICS;
     solve(K, pivot, step);
     double longest = largest(step, NP);
     int last = longest <= FLOOR; /* a step of rounding is taken whole */
+    int regular = last && inverse_size(K, pivot) * NEAR_SINGULAR * NEAR_SINGULAR < 1.0;
     for (share = fmin(1.0, LONGEST / longest); share > SHORTEST; share *= 0.5) {
       for (int i = 0; i < NP; ++i) part[i] = share * step[i] * VELOCITY_UNIT[COLUMNS[i]];
       copy(q, from, NQ);
       move(q, part);
       turns_of(q, trig);
-      rows(numbers, q, trig, x, residual, K, alignment);
+      linearise(numbers, q, trig, goal, residual, K, alignment);
       if (last || dot(residual, residual, NP) < size) break;
     }
-    if (last || !(share > SHORTEST)) return largest(residual, NP);
+    if (!last && share > SHORTEST) continue;
+    *least = largest(residual, NP);
+    if (*least > TOLERANCE) return STATUS_UNREACHABLE;
+    for (int i = 0; i < NALIGN; ++i)
+      if (!(alignment[i] > 0.0)) return FOR_KINEMATICS;
+    return regular ? STATUS_OK : FOR_KINEMATICS;
   }
-  double least = largest(residual, NP);
-  return least > sqrt(TOLERANCE) ? least : 0.0;
+  *least = largest(residual, NP);
+  return *least > sqrt(TOLERANCE) ? STATUS_UNREACHABLE : FOR_KINEMATICS;
 }
 
 /* Whether a pose is turned so far from the coordinates x that the rows of its rotation, sines, do not say how to get there. */
@@ -129,9 +151,11 @@ static int follow_to(const double *numbers, double *reached, double *from, const
   }
   int bifurcation = may_go_on(&pose);
   if (!bifurcation) keep(&pose, reached); /* the tangent, by which kinematics pass, is known better where the way began */
-  double residual = bifurcation || turned_far(numbers, &pose, in) ? 0.0 : least_residual(numbers, pose.q, in);
+  double residual = 0.0;
+  if (bifurcation || turned_far(numbers, &pose, in) || search(numbers, rows, pose.q, in, &residual) != STATUS_UNREACHABLE)
+    return STATUS_BRANCH_LOST;
   out[N * M + N + NK] = residual * LENGTH;
-  return residual > TOLERANCE ? STATUS_UNREACHABLE : STATUS_BRANCH_LOST;
+  return STATUS_UNREACHABLE;
 }
 
 /* One sample; in and out as rp_sample, on the branch of the state. The state is moved where the sample is closed; reached, of the same
@@ -178,8 +202,6 @@ static void recall(const double *state, Pose *pose) {
   pose->sign = state[NQ];
 }
 
-enum { FOR_KINEMATICS = STATUSES };
-
 static int close_drives(const double *numbers, Pose *pose, const double *position, const double *left) {
   double off[M];
   Pose next = *pose;
@@ -196,6 +218,44 @@ static int follow_drives(const double *numbers, Pose *pose, const double *positi
   return status == STATUS_OK || status == STATUS_TYPE_II ? status : STATUS_BRANCH_LOST;
 }
 
+/* What Newton's method solves for closures and positions of as many actuators as DOF, as rows. */
+static void driven_rows(const double *numbers, const double *q, const double *trig, const double *position, double *residual, double *A, double *alignment) {
+  double x[NX], off[M];
+  coordinates_of(numbers, q, trig, x);
+  rows(numbers, q, trig, x, residual, A, alignment);
+  drives(q, position, off);
+  drive_rows(numbers, off, A, residual);
+}
+
+/* Whether positions of the actuators are so far from a configuration that nothing more is done about a way that is lost. */
+static int is_far(const double *numbers, const double *q, const double *position) {
+  double way[M];
+  drives(q, position, way);
+  for (int j = 0; j < M; ++j)
+    if (!(fabs(way[j]) <= FARTHEST_LOST * VELOCITY_UNIT[ACTUATED[j]])) return 1;
+  return 0;
+}
+
+/* Why positions of the actuators are not reached, whose way ends at a pose. Next to a rank loss of the closures kinematics decide, from
+   reached as it is. At a type I singularity they go on, where the positions may be reached: K is next to singular there, [J_c; S] is
+   not. Returns STATUS_UNREACHABLE, with the residual in m; STATUS_BRANCH_LOST; or FOR_KINEMATICS. */
+static int lost_drives(const double *numbers, const Pose *pose, const double *position, double *reached, double *residual) {
+  double all, driven, platform, q[NQ], x[NX], rest[NP + 1], alignment[NALIGN], least = 0.0;
+  Pose own = *pose, other = *pose;
+  coordinates_of(numbers, pose->q, pose->trig, x);
+  rows(numbers, pose->q, pose->trig, x, rest, own.lu, alignment);
+  driven_rows(numbers, pose->q, pose->trig, position, rest, other.lu, alignment);
+  if (decompose(own.lu, own.pivot) == 0.0 || decompose(other.lu, other.pivot) == 0.0) return FOR_KINEMATICS;
+  inverse_sizes(&own, &all, &platform);
+  inverse_sizes(&other, &driven, &platform);
+  if (may_go_on(&own) || !(driven * SINGULAR_MARGIN * SINGULAR_MARGIN < 1.0)) return FOR_KINEMATICS;
+  keep(pose, reached);
+  copy(q, pose->q, NQ);
+  int found = search(numbers, driven_rows, q, position, &least);
+  if (found == STATUS_UNREACHABLE) *residual = least * LENGTH;
+  return found == STATUS_OK ? (2.0 * driven < all ? FOR_KINEMATICS : STATUS_BRANCH_LOST) : found;
+}
+
 /* Whether velocities (M) of the actuators, more than DOF, are those of one motion of the platform, relative to the terms that cancel. */
 static int velocities_agree(const double *numbers, const Platform *platform, const double *velocity) {
   double missing = 0.0, size = 0.0;
@@ -210,24 +270,31 @@ static int velocities_agree(const double *numbers, const Platform *platform, con
 /* All joints and the platform from the actuators. in: positions (M) and velocities (M) of the actuators, s (NK), sd (NK); out:
    q (NQ), v (NV), x (NX), xd (N), type II margin, residual. More actuators than DOF may contradict each other: the residual of positions,
    m, is then written, and the status is unreachable. State and reached are as of rp_reach. Returns a status, or FOR_KINEMATICS where
-   these say why it is not solved, or go on, from reached, or from the state at a rank loss of the closures. */
+   these may go on from reached, or from the state at a rank loss of the closures, or say what is singular. */
 int rp_joint_state(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
   const double *position = in, *velocity = in + M, *s = velocity + M, *sd = s + NK;
   double *q = out, *v = q + NQ;
-  Pose pose;
+  Pose pose, last;
   Platform platform;
   if (!finite(in, 2 * M + 2 * NK)) return STATUS_NOT_FINITE;
   if (begin_at(numbers, state, reached)) return STATUS_BRANCH_LOST;
-  if (isnan(state[NQ])) return FOR_KINEMATICS;
+  if (isnan(state[NQ])) return is_far(numbers, state, position) ? STATUS_BRANCH_LOST : FOR_KINEMATICS;
   recall(reached, &pose);
   int status = platform_of(numbers, &pose, position, velocity, &platform);
-  if (status == STATUS_UNREACHABLE || status == STATUS_TYPE_II) { /* too far for one step of Newton's method */
+  int there = status != STATUS_UNREACHABLE && status != STATUS_TYPE_II;
+  if (!there) { /* too far for one step of Newton's method */
     recall(reached, &pose);
     status = follow_drives(numbers, &pose, position);
-    if (!status) status = platform_of(numbers, &pose, position, velocity, &platform);
+    last = pose;
+    there = !status;
+    if (there) status = platform_of(numbers, &pose, position, velocity, &platform);
   }
   if (status == STATUS_NOT_FINITE) return status;
-  if (status != STATUS_OK && status != STATUS_NEAR_SINGULAR) return M == N ? FOR_KINEMATICS : status;
+  if (status != STATUS_OK && status != STATUS_NEAR_SINGULAR) {
+    if (M > N) return status;
+    if (is_far(numbers, reached, position)) return STATUS_BRANCH_LOST;
+    return there ? FOR_KINEMATICS : lost_drives(numbers, &last, position, reached, v + NV + NX + N + 1);
+  }
   copy(q, pose.q, NQ);
   clear(v, NV);
   for (int i = 0; i < NV; ++i)

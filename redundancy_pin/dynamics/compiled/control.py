@@ -9,7 +9,7 @@ thread has its own buffers, and its own configuration from which Newton's method
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import pairwise
 from math import isfinite, isnan
@@ -42,7 +42,7 @@ _STATUSES = tuple(SampleStatus)
 """By code: an index takes a fifth of the time of ``SampleStatus(code)``."""
 
 _FOR_KINEMATICS = len(_STATUSES)
-"""Code of ``rp_joint_state``: kinematics say why the C does not get to a sample, or go on across a rank loss."""
+"""Code of ``rp_joint_state``: kinematics may go on where the C ends, or say what is singular there."""
 
 _WITHOUT_RESULT = frozenset(
     {
@@ -171,13 +171,13 @@ class _Branch:
             return None if self.passed is None else self.passed[1]
         return self.reached[:-1].copy() if self.reached[-1] else None
 
-    def by_kinematics(self, given: Sequence[Array], solve: Callable[[Start | None], T]) -> T | Refusal:
+    def by_kinematics(self, given: Array, solve: Callable[[Start | None], T]) -> T | Refusal:
         """Return a sample that kinematics solve from here, or from the reference where no branch is known yet.
 
         What they refuse is kept while the same set-point is requested again.
 
         Args:
-            given: positions and rates of the sample, which tell it from others.
+            given: coordinates, or positions of the actuators: rates do not decide what is in reach.
             solve: what solves it from a start, and raises ``REFUSALS``.
         """
         start = self._next_start() if self.known else None
@@ -192,8 +192,8 @@ class _Branch:
             self._refused = key, refusal_of(error)
             return self._refused[1]
 
-    def _key(self, given: Sequence[Array]) -> bytes:
-        return b"".join(part.tobytes() for part in (self.state, self._signs, *given))
+    def _key(self, given: Array) -> bytes:
+        return b"".join(part.tobytes() for part in (self.state, self._signs, given))
 
     def save(self) -> tuple[Array, Array, bool]:
         """Return what ``restore`` takes."""
@@ -337,7 +337,7 @@ class TorqueCall(SampleCall):
         if code == SampleStatus.UNREACHABLE and self._branch.known:
             return without_answer(self._robot, SampleStatus.UNREACHABLE, self._residual())
         motion, robot, branch = self._motion(t), self._robot, self._branch
-        found = branch.by_kinematics(self._arguments.parts[:3], partial(self._followed, motion))
+        found = branch.by_kinematics(self._arguments.parts[0], partial(self._followed, motion))
         if isinstance(found, Refusal):
             return without_answer(robot, *found)
         (tree, _), reduced = found
@@ -419,10 +419,9 @@ class JointStateCall:
         """Solve a sample that the C does not get to by kinematics; returns its status."""
         robot, branch = self._robot, self._branch
         position, velocity, s, sd = self._arguments.parts
-        given = position, velocity
-        if not is_finite(given, 0.0):
+        if not is_finite((position, velocity), 0.0):
             return int(SampleStatus.NOT_FINITE)
-        found = branch.by_kinematics(given, lambda start: self._follow(start, position.copy(), velocity.copy()))
+        found = branch.by_kinematics(position, lambda start: self._follow(start, position.copy(), velocity.copy()))
         if isinstance(found, Refusal):
             self._results[-1] = found.residual
             # K of the actuators as coordinates is singular: they do not determine the platform's

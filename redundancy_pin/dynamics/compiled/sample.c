@@ -190,6 +190,16 @@ static void back(const double *numbers, const Spectrum *s, const double *rate, d
   for (int i = 0; i < N; ++i) xd[i] = result[i] / ROW_SCALE[i];
 }
 
+/* The rows of the actuators, below those of the closures: S, and what they miss (M), without unit. A is null where it is decomposed. */
+static void drive_rows(const double *numbers, const double *off, double *A, double *missing) {
+  for (int i = 0; i < NP; ++i)
+    for (int j = 0; j < M; ++j) {
+      int drives_it = ACTUATED[j] == COLUMNS[i];
+      if (A) A[R + j + i * NP] = drives_it;
+      if (drives_it) missing[R + j] = off[j] / VELOCITY_UNIT[COLUMNS[i]];
+    }
+}
+
 /* [J_c; S] without unit, decomposed; it serves for steps so small that its own change does not slow them down. */
 typedef struct {
   double A[NP * NP + 1];
@@ -201,12 +211,7 @@ typedef struct {
 /* Newton's step (NP) for closures and actuators at once, [J_c; S] step = [residual; off]; returns 0 where it is singular. */
 static int actuated_step(const double *numbers, Pose *pose, const double *off, double *step, Driven *driven) {
   if (!driven->known) copy(driven->A, pose->lu, NP * NP);
-  for (int i = 0; i < NP; ++i)
-    for (int j = 0; j < M; ++j) {
-      int drives_it = ACTUATED[j] == COLUMNS[i];
-      if (!driven->known) driven->A[R + j + i * NP] = drives_it;
-      if (drives_it) step[R + j] = off[j] / VELOCITY_UNIT[COLUMNS[i]];
-    }
+  drive_rows(numbers, off, driven->known ? 0 : driven->A, step);
   if (!driven->known && decompose(driven->A, driven->pivot) == 0.0) return 0;
   driven->known = 1;
   solve(driven->A, driven->pivot, step);
