@@ -184,6 +184,21 @@ class RestToRest(TimingLaw):
         return RestToRest(self.length, self.duration / positive(factor, "factor", "(ratio)"), self.shape)
 
 
+@dataclass(frozen=True, init=False, eq=False)
+class FastestLaw(TimingLaw):
+    """The law of ``fastest_law``: its acceleration is continuous, so that it takes more than the least time.
+
+    Attributes:
+        least_duration: least time, s, of laws whose acceleration may jump; no law under the same limits takes less.
+    """
+
+    least_duration: float
+
+    def __init__(self, law: TimingLaw, least_duration: float) -> None:
+        super().__init__(law.curve, law.length)
+        assign(self, least_duration=least_duration)
+
+
 LEAST_RAMP_FRACTION = 0.4
 """A quintic ramp shorter than this fraction of v T runs backwards; see ``SpeedProfile``."""
 

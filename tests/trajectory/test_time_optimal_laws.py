@@ -110,6 +110,52 @@ def test_laws_keep_limits_of_each_coordinate_and_take_nearly_the_least_time(seed
     require_continuous(law)
 
 
+@pytest.mark.parametrize("radius", [0.1, 0.2])
+def test_limits_are_tightened_where_the_speed_alone_takes_nearly_all_acceleration(radius: float) -> None:
+    """Hardly any tangential acceleration was left there, no optimum existed, and laws took 1.18 and 1.23."""
+    path = rounded_polygon([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.3, 0.7]], radius)
+    speed, acceleration = np.array([[1.0, 0.5], [2.0, 3.0]])
+    law = fastest_law(path, speed, acceleration)
+    assert largest_use(path, law, speed, acceleration) <= 1.0
+    assert law.least_duration == pytest.approx(toppra_duration(path, speed, acceleration), rel=2e-3)
+    assert 1.0 < law.duration / law.least_duration < 1.05
+
+
+@pytest.mark.parametrize(("points", "noise"), [(100, 1e-4), (50, 1e-2)])
+def test_limits_hold_between_samples_on_splines_with_many_bends(points: int, noise: float) -> None:
+    """Peaks of the curvature between two samples exceeded them by up to 0.3 %."""
+    dice = np.random.default_rng(5)
+    path = through_points(np.column_stack([np.linspace(0.0, 1.0, points), noise * dice.normal(size=points)]))
+    law = fastest_law(path, 1.0, 2.0)
+    assert 0.99 < largest_use(path, law, 1.0, 2.0) <= 1.0
+    assert law.duration / law.least_duration < SLOWEST
+
+
+@pytest.mark.parametrize("limits", [(0.5, 2.0), ((0.5, 0.3), (2.0, 1.0)), ((0.3, 1.0), (1.0, 3.0))])
+def test_limits_of_norms_coordinates_and_poses_are_kept_and_reached(limits) -> None:
+    """One number limits a norm, two of a pose the norms of ṗ and ω."""
+    of_poses = limits[0] == (0.3, 1.0)
+    motion = from_points(
+        poses(3, 2.0) if of_poses else BENT, "time-optimal", max_speed=limits[0], max_acceleration=limits[1]
+    )
+    dense = motion.sample(motion.duration / 20_000)
+    used = []
+    for rates, limit in zip((dense.xd, dense.xdd), limits, strict=True):
+        parts = rates.reshape(len(rates), len(np.atleast_1d(limit)), -1)
+        used.append((np.linalg.norm(parts, axis=2) / limit).max(axis=1))
+    at_limit = np.maximum(*used)
+    assert 0.999 < at_limit.max() <= 1.0
+    assert np.mean(at_limit > 0.9) > 0.85
+
+
+def test_a_pose_turns_as_fast_however_short_the_way_of_its_origin() -> None:
+    """The arc length is the origin's: with a way of 0.8 mm the law had thousands of pieces, and took ten seconds."""
+    short = poses(3, 2.0) * [1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0, 1.0]
+    motion = from_points(short, "time-optimal", max_speed=(0.3, 0.8), max_acceleration=(3.0, 8.0))
+    assert len(motion.timing.knots) < 200
+    assert motion.duration < SLOWEST * motion.timing.least_duration
+
+
 @pytest.mark.parametrize("radius", [1e-4, 0.03])
 def test_sharp_corners_of_a_square_cost_a_fraction_of_their_own_time(radius: float) -> None:
     """With corners of 0.1 mm the law took five times the least time: it blended over 2 % of the duration."""
@@ -159,6 +205,11 @@ def test_the_least_time_is_the_same_backwards() -> None:
     limits = [0.5, 0.3], [2.0, 1.0]
     there, back = (least_duration(through_points(points), *limits) for points in (BENT, BENT[::-1]))
     assert back == pytest.approx(there, rel=1e-6)  # steps of a thousandth are not halved alike
+    # the curvature jumps where an arc ends: each step has that of its own side
+    there, back = (
+        least_duration(rounded_polygon(points, 0.01, closed=False), *limits) for points in (BENT, BENT[::-1])
+    )
+    assert back == pytest.approx(there, rel=1e-5)
 
 
 def test_the_fastest_law_brakes_for_a_corner() -> None:
