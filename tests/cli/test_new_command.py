@@ -155,7 +155,10 @@ def test_a_file_without_loops_is_told_how_to_close_one_and_asked_for_as_many_mot
     joints = joint.format("shoulder", "base", "upper") + joint.format("elbow", "upper", "lower")
     file.write_text(f'<robot name="arm">{links}{joints}</robot>')
     result = call("new", file)
-    assert "loops: none; where origins of links meet in a joint that the file leaves out, name it: --close A,B;" in result.stdout
+    assert (
+        "loops: none; where origins of links meet in a joint that the file leaves out, name it: --close A,B;"
+        in result.stdout
+    )
     assert "The mechanism has 2 DOF" in result.stderr
 
 
