@@ -116,7 +116,7 @@ def _declared_efforts(robot: Robot) -> Array:
             raise InputError(
                 f"The robot declares efforts of {name} from {least:g} to {most:g}; the limit of a plan counts both "
                 "ways.",
-                remedy="Pass the largest |τ|, effort=..., one number or one for each actuator.",
+                remedy="Pass the largest |τ| in limits=Limits(effort=...), one number or one for each actuator.",
                 name="effort",
             )
     largest: Array = robot.effort_limits[1]
@@ -153,13 +153,14 @@ class Objective(ByValue):
         Raises:
             InputError: λ or ``calm`` not from 0 to 1, a point that is not one, a baseline without "tracking".
         """
-        aims = fraction(self.lam, "lam") > 0.0 or self.baseline is not None
+        assign(self, lam=fraction(self.lam, "lam"))
+        aims = self.lam > 0.0 or self.baseline is not None
         if self.weights is None:
             object.__setattr__(self, "weights", "tracking" if aims else "effort")
         point_of(self.base_point)
         assign(self, **{name: detached(getattr(self, name)) for name in ("weights", "baseline", "base_point")})
         if self.calm is not None:
-            fraction(self.calm, "calm")
+            assign(self, calm=fraction(self.calm, "calm"))
         named = [self.weights] if isinstance(self.weights, str) else self.weights
         if aims and isinstance(named, (list, tuple, Mapping)) and "tracking" not in named:
             raise InputError(

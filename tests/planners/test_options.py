@@ -85,6 +85,7 @@ def test_groups_do_not_change_with_their_arguments(name: str) -> None:
 
 
 def test_groups_are_equal_by_value() -> None:
+    assert rp.Objective("tracking", lam=np.array(0.5), calm=np.float32(0.5)) == rp.Objective("tracking", 0.5, calm=0.5)
     assert rp.Limits(effort=2.5) == rp.Limits(effort=2.5) != rp.Limits(effort=2.6)
     assert rp.Limits(effort=2.5) != rp.Limits(speed=2.5)
     assert rp.Limits(effort=[1.0, 0.0]) == rp.Limits(effort=np.array([1.0, -0.0]))
