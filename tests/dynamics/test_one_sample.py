@@ -435,6 +435,27 @@ def test_set_points_out_of_reach_cost_a_loop_no_kinematics(name: str, work: list
     assert dynamics.joint_state(at, start=home).status is SampleStatus.OK
 
 
+@pytest.mark.parametrize("name", ["five_bar", "delta"])
+def test_far_set_points_are_those_that_forward_kinematics_reach(name: str, work: list[str]) -> None:
+    """Motors turn by rad at once, through type I singularities too; the C follows no branch through those."""
+    robot, dynamics, random = machine(name), dynamics_of(name), np.random.default_rng(7)
+    home, beyond = np.array(robot.q_reference), 0
+    for _ in range(20):
+        position = home[actuated_positions(robot)] + 2.0 * random.normal(size=robot.m)
+        work.clear()
+        got = dynamics.joint_state(position, start=home)
+        asked = bool(work)
+        beyond += asked
+        want = rp.forward_kinematics(robot, position)
+        assert got.status.solved == want.known[0]
+        if want.known[0]:
+            np.testing.assert_allclose(got.q, want.q[0], rtol=0.0, atol=1e-8)
+            np.testing.assert_allclose(got.x, want.x[0], rtol=0.0, atol=1e-8)
+        else:
+            assert not asked
+    assert beyond
+
+
 def test_what_is_refused_is_not_looked_for_again_at_other_velocities(work: list[str]) -> None:
     """The flat pose of the 2-RPR, which kinematics name: a set-point that is held while its rate is noisy."""
     robot, dynamics = machine("2rpr"), dynamics_of("2rpr")

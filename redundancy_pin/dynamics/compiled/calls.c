@@ -236,9 +236,18 @@ static int is_far(const double *numbers, const double *q, const double *position
   return 0;
 }
 
+/* As close_drives, on either side of type I singularities. */
+static int close_either_side(const double *numbers, Pose *pose, const double *position, const double *left) {
+  double sign = pose->sign;
+  pose->sign = 0.0;
+  int status = close_drives(numbers, pose, position, left);
+  if (status) pose->sign = sign;
+  return status;
+}
+
 /* Why positions of the actuators are not reached, whose way ends at a pose. Next to a rank loss of the closures kinematics decide, from
-   reached as it is. At a type I singularity they go on, where the positions may be reached: K is next to singular there, [J_c; S] is
-   not. Returns STATUS_UNREACHABLE, with the residual in m; STATUS_BRANCH_LOST; or FOR_KINEMATICS. */
+   reached as it is. At a type I singularity they go on, where the way beyond leads to the positions: K is next to singular there,
+   [J_c; S] is not. Returns STATUS_UNREACHABLE, with the residual in m; STATUS_BRANCH_LOST; or FOR_KINEMATICS. */
 static int lost_drives(const double *numbers, const Pose *pose, const double *position, double *reached, double *residual) {
   double all, driven, platform, q[NQ], x[NX], rest[NP + 1], alignment[NALIGN], least = 0.0;
   Pose own = *pose, other = *pose;
@@ -250,10 +259,16 @@ static int lost_drives(const double *numbers, const Pose *pose, const double *po
   inverse_sizes(&other, &driven, &platform);
   if (may_go_on(&own) || !(driven * SINGULAR_MARGIN * SINGULAR_MARGIN < 1.0)) return FOR_KINEMATICS;
   keep(pose, reached);
-  copy(q, pose->q, NQ);
+  if (2.0 * driven < all) {
+    double way[M];
+    drives(pose->q, position, way);
+    own = *pose;
+    if (follow_way(numbers, &own, close_either_side, position, way, M) == STATUS_OK) return FOR_KINEMATICS;
+  }
+  copy(q, own.q, NQ);
   int found = search(numbers, driven_rows, q, position, &least);
   if (found == STATUS_UNREACHABLE) *residual = least * LENGTH;
-  return found == STATUS_OK ? (2.0 * driven < all ? FOR_KINEMATICS : STATUS_BRANCH_LOST) : found;
+  return found == STATUS_OK ? STATUS_BRANCH_LOST : found;
 }
 
 /* Whether velocities (M) of the actuators, more than DOF, are those of one motion of the platform, relative to the terms that cancel. */

@@ -250,8 +250,8 @@ static int failure_at(const double *numbers, Pose *pose) {
 }
 
 /* Newton's method for closures and actuated positions at once, to positions that miss those given by left (M, or null). It is
-   trusted while it contracts, as newton() is. The pose ends with K decomposed, on the same side of type I singularities.
-   Returns a status. */
+   trusted while it contracts, as newton() is. The pose ends with K decomposed, on the same side of type I singularities
+   where its sign says which (not 0). Returns a status. */
 static int forward(const double *numbers, Pose *pose, const double *position, const double *left, double *off) {
   double step[NP + 1], alignment[NALIGN], x[NX], last = LONGEST / CONTRACTION, sign = pose->sign;
   Driven driven;
@@ -270,7 +270,7 @@ static int forward(const double *numbers, Pose *pose, const double *position, co
       for (int i = 0; i < NALIGN; ++i)
         if (!(alignment[i] > 0.0)) return STATUS_UNREACHABLE; /* a hinge the wrong way round */
       pose->sign = decompose(pose->lu, pose->pivot);
-      return pose->sign * sign > 0.0 ? STATUS_OK : STATUS_UNREACHABLE;
+      return pose->sign != 0.0 && !(pose->sign * sign < 0.0) ? STATUS_OK : STATUS_UNREACHABLE;
     }
     if (!(size <= CONTRACTION * last)) {
       if (!reused) return failure_at(numbers, pose);
