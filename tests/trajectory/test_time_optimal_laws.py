@@ -121,6 +121,17 @@ def test_limits_are_tightened_where_the_speed_alone_takes_nearly_all_acceleratio
     assert 1.0 < law.duration / law.least_duration < 1.05
 
 
+def test_under_unlike_limits_intervals_are_not_tightened_at_once_by_all_they_exceed() -> None:
+    """The first law exceeds limits by 6.7 at the ends of arcs: tightened by that the next law took 17.3 s."""
+    dice = np.random.default_rng(344080)
+    steps = np.column_stack([dice.uniform(0.5, 1.5, 4), dice.uniform(0.5, 1.5, 4) * (-1.0) ** np.arange(4)])
+    path = rounded_polygon(np.cumsum(steps, axis=0), 0.1, closed=False)
+    speed, acceleration = np.array([[0.329, 2.895], [0.17, 3.638]])
+    law = fastest_law(path, speed, acceleration)
+    assert largest_use(path, law, speed, acceleration) <= 1.0
+    assert law.duration < 16.5
+
+
 @pytest.mark.parametrize(("points", "noise"), [(100, 1e-4), (50, 1e-2)])
 def test_limits_hold_between_samples_on_splines_with_many_bends(points: int, noise: float) -> None:
     """Peaks of the curvature between two samples exceeded them by up to 0.3 %."""
