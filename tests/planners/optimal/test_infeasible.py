@@ -206,14 +206,16 @@ def test_what_would_suffice_for_efforts_is_the_least_peak() -> None:
     assert {event.quantity for event in enough.limits.violated} == {"effort"}
 
 
-def test_carriers_that_cannot_return_say_by_how_much_they_miss_their_end() -> None:
+@pytest.mark.parametrize(("start", "datum"), [(0.15, 0.0), (-0.05, 0.1)])
+def test_carriers_that_cannot_return_say_by_how_much_they_miss_their_end(start: float, datum: float) -> None:
     """By 0.15 m less what 1 m/s² takes them in the time of the motion, at best."""
     line = straight((0.25, 0.45), (0.31, 0.45), 0.2)
     with pytest.raises(InfeasiblePlanError, match="from the datum") as caught:
         rp.plan_whole_trajectory(
             rp.VirtualWork(zoo.robot_of("2rpr")),
             line,
-            start=0.15,
+            start=start,
+            datum=datum,
             limits=rp.Limits(acceleration=1.0),
             mesh=rp.Mesh(dt=0.05, refinements=0),
         )

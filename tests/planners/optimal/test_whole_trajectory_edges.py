@@ -1,5 +1,6 @@
 """Rare coincidences: starts on a limit, jumps on a singularity, one freedom, more actuators than freedoms."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -157,3 +158,21 @@ def test_more_actuators_than_freedoms_are_judged_by_their_own_efforts(tmp_path):
     reduced = dynamics.reduce(plan.motion, plan.carriers)
     assert np.abs(distribute(reduced).tau).max() > 1.05 * np.abs(plan.tau).max()
     np.testing.assert_allclose(np.einsum("nim,nm->ni", reduced.W, plan.tau), reduced.f, atol=1e-7)
+
+
+@pytest.mark.parametrize("objective", ["carrier_acceleration", "carrier_force"])
+def test_where_the_objective_leaves_the_efforts_open_they_are_the_smallest(objective):
+    """Three motors for two freedoms, with limits so different that the middle of them is not the smallest effort."""
+    robot = zoo.robot_of("five_bar")
+    dynamics = RneaDynamics(replace(robot, actuated=(*robot.actuated, "elbow_1")))
+    path = Line((0.2, 0.55), (0.3, 0.6))
+    plan = plan_whole_trajectory(
+        dynamics,
+        Trajectory(path, SpeedProfile(path.length, 0.3, 0.1)),
+        objective=Objective(objective, calm=0.0),
+        mesh=Mesh(dt=0.04, refinements=0),
+        limits=Limits(effort=[1000.0, 4.0, 4.0]),
+    )
+    loads = dynamics.reduce(plan.motion, plan.carriers)
+    smallest = np.einsum("nmi,ni->nm", np.linalg.pinv(loads.W), loads.f)
+    np.testing.assert_allclose(plan.tau, smallest, atol=1e-4 * np.abs(smallest).max())
