@@ -171,6 +171,11 @@ def test_bounds_orientation_and_reachable_nodes_are_those_of_the_closed_form() -
 def test_what_cannot_be_drawn_is_refused() -> None:
     with pytest.raises(UnsupportedRobotError, match="gough"):
         singular_locus(zoo.robot_of("gough"))
+    spatial = zoo.robot_of("gough")
+    assert spatial.platform is not None
+    two_tilts = replace(spatial, platform=replace(spatial.platform, axes=("x", "y", "rx", "ry")))
+    with pytest.raises(UnsupportedRobotError, match="x, y, rx, ry"):
+        singular_locus(two_tilts)
     for name, given in (
         ("orientation", {"orientation": 0.2}),
         ("resolution", {"resolution": 2}),
