@@ -11,7 +11,7 @@ nodes. Nodes are ``BLEND`` of the duration apart, and closer where the path bend
 ``NODE_TURN`` at most, so that a sharp corner costs a fraction of its own time. Next to a switch such a law exceeds the
 limits, by a third where all else is uniform. There, between those two nodes alone, the limits are tightened and the
 optimum is computed again. What remains is removed by time scaling, by the largest use of the limits anywhere on the
-law. Laws take 1.01 to 1.05 of the least time on 45 random paths, with corners down to a ten thousandth of their length.
+law. Laws take 1.01 to 1.06 of the least time on most random paths, with corners down to 1e-4 of their length.
 Up to 1.13 was measured through hundreds of noisy points, which bend the path between all nodes, and on arcs whose
 coordinates have very unlike limits.
 
