@@ -129,7 +129,7 @@ def test_under_unlike_limits_intervals_are_not_tightened_at_once_by_all_they_exc
     speed, acceleration = np.array([[0.329, 2.895], [0.17, 3.638]])
     law = fastest_law(path, speed, acceleration)
     assert largest_use(path, law, speed, acceleration) <= 1.0
-    assert law.duration < 16.5
+    assert law.duration < 16.0  # 16.37 where pieces are not evaluated at their ends, on the left of a break
 
 
 @pytest.mark.parametrize(("points", "noise"), [(100, 1e-4), (50, 1e-2)])
