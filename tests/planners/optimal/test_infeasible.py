@@ -206,9 +206,9 @@ def test_what_would_suffice_for_efforts_is_the_least_peak() -> None:
     assert {event.quantity for event in enough.limits.violated} == {"effort"}
 
 
-@pytest.mark.parametrize(("start", "datum"), [(0.15, 0.0), (-0.05, 0.1)])
+@pytest.mark.parametrize(("start", "datum"), [(0.15, 0.0), (0.0, 0.15)])
 def test_carriers_that_cannot_return_say_by_how_much_they_miss_their_end(start: float, datum: float) -> None:
-    """By 0.15 m less what 1 m/s² takes them in the time of the motion, at best."""
+    """By 0.15 m less what 0.5 m/s² takes them in the time of the motion, at best."""
     line = straight((0.25, 0.45), (0.31, 0.45), 0.2)
     with pytest.raises(InfeasiblePlanError, match="from the datum") as caught:
         rp.plan_whole_trajectory(
@@ -216,11 +216,11 @@ def test_carriers_that_cannot_return_say_by_how_much_they_miss_their_end(start: 
             line,
             start=start,
             datum=datum,
-            limits=rp.Limits(acceleration=1.0),
+            limits=rp.Limits(acceleration=0.5),
             mesh=rp.Mesh(dt=0.05, refinements=0),
         )
     (end,) = (event for event in caught.value.details["relaxations"] if event["constraint"] == "end")
-    assert 0.15 - 0.5 * line.duration**2 - ROUNDING <= end["amount"] < 0.15
+    assert 0.15 - 0.25 * line.duration**2 - ROUNDING <= end["amount"] < 0.15
     assert end["time"] == line.duration
 
 
