@@ -26,10 +26,10 @@ def _jerk_of_the_platform(trajectory, t):
     return (after - before) / (2.0 * EPSILON)
 
 
-def solve(machine, trajectory, plan, objective, limits, tolerance=1e-8):
-    """Return (objective of the best plan from rest at 0 to rest at 0, τ, s) on the nodes of ``plan``.
+def solve(machine, trajectory, plan, objective, limits, tolerance=1e-8, end="datum"):
+    """Return (objective of the best plan from rest at 0, by default to rest at 0; τ, s) on the nodes of ``plan``.
 
-    ``limits``: acceleration, speed, track (half length, or both ends).
+    ``limits``: acceleration, speed, track (half length, or both ends); where it has them, jerk and effort.
     """
     t, k, nodes = plan.t, machine.k, len(plan.t)
     ends = np.broadcast_to(limits["track"], 2) * (np.array([-1.0, 1.0]) if np.ndim(limits["track"]) == 0 else 1.0)
@@ -51,7 +51,15 @@ def solve(machine, trajectory, plan, objective, limits, tolerance=1e-8):
     require((v0 + h * a0 / 2.0)[:, inner], -limits["speed"], limits["speed"])
     require((s0 + h * v0 / 3.0)[:, inner], *ends)
     require((s1 - h * v1 / 3.0)[:, inner], *ends)
-    for part in (S[:, 0], V[:, 0], S[:, -1], V[:, -1]):
+    if "jerk" in limits:
+        require(((a1 - a0) / h)[:, inner], -limits["jerk"], limits["jerk"])
+    ends_at = {
+        "datum": (S[:, -1], V[:, -1]),
+        "rest": (V[:, -1],),
+        "periodic": tuple(part[:, -1] - part[:, 0] for part in (S, V, A)),
+        "free": (),
+    }
+    for part in (S[:, 0], V[:, 0], *ends_at[end]):
         require(part, 0.0, 0.0)
     x, xd, xdd = (casadi.DM(part.T) for part in (plan.motion.x, plan.motion.xd, plan.motion.xdd))
     require(machine.balance.map(nodes)(x, xd, xdd, S, V, A, size * tau) / size, 0.0, 0.0)
@@ -83,11 +91,11 @@ def solve(machine, trajectory, plan, objective, limits, tolerance=1e-8):
     else:
         cost = casadi.sum2(casadi.sum1(tau**2) * w) / duration
     unknowns = casadi.vertcat(casadi.vec(A), casadi.vec(tau), casadi.vec(V), casadi.vec(S), top)
-    free = np.full(machine.m * nodes, np.inf)
+    efforts = np.full(machine.m * nodes, limits.get("effort", np.inf) / size)
 
     def bounds(track, sign):
         parts = [np.full(k * nodes, sign * limits[name]) for name in ("acceleration", "speed")]
-        return np.concatenate([parts[0], sign * free, parts[1], np.full(k * nodes, track), [sign * np.inf]])
+        return np.concatenate([parts[0], sign * efforts, parts[1], np.full(k * nodes, track), [sign * np.inf]])
 
     solver = casadi.nlpsol(
         "oracle",

@@ -11,6 +11,7 @@ import symbolic_plans
 import yaml
 
 import redundancy_pin as rp
+from redundancy_pin.planners.optimal.settings import End
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory
 
@@ -51,8 +52,17 @@ def machine(folder: Path, *sliders: tuple[str, float]) -> Robot:
     return rp.load_robot(folder)
 
 
-def test_a_carrier_on_a_carrier_has_the_optimum_of_its_own_equations(tmp_path: Path) -> None:
-    """Both positions are in the moment of inertia, and their product: f is no sum of terms of one carrier each."""
+@pytest.mark.parametrize(
+    ("end", "further"),
+    [("datum", {}), ("free", {"jerk": 60.0}), ("periodic", {"effort": 0.3}), ("rest", {"jerk": 120.0})],
+)
+def test_a_carrier_on_a_carrier_has_the_optimum_of_its_own_equations(
+    tmp_path: Path, end: End, further: dict[str, float]
+) -> None:
+    """Both positions are in the moment of inertia, and their product: f is no sum of terms of one carrier each.
+
+    With limits of jerk and efforts, and with every end, which change the optimum.
+    """
     robot = machine(tmp_path, ("bar", REACH), ("slider_0", 0.0))
 
     def bodies(x, s):  # type: ignore[no-untyped-def]
@@ -62,9 +72,16 @@ def test_a_carrier_on_a_carrier_has_the_optimum_of_its_own_equations(tmp_path: P
         ]
 
     own = symbolic_mechanisms.mechanism(1, 2, bodies, lambda x: x)
-    plan = rp.plan_whole_trajectory(robot, TURN, objective=rp.Objective("effort", calm=0.0), mesh=COARSE)
+    plan = rp.plan_whole_trajectory(
+        robot,
+        TURN,
+        objective=rp.Objective("effort", calm=0.0),
+        mesh=COARSE,
+        limits=rp.Limits(effort=further.get("effort"), jerk=further.get("jerk")),
+        end=end,
+    )
     assert plan.findings.optimal
-    least, _ = symbolic_plans.solve(own, TURN, plan, "effort", LIMITS)
+    least, _ = symbolic_plans.solve(own, TURN, plan, "effort", LIMITS | further, end=end)
     np.testing.assert_allclose(plan.least_cost, least, rtol=1e-4)
     # Lagrange's equation of the bar, and Newton's of the sliders along it
     (s1, s2), (v1, v2), (a1, a2) = (part.T for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd))
