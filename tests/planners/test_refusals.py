@@ -355,3 +355,9 @@ def test_carriers_without_mass_are_one_clear_error(backend: Any) -> None:
             with pytest.raises(UnsupportedRobotError, match="no mass") as caught:
                 plan(backend(robot), motion, **in_groups(plan, {"dt": 0.02}))
             assert caught.value.details["carriers"] == robot.carriers
+
+
+def test_a_robot_that_moves_no_mass_has_no_least_time_within_efforts() -> None:
+    robot = rp.load_robot("2rpr", carriers=False)
+    with pytest.raises(UnsupportedRobotError, match="moves no mass"):
+        rp.plan_time_optimal(rp.VirtualWork(robot), CIRCLE.path)

@@ -276,6 +276,10 @@ def scales_of(model: CarrierModel, settings: Settings, row_scale: Array, duratio
     sd = np.where(np.isfinite(speed), speed, 10.0 * s / duration)
     sdd = np.where(np.isfinite(acceleration), acceleration, 10.0 * sd / duration)
     size = float(np.abs(model.f0 / row_scale).max())
+    if size == 0.0 and not len(s):
+        raise UnsupportedRobotError(
+            "No effort is needed along the motion: the robot moves no mass.", remedy="Give its bodies masses."
+        )
     if size == 0.0:
         size = float(np.abs(model.f_terms[..., SDD] / row_scale[:, None] * sdd).max()) or 1.0
     largest = np.linalg.svd(model.W / row_scale[:, None], compute_uv=False)[:, 0]
