@@ -225,7 +225,7 @@ def test_optima_are_counted() -> None:
     case = by_method(SINGULAR[0], EFFORT).with_options(starts=3)
 
     class Solved:
-        diagnostics: ClassVar = {"costs": [1.1, 1.0, math.nan, 1.0 + 0.5 * SAME_COST]}
+        diagnostics: ClassVar = {"starts": {"costs": [1.1, 1.0, math.nan, 1.0 + 0.5 * SAME_COST]}}
 
     record = starts_record(Given(virtual_work=Solved()), case)  # type: ignore[arg-type]
     assert (record["optima"], record["missing"], record["parked_is_best"]) == (2, 1, False)

@@ -218,15 +218,6 @@ static int follow_drives(const double *numbers, Pose *pose, const double *positi
   return status == STATUS_OK || status == STATUS_TYPE_II ? status : STATUS_BRANCH_LOST;
 }
 
-/* What Newton's method solves for closures and positions of as many actuators as DOF, as rows. */
-static void driven_rows(const double *numbers, const double *q, const double *trig, const double *position, double *residual, double *A, double *alignment) {
-  double x[NX], off[M];
-  coordinates_of(numbers, q, trig, x);
-  rows(numbers, q, trig, x, residual, A, alignment);
-  drives(q, position, off);
-  drive_rows(numbers, off, A, residual);
-}
-
 /* Whether positions of the actuators are so far from a configuration that nothing more is done about a way that is lost. */
 static int is_far(const double *numbers, const double *q, const double *position) {
   double way[M];
@@ -234,6 +225,16 @@ static int is_far(const double *numbers, const double *q, const double *position
   for (int j = 0; j < M; ++j)
     if (!(fabs(way[j]) <= FARTHEST_LOST * VELOCITY_UNIT[ACTUATED[j]])) return 1;
   return 0;
+}
+
+#if M == N
+/* What Newton's method solves for closures and positions of as many actuators as DOF, as rows. */
+static void driven_rows(const double *numbers, const double *q, const double *trig, const double *position, double *residual, double *A, double *alignment) {
+  double x[NX], off[M];
+  coordinates_of(numbers, q, trig, x);
+  rows(numbers, q, trig, x, residual, A, alignment);
+  drives(q, position, off);
+  drive_rows(numbers, off, A, residual);
 }
 
 /* As close_drives, on either side of type I singularities. */
@@ -270,6 +271,7 @@ static int lost_drives(const double *numbers, const Pose *pose, const double *po
   if (found == STATUS_UNREACHABLE) *residual = least * LENGTH;
   return found == STATUS_OK ? STATUS_BRANCH_LOST : found;
 }
+#endif
 
 /* Whether velocities (M) of the actuators, more than DOF, are those of one motion of the platform, relative to the terms that cancel. */
 static int velocities_agree(const double *numbers, const Platform *platform, const double *velocity) {
@@ -289,7 +291,10 @@ static int velocities_agree(const double *numbers, const Platform *platform, con
 int rp_joint_state(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
   const double *position = in, *velocity = in + M, *s = velocity + M, *sd = s + NK;
   double *q = out, *v = q + NQ;
-  Pose pose, last;
+  Pose pose;
+#if M == N
+  Pose last;
+#endif
   Platform platform;
   if (!finite(in, 2 * M + 2 * NK)) return STATUS_NOT_FINITE;
   if (begin_at(numbers, state, reached)) return STATUS_BRANCH_LOST;
@@ -300,15 +305,20 @@ int rp_joint_state(const double *numbers, double *state, double *reached, const 
   if (!there) { /* too far for one step of Newton's method */
     recall(reached, &pose);
     status = follow_drives(numbers, &pose, position);
+#if M == N
     last = pose;
+#endif
     there = !status;
     if (there) status = platform_of(numbers, &pose, position, velocity, &platform);
   }
   if (status == STATUS_NOT_FINITE) return status;
   if (status != STATUS_OK && status != STATUS_NEAR_SINGULAR) {
-    if (M > N) return status;
+#if M == N
     if (is_far(numbers, reached, position)) return STATUS_BRANCH_LOST;
     return there ? FOR_KINEMATICS : lost_drives(numbers, &last, position, reached, v + NV + NX + N + 1);
+#else
+    return status;
+#endif
   }
   copy(q, pose.q, NQ);
   clear(v, NV);

@@ -190,6 +190,14 @@ static void back(const double *numbers, const Spectrum *s, const double *rate, d
   for (int i = 0; i < N; ++i) xd[i] = result[i] / ROW_SCALE[i];
 }
 
+/* [J_c; S] without unit, decomposed; it serves for steps so small that its own change does not slow them down. */
+typedef struct {
+  double A[NP * NP + 1];
+  int pivot[NP + 1];
+  int known;
+} Driven;
+
+#if M == N
 /* The rows of the actuators, below those of the closures: S, and what they miss (M), without unit. A is null where it is decomposed. */
 static void drive_rows(const double *numbers, const double *off, double *A, double *missing) {
   for (int i = 0; i < NP; ++i)
@@ -200,14 +208,6 @@ static void drive_rows(const double *numbers, const double *off, double *A, doub
     }
 }
 
-/* [J_c; S] without unit, decomposed; it serves for steps so small that its own change does not slow them down. */
-typedef struct {
-  double A[NP * NP + 1];
-  int pivot[NP + 1];
-  int known;
-} Driven;
-
-#if M == N
 /* Newton's step (NP) for closures and actuators at once, [J_c; S] step = [residual; off]; returns 0 where it is singular. */
 static int actuated_step(const double *numbers, Pose *pose, const double *off, double *step, Driven *driven) {
   if (!driven->known) copy(driven->A, pose->lu, NP * NP);

@@ -145,7 +145,7 @@ def path_task(
     if not (np.isfinite(resolved.effort).any() or np.isfinite(resolved.actuator_speed).any()):
         raise InputError(
             "Nothing limits the time.",
-            remedy="Limit the efforts, limits=Limits(effort=2.0), or the rates of the actuators, actuator_speed=1.0.",
+            remedy="Limit the efforts, as by effort=2.0, or the rates of the actuators, as by actuator_speed=1.0.",
             name="effort",
         )
     park, count = resolved.on_track(datum, "datum"), FEWEST_STEPS if mesh.steps is None else mesh.steps
