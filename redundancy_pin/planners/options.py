@@ -99,7 +99,7 @@ class Limits(ByValue):
             "acceleration": [limit.acceleration for limit in own],
             "carrier_force": [limit.force for limit in own],
             "jerk": [np.inf] * k,
-            "effort": (_declared_efforts(robot) if self.effort is None else np.empty(robot.m)).tolist(),
+            "effort": _declared_efforts(robot).tolist() if self.effort is None else [np.inf] * robot.m,
             "actuator_speed": robot.speed_limits.tolist(),
         }
         for name, given in ((field.name, getattr(self, field.name)) for field in fields(self)[1:]):
@@ -156,7 +156,7 @@ class Objective(ByValue):
         assign(self, lam=fraction(self.lam, "lam"))
         aims = self.lam > 0.0 or self.baseline is not None
         if self.weights is None:
-            object.__setattr__(self, "weights", "tracking" if aims else "effort")
+            assign(self, weights="tracking" if aims else "effort")
         point_of(self.base_point)
         assign(self, **{name: detached(getattr(self, name)) for name in ("weights", "baseline", "base_point")})
         if self.calm is not None:
@@ -199,10 +199,10 @@ class Mesh:
             InputError: a step that is not positive, numbers that are not whole or too large.
         """
         if self.dt is not None:
-            object.__setattr__(self, "dt", positive(self.dt, "dt", "s"))
+            assign(self, dt=positive(self.dt, "dt", "s"))
         if self.steps is not None:
-            object.__setattr__(self, "steps", whole(self.steps, "steps", 4, MOST_STEPS))
-        object.__setattr__(self, "refinements", whole(self.refinements, "refinements", 0, MOST_REFINEMENTS))
+            assign(self, steps=whole(self.steps, "steps", 4, MOST_STEPS))
+        assign(self, refinements=whole(self.refinements, "refinements", 0, MOST_REFINEMENTS))
 
 
 @dataclass(frozen=True)
@@ -227,8 +227,8 @@ class Solver:
         Raises:
             InputError: a number of starts that is not whole or too large, a time that is not positive.
         """
-        object.__setattr__(self, "starts", whole(self.starts, "starts", 1, MOST_STARTS))
-        object.__setattr__(self, "seconds", positive(self.seconds, "seconds", "s"))
+        assign(self, starts=whole(self.starts, "starts", 1, MOST_STARTS))
+        assign(self, seconds=positive(self.seconds, "seconds", "s"))
 
 
 Group = TypeVar("Group", bound=Any)

@@ -52,7 +52,7 @@ _HALVINGS = 14
 
 _MOST_STEPS = 20_000
 
-BLEND = 0.01
+BLEND = 0.007
 """Largest distance of two nodes, in which an acceleration changes, as a fraction of the least duration."""
 
 NODE_TURN = 0.2

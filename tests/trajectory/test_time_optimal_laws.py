@@ -28,7 +28,7 @@ from redundancy_pin.trajectory import (
     rounded_polygon,
     through_points,
 )
-from redundancy_pin.trajectory.time_optimal import BLEND, fastest_law, least_duration
+from redundancy_pin.trajectory.time_optimal import fastest_law, least_duration
 
 SLOWEST = 1.10
 """Largest duration of a law with a continuous acceleration, relative to the least time."""
@@ -156,7 +156,7 @@ def test_limits_of_norms_coordinates_and_poses_are_kept_and_reached(limits) -> N
         used.append((np.linalg.norm(parts, axis=2) / limit).max(axis=1))
     at_limit = np.maximum(*used)
     assert 0.999 < at_limit.max() <= 1.0
-    assert np.mean(at_limit > 0.9) > 0.85
+    assert np.mean(at_limit > 0.97) > 0.85
 
 
 def test_a_pose_turns_as_fast_however_short_the_way_of_its_origin() -> None:
@@ -207,7 +207,7 @@ def circle_time(radius: float, acceleration: float, length: float) -> float:
 def test_the_least_time_is_that_of_closed_forms(path: Any, speed: Any, acceleration: Any, expected: float) -> None:
     assert least_duration(path, speed, acceleration) == pytest.approx(expected, rel=2e-3)
     law = fastest_law(path, speed, acceleration)
-    assert expected < law.duration < expected * (1.0 + 2.0 * BLEND)
+    assert expected < law.duration < 1.02 * expected
     np.testing.assert_allclose(law.evaluate([0.0, law.duration]).pd, 0.0, atol=1e-12)
 
 
@@ -268,7 +268,7 @@ def poses(seed: int, turning: float) -> np.ndarray:
     ],
 )
 def test_of_poses_one_limit_is_met_all_the_time(turning, speed, acceleration):
-    """Switches, of 2 % of the duration each, take the most of a tenth of it."""
+    """Switches, each between two nodes, take the most of a tenth of the duration."""
     path = from_points(poses(3, turning), "time-optimal", max_speed=speed, max_acceleration=acceleration)
     t = np.linspace(0.0, path.duration, 2001)
     motion = path.sample_at(t)
@@ -281,7 +281,7 @@ def test_of_poses_one_limit_is_met_all_the_time(turning, speed, acceleration):
     ).max(axis=0)
     assert used.max() <= 1.0
     assert np.quantile(used, 0.1) >= 0.9
-    assert np.quantile(used, 0.2) >= 0.96
+    assert np.quantile(used, 0.2) >= 0.975
 
 
 @pytest.mark.parametrize("mirror", [(-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)])

@@ -94,10 +94,10 @@ def checked_settings(
     park = resolved.on_track(datum, "datum")
     return Settings(
         objective=weights,
-        lam=float(goal.lam),
+        lam=goal.lam,
         baseline=None if goal.baseline is None else as_dynamics(goal.baseline),  # type: ignore[arg-type]  # which refuses efforts
         base_point=point_of(goal.base_point),
-        calm=CALM if goal.calm is None else float(goal.calm),
+        calm=CALM if goal.calm is None else goal.calm,
         limits=resolved,
         start=park if start is None else resolved.on_track(start, "start"),
         start_speed=frozen(each(start_speed, "start_speed", (robot.k,), finite=True)),

@@ -195,10 +195,7 @@ def optimise_timing(timed: PathTask) -> tuple[Plan, Outcome, Motion]:
         "seconds": settings.solver.seconds,
         "refinements": settings.refinements,
     }
-    found = {
-        **planned.diagnostics,
-        "seconds": time.perf_counter() - began,
-    }
+    found = {**planned.diagnostics, "seconds": time.perf_counter() - began}
     motion = replace(planned.motion, parameters=parameters, findings=planned.findings, diagnostics=found)
     best = planned.best
     return finish_plan(motion, planned.check), best, platform(best.problem, best.solution)
