@@ -95,8 +95,8 @@ def test_events_are_those_of_a_loop_over_the_samples(size: float, most: float, n
         rows.append(LimitedQuantity(quantity, names, t, values, lower, upper, most, nearest))
     violated, binding = limit_events(rows)
     broken, touched = by_a_loop(rows)
-    assert len(broken) > 50
-    assert len(touched) > 50
+    assert len(broken) > 100
+    assert len(touched) > 100
     assert set(violated) == broken
     assert set(binding) == touched
     for events in (violated, binding):
