@@ -263,7 +263,8 @@ def require_carriers(robot: Robot) -> None:
 def carrier_model(along: DynamicsAlongMotion, *, check: bool = True) -> CarrierModel:
     """Read the coefficients off a backend along a platform motion (``terms_along``).
 
-    Without ``check`` nobody looks whether there are carriers, and whether f has other terms too.
+    Without ``check`` nobody looks whether there are carriers, and whether f has other terms too: of a robot without
+    carriers the model is W and f.
     """
     robot = along.robot
     if check:
@@ -276,13 +277,6 @@ def carrier_model(along: DynamicsAlongMotion, *, check: bool = True) -> CarrierM
     if check:
         _require_no_other_terms(along, model)
     return model
-
-
-def plain_model(along: DynamicsAlongMotion) -> CarrierModel:
-    """Read W and f of a robot without carriers off a backend along a platform motion: coefficients without terms."""
-    reduced, samples, n = along.reduce(), len(along.motion), along.robot.n
-    none = (np.zeros((samples, *shape)) for shape in ((n, 0, TERMS), (0,), (0, TERMS)))
-    return CarrierModel(along.motion.t, reduced.W, reduced.f, *none)
 
 
 def turning_model(along: DynamicsAlongMotion, *, check: bool = True) -> CarrierModel:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -37,7 +38,6 @@ from redundancy_pin.planners.carrier_model import (
     TimedModel,
     carrier_model,
     has_other_terms,
-    plain_model,
     target_effort,
     turning_model,
     turns,
@@ -222,7 +222,7 @@ def reader_of(task: Task) -> Reader:
     motion, as with carriers on carriers, it is the backend's expression.
     """
     if not task.dynamics.robot.k:
-        return plain_model
+        return partial(carrier_model, check=False)
     read = turning_model if turns(task.dynamics.robot) else carrier_model
     few = np.linspace(task.source.start, task.source.end, INSTANTS)
     return linear_model if has_other_terms(task.dynamics.along(task.source.sample_at(few))) else read
