@@ -42,6 +42,13 @@ def shipped(request: pytest.FixtureRequest) -> Robot:
     return zoo.robot_of(request.param)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def shared_robots_stay() -> Iterator[None]:
+    """No test writes to the model of a robot that others share."""
+    yield
+    assert zoo.changed() == []
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what ``make long`` runs: property tests, with more examples, and cases that ``long_for`` names.
 

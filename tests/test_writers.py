@@ -225,22 +225,22 @@ def test_what_mjcf_does_not_say_is_refused_by_name(tmp_path: Path) -> None:
 
 def test_limits_of_effort_are_said_in_mjcf_and_cut_nothing_off(tmp_path: Path) -> None:
     """As here: a plan that breaks them is one that says so, and MuJoCo's motion is its motion still."""
-    robot = robot_of("five_bar")
-    limits = np.array([[-3.0, 1.0], [3.0, np.inf]])  # a range about zero, and a side without a limit
-    for name, values in zip(("lowerEffortLimit", "upperEffortLimit"), limits, strict=True):
-        array = np.array(getattr(robot.model, name))
+    model, limits = robot_of("five_bar").model.copy(), np.array([[-3.0, 1.0], [3.0, np.inf]])
+    robot = dataclasses.replace(robot_of("five_bar"), model=model)
+    for name, values in zip(("lowerEffortLimit", "upperEffortLimit"), limits, strict=True):  # of them a side has none
+        array = np.array(getattr(model, name))
         array[robot.actuated_velocity] = values
-        setattr(robot.model, name, array)
+        setattr(model, name, array)
     path = rp.write_mjcf(robot, tmp_path / "robot.xml")
     again = rp.load_robot(path, keyframe="reference").effort_limits
     np.testing.assert_array_equal(again[:, 0], limits[:, 0])
     assert (again[0, 1], again[1, 1] > 1e9) == (1.0, True)
-    model = mujoco.MjModel.from_xml_path(str(path))
+    written = mujoco.MjModel.from_xml_path(str(path))
     carriers = [[-each.force, each.force] for each in robot.carrier_limits]
-    assert model.actuator_ctrllimited[robot.m :].astype(bool).tolist() == np.isfinite(carriers).all(axis=1).tolist()
-    data = mujoco.MjData(model)
+    assert written.actuator_ctrllimited[robot.m :].astype(bool).tolist() == np.isfinite(carriers).all(axis=1).tolist()
+    data = mujoco.MjData(written)
     data.ctrl[0] = 50.0
-    mujoco.mj_forward(model, data)
+    mujoco.mj_forward(written, data)
     assert data.actuator_force[0] == 50.0
 
 

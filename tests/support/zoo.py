@@ -30,7 +30,17 @@ WITH_CARRIERS: dict[str, dict[str, object]] = {"five_bar": {"carriers": True}}
 @functools.cache
 def robot_of(name: str, **arguments: object) -> Robot:
     """Load a robot once a session (arguments must be hashable); those of ``WITH_CARRIERS`` with theirs."""
-    return load_robot(name, **{**WITH_CARRIERS.get(name, {}), **arguments})
+    robot = load_robot(name, **{**WITH_CARRIERS.get(name, {}), **arguments})
+    _as_loaded.append((robot, robot.model.copy()))
+    return robot
+
+
+_as_loaded: list[tuple[Robot, pin.Model]] = []
+
+
+def changed() -> list[str]:
+    """Return the robots of ``robot_of`` whose model a test has written to: the tests after it meet another machine."""
+    return [str(robot) for robot, model in _as_loaded if robot.model != model]
 
 
 @functools.cache
