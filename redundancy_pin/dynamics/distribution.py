@@ -35,7 +35,7 @@ from redundancy_pin.dynamics.allocation import (
     leaves_bounds,
     minimum_norm,
 )
-from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.spectrum import oriented, scaled, spectrum_of
 from redundancy_pin.status import SampleStatus, solved_status

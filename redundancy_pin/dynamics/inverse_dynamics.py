@@ -12,16 +12,11 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, runs
 from redundancy_pin.dynamics.allocation import ROUNDING
-from redundancy_pin.dynamics.base import (
-    Dynamics,
-    DynamicsAlongMotion,
-    OnUnreachable,
-    ReducedDynamics,
-    require_matching_carriers,
-    require_on_track,
-)
+from redundancy_pin.dynamics.arguments import OnUnreachable, require_matching_carriers, require_on_track
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.dynamics.distribution import Distribution, distribute
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.coordinates import difference

@@ -19,8 +19,9 @@ from machines import machine
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.cli import main
-from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
+from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import as_dynamics
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import (
     CarrierLimitError,
     CompilerError,

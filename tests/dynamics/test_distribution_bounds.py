@@ -19,9 +19,9 @@ from redundancy_pin.dynamics.allocation import (
     least_miss,
     within_bounds,
 )
-from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.contacts import ClosureForces, closure_forces
 from redundancy_pin.dynamics.distribution import EffortRows, distribute, torque_speed_bounds
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaAlongMotion
 from redundancy_pin.errors import InputError
 from redundancy_pin.status import SampleStatus

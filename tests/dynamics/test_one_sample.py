@@ -22,7 +22,8 @@ from machines import machine
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics, TorqueSample
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.results import ReducedDynamics, TorqueSample
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics import branch
 from redundancy_pin.kinematics.branch import BranchEnd, Follower, follower

@@ -25,8 +25,9 @@ from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
+from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics

@@ -18,20 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, read_only
-from redundancy_pin.dynamics.base import (
-    AccelerationSample,
-    CarrierDerivatives,
-    CarrierTerms,
-    Dynamics,
-    JointStateSample,
-    OnUnreachable,
-    ReducedDynamics,
-    Sample,
-    SampleArguments,
-    TorqueSample,
-    require_choice,
-    require_matching_carriers,
-)
+from redundancy_pin.dynamics.arguments import OnUnreachable, SampleArguments, require_choice, require_matching_carriers
+from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled.build import Library, bind, define
 from redundancy_pin.dynamics.compiled.carrier_terms import Continued
 from redundancy_pin.dynamics.compiled.closing import ClosedMotion, Start, close_motion, follow_motors, in_threads
@@ -39,6 +27,15 @@ from redundancy_pin.dynamics.compiled.control import AccelerationCall, JointStat
 from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Partials, motion_partials
 from redundancy_pin.dynamics.compiled.design import Design, design_of
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
+from redundancy_pin.dynamics.results import (
+    AccelerationSample,
+    CarrierDerivatives,
+    CarrierTerms,
+    JointStateSample,
+    ReducedDynamics,
+    Sample,
+    TorqueSample,
+)
 from redundancy_pin.errors import CompilerError, UnsupportedRobotError
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion

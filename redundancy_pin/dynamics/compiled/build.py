@@ -29,12 +29,12 @@ from redundancy_pin.arrays import (
     Array,
 )
 from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
-from redundancy_pin.dynamics.base import TERMS
 from redundancy_pin.dynamics.compiled.emit import c_functions
 from redundancy_pin.dynamics.compiled.parameters import Topology, parameter_vector, topology_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE
 from redundancy_pin.dynamics.forward import LEAST_INERTIA
+from redundancy_pin.dynamics.results import TERMS
 from redundancy_pin.errors import CompilerError
 from redundancy_pin.machine_code import CACHE, FLAGS, REMEDY, built, digest, loaded
 from redundancy_pin.motion import POSE_TOLERANCE

@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, SINGULAR_MARGIN, Array, numbers
-from redundancy_pin.dynamics.base import AccelerationSample, JointStateSample, ReducedDynamics, Sample, TorqueSample
 from redundancy_pin.dynamics.compiled.build import Code
 from redundancy_pin.dynamics.compiled.closing import ClosedMotion, Driven, Start
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
 from redundancy_pin.dynamics.compiled.parameters import layout_of, parameter_vector, places_of, topology_of
 from redundancy_pin.dynamics.one_sample import REFUSALS, Refusal, is_finite, refusal_of, solve_sample, without_answer
+from redundancy_pin.dynamics.results import AccelerationSample, JointStateSample, ReducedDynamics, Sample, TorqueSample
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_poses
 from redundancy_pin.robot import Robot, Wrench
