@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.compiled.build import Code, address
+from redundancy_pin.dynamics.compiled.build import Code
 from redundancy_pin.dynamics.forward import Loads, Progress, ProgressT, Rules
 
 _LOADS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
@@ -144,14 +144,8 @@ class CompiledIntegration:
         at.next_break = int(np.searchsorted(breaks, progress.t, side="right"))
         self._run.breaks = int(np.searchsorted(breaks, end, side="right"))
         y, values = np.array(progress.y, dtype=np.float64), np.array(progress.values, dtype=np.float64)
-        status = self._forward.library.rp_advance(
-            self._forward.numbers,
-            ctypes.byref(self._run),
-            ctypes.byref(at),
-            address(y),
-            address(values),
-            ctypes.c_long(most),
-        )
+        given = ctypes.byref(self._run), ctypes.byref(at), y, values, ctypes.c_long(most)
+        status = self._forward.call("rp_advance", *given)
         if self._error is not None:
             error, self._error = self._error, None
             raise error
