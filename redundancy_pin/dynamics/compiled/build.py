@@ -12,7 +12,7 @@ import functools
 import importlib.metadata
 import importlib.resources
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -267,16 +267,23 @@ def library_of(kind: type[Code], robot: Robot) -> ctypes.CDLL:
         UnsupportedRobotError: a joint of a type that is not covered.
     """
     # another compiler or folder, named while the process runs, counts from then on
-    return _library_of(kind, topology_of(robot), tuple(map(os.environ.get, ("CC", "PATH", CACHE))))
+    environment = tuple(map(os.environ.get, ("CC", "PATH", CACHE)))
+    return _library_of(kind.__name__, kind.source, kind.flags, topology_of(robot), environment)
 
 
 @functools.cache  # nothing that is loaded is ever unloaded
-def _library_of(kind: type[Code], topology: Topology, _environment: tuple[str | None, ...]) -> ctypes.CDLL:
+def _library_of(
+    kind: str,
+    source: Callable[[Robot], str],
+    flags: tuple[str, ...],
+    topology: Topology,
+    _environment: tuple[str | None, ...],
+) -> ctypes.CDLL:
     library, reason = built(
-        lambda compiler: digest([kind.__name__, topology.text, *_sources(), compiler, *kind.flags]),
-        lambda: kind.source(topology.robot),
+        lambda compiler: digest([kind, topology.text, *_sources(), compiler, *flags]),
+        lambda: source(topology.robot),
         loaded,
-        kind.flags,
+        flags,
     )
     if library is None:
         raise CompilerError(f"Generated code cannot be compiled: {reason}.", remedy=REMEDY)

@@ -80,7 +80,7 @@ class _Progress(ctypes.Structure):
 
 def _declared(name: str, of: type[ctypes.Structure]) -> str:
     """Return the declaration in C of a structure."""
-    members = "".join(f"  {_IN_C[kind]}{member};\n" for member, kind in of._fields_)
+    members = "".join(f"  {_IN_C[kind]}{member};\n" for member, kind, *_ in of._fields_)
     return f"typedef struct {{\n{members}}} {name};"
 
 
