@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -55,35 +53,6 @@ def test_carriers_take_over_where_the_matrix_loses_rank(second):
     assert allocation.residual < 1e-12
     assert np.abs(allocation.tau).max() < 1.1  # W alone would ask for 2 / second
     assert allocation.deviation == pytest.approx([-2.0 * 0.5 / 0.26, -2.0 * 0.1 / 0.26], rel=1e-2)
-
-
-@given(
-    hnp.arrays(float, (2, 4), elements=entries),
-    hnp.arrays(float, 2, elements=entries),
-    hnp.arrays(float, 2, elements=st.floats(0.1, 2.0)),
-)
-def test_within_limits_it_is_the_best_of_all_active_sets(matrix, force, limit):
-    """Every combination of clamped efforts tried, the cheapest of those that bring up the force within limits."""
-    if np.linalg.svd(matrix[:, 2:])[1][-1] < 0.1:
-        return  # carriers alone can bring up anything
-    scale = np.array([1.0, 1.0, 0.3, 0.3])
-    full = np.concatenate([matrix[:, :2], -matrix[:, 2:]], axis=1)
-    best = np.inf
-    for pattern in itertools.product((-1, 0, 1), repeat=2):
-        free = np.array([side == 0 for side in pattern] + [True, True])
-        fixed = np.where(free[:2], 0.0, np.array(pattern) * limit)
-        rest = force - full[:, :2] @ fixed
-        y = np.linalg.pinv(full[:, free] * scale[free]) @ rest * scale[free]
-        tau = fixed.copy()
-        tau[free[:2]] = y[: free[:2].sum()]
-        if (np.abs(tau) <= limit * (1.0 + 1e-12)).all():
-            deviation = y[free[:2].sum() :]
-            best = min(best, float(np.sum(tau**2) + np.sum((deviation / 0.3) ** 2)))
-    allocation = shared(matrix[:, :2], matrix[:, 2:], force, carrier_scale=np.full(2, 0.3), effort_limit=limit)
-    cost = float(np.sum(allocation.tau**2) + np.sum((allocation.deviation / 0.3) ** 2))
-    assert allocation.status is SampleStatus.OK
-    assert cost == pytest.approx(best, rel=1e-6, abs=1e-9)
-    assert (np.abs(allocation.tau) <= limit).all()
 
 
 @pytest.mark.parametrize(
