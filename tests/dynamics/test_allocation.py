@@ -87,20 +87,24 @@ def best_within(forces, objective, bounds=None, *equal):
     return minimize(objective, np.zeros(4), bounds=bounds, constraints=[*equal, *inside], options={"ftol": 1e-14})
 
 
-def test_what_a_limit_of_the_carriers_cuts_off_is_left_to_the_main_actuators():
-    """Least weighted deviation, exact force, carrier forces within limits."""
+@pytest.mark.parametrize("weak", [False, True])
+def test_what_a_limit_of_the_carriers_cuts_off_is_left_to_the_main_actuators(weak):
+    """Least weighted deviation, exact force, carrier forces within limits; and the second effort within its own."""
     W, coupling = np.array([[0.05, 1.0], [0.2, 0.3]]), np.array([[-1.0, 0.2], [-0.5, -1.0]])
-    force, (forces, settings) = np.array([1.0, 0.4]), within([0.5, 0.4])
-    allocation = shared(W, coupling, force, **settings)
-    free = shared(W, coupling, force, carrier_scale=settings["carrier_scale"])
+    limit, scale = np.array([np.inf, 0.9 if weak else np.inf]), np.array([0.7, 1.6, 0.3, 0.2])
+    force, (forces, settings) = np.array([1.0, 0.4]), within([0.5, 0.4], effort_scale=scale[:2])
+    allocation = shared(W, coupling, force, effort_limit=limit, **settings)
+    free = shared(W, coupling, force, effort_scale=scale[:2], carrier_scale=scale[2:])
     assert not forces.allow(free.deviation)
-    full, scale = np.hstack([W, -coupling]), np.array([1.0, 1.0, 0.3, 0.2])
+    full = np.hstack([W, -coupling])
     exact = {"type": "eq", "fun": lambda u: full @ u - force}
-    best = best_within(forces, lambda u: float(np.sum((u / scale) ** 2)), None, exact)
+    bounds = [(-most, most) if np.isfinite(most) else (None, None) for most in [*limit, np.inf, np.inf]]
+    best = best_within(forces, lambda u: float(np.sum((u / scale) ** 2)), bounds, exact)
     assert (allocation.status, allocation.saturated) == (SampleStatus.OK, True)
     assert np.concatenate([allocation.tau, allocation.deviation]) == pytest.approx(best.x, abs=1e-5)
     assert np.abs(forces.of(allocation.deviation)).max() <= 0.5
-    assert np.abs(allocation.tau).max() > np.abs(free.tau).max()
+    assert weak or np.abs(allocation.tau).max() > np.abs(free.tau).max()
+    assert (allocation.tau[1] == pytest.approx(0.9)) == weak
 
 
 def test_a_plan_beyond_the_limits_of_the_carriers_is_left_by_them_and_made_up_for():

@@ -26,7 +26,7 @@ from redundancy_pin.kinematics.branch import (
     Follower,
     follower,
 )
-from redundancy_pin.kinematics.closed_state import NEAR_RANK_LOSS, near_rank_loss
+from redundancy_pin.kinematics.closed_state import NEAR_RANK_LOSS, are_continuous, near_rank_loss
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import mode_indicator, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
@@ -333,6 +333,29 @@ def test_a_crank_beyond_half_a_turn_starts_in_its_mode(tmp_path: Path) -> None:
     assert (mode_indicator(robot, tree.q) > 0.0).all()
 
 
+def flat_sides(robot: rp.Robot, offset: float) -> list[list[ClosedState]]:
+    """Return the points before and behind the flat pose with the coupler on either side: [before, behind][side]."""
+    own, coupler, sides = follower(robot), joint(robot, "coupler"), []
+    for crank in (np.pi - offset, np.pi + offset):
+        both = np.array(sorted(rp.assembly_modes(robot, [crank]).q, key=lambda q: -np.sin(q[coupler])))
+        both[:, joint(robot, "crank")] = crank
+        sides.append([own.close(q, np.array([crank])) for q in both])
+    return sides
+
+
+@pytest.mark.parametrize("excess", [1e-3, 1e-5, 1e-7, 0.0])
+def test_only_a_smooth_branch_through_a_rank_loss_is_a_crossing(excess: float, tmp_path: Path) -> None:
+    """The coupler changes over where the linkage folds flat; where it almost does, no branch leads there."""
+    g, a, b, c = LINKAGES["folding"][0]
+    robot = folding_four_bar(tmp_path, (g, a, b, c + excess), LINKAGES["folding"][1])
+    before, behind = flat_sides(robot, 0.02)
+    own = follower(robot)
+    for side in (0, 1):
+        assert own.crosses(before[side], behind[1 - side]) == (excess == 0.0)
+        assert not own.crosses(before[side], behind[side])
+        assert not own.crosses(before[side], replace(before[side], x=before[side].x + 1e-3))
+
+
 @pytest.mark.parametrize("beside", [1e-1, 1e-2, 1e-3])
 def test_a_reference_beside_a_pose_where_three_loops_are_flat_costs_no_digits(beside: float) -> None:
     """Parallelograms side by side: all cranks turn alike, couplers against them."""
@@ -453,3 +476,12 @@ def test_random_loops_on_one_crank_are_right_or_refused() -> None:
 def test_machine_code_is_right_there_or_refuses() -> None:
     """It carries nothing across a rank loss."""
     assert sum(require_closed_form(*random_crank(seed), CompiledDynamics) for seed in range(200)) >= 20
+
+
+def test_a_step_follows_if_it_is_what_the_trapezoidal_rule_predicts() -> None:
+    """q̇ = Γ ẋ with Γ = 1 and then 3: an increment of 0.1 moves q by 0.2, not back, by nothing, or thrice as far."""
+    robot = zoo.robot_of("five_bar")
+    nv = robot.model.nv
+    gamma0, gamma1 = np.full((4, nv, 1), 1.0), np.full((4, nv, 1), 3.0)
+    step = np.array([0.2, -0.2, 0.0, 0.6])[:, None] * np.ones(nv)
+    assert are_continuous(robot, step, gamma0, gamma1, np.full((4, 1), 0.1)).tolist() == [True, False, False, False]

@@ -12,7 +12,7 @@ import zoo
 from written import J, urdf_of, write_robot
 
 from redundancy_pin import load_robot
-from redundancy_pin.arrays import CLOSURE_TOLERANCE
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, SINGULAR_MARGIN
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import (
     assemble,
@@ -170,6 +170,28 @@ def test_bad_guesses_end_closed_at_the_target_or_say_that_they_did_not(name: str
     assert assembled.closed.mean() > 0.975
 
 
+def test_newton_ends_where_full_steps_would_run_in_circles() -> None:
+    """From a nearly stretched leg a full Newton step throws the elbow over several turns; the line search does not."""
+    robot = zoo.robot_of("five_bar")
+    system = zoo.system_of(robot)
+    stretched = assemble(system, robot.q_reference[None], np.array([[0.25, np.sqrt(1 - 0.25**2) - 1e-7]])).q
+    target = np.array([[0.25, 0.3]])
+    assembled = assemble(system, stretched, target)
+    assert assembled.closed.all()
+    q, full = stretched.copy(), []
+    for _ in range(3):
+        state = system.evaluate(q)
+        k = np.concatenate([state.Jc, state.Jx], axis=1)[0][:, system.pose_columns]
+        residual = np.concatenate([-state.phi, target - coordinates(robot, state)], axis=1)[0]
+        step = np.zeros(robot.model.nv)
+        step[system.pose_columns] = np.linalg.solve(k, residual)
+        full.append(np.abs(step).max())
+        q = q + step
+    assert full[0] > 100 * np.pi  # the case is necessary
+    # the elbows stay within a turn of where they were
+    assert np.abs(assembled.q - stretched).max() < 2 * np.pi
+
+
 def test_closing_alone_changes_the_guess_as_little_as_possible() -> None:
     """With neither target nor actuators the change is normal to the closed set, to second order in its length."""
     robot = zoo.robot_of("3rrr")
@@ -302,3 +324,16 @@ def test_margin_is_zero_and_gamma_nan_at_a_type_i_singularity(name: str) -> None
     alone = project(system, system.evaluate(robot.q_reference[None]))
     np.testing.assert_allclose(projection.gamma[1], alone.gamma[0], rtol=1e-12)
     assert projection.margin[1] == pytest.approx(alone.margin[0])
+
+
+@pytest.mark.parametrize("exponent", [-9.0, -6.5, -3.0])
+def test_margin_falls_with_the_square_root_of_the_way_to_full_stretch(exponent: float) -> None:
+    """cos of the elbow angle gives the reach, so the sine of the elbow, and the margin, goes with √height."""
+    robot = zoo.robot_of("five_bar")
+    system = zoo.system_of(robot)
+    height = 10.0**exponent
+    margin = project(system, system.evaluate(five_bar_at(height))).margin[0]
+    unit = project(system, system.evaluate(five_bar_at(1e-4))).margin[0] / 1e-2
+    # the next term of the expansion is of the relative order √height; Newton leaves the elbow off by 1e-11 / √height
+    assert margin == pytest.approx(unit * np.sqrt(height), rel=0.1)
+    assert margin > SINGULAR_MARGIN
