@@ -46,15 +46,6 @@ def test_the_force_is_brought_up_with_the_least_weighted_deviation(matrix, force
     assert np.abs(null @ gradient).max(initial=0.0) <= ROUNDING * (1.0 + np.abs(gradient).max())
 
 
-@pytest.mark.parametrize("second", [0.0, 1e-12, 1e-6, 1e-3])
-def test_carriers_take_over_where_the_matrix_loses_rank(second):
-    allocation = shared([[1.0, 0.0], [0.0, second]], [[0.0, 0.0], [0.5, 0.1]], [1.0, 2.0], carrier_scale=np.ones(2))
-    assert allocation.status is SampleStatus.OK
-    assert allocation.residual < 1e-12
-    assert np.abs(allocation.tau).max() < 1.1  # W alone would ask for 2 / second
-    assert allocation.deviation == pytest.approx([-2.0 * 0.5 / 0.26, -2.0 * 0.1 / 0.26], rel=1e-2)
-
-
 @pytest.mark.parametrize(
     ("W", "coupling", "force", "status"),
     [
@@ -105,15 +96,6 @@ def test_what_a_limit_of_the_carriers_cuts_off_is_left_to_the_main_actuators(wea
     assert np.abs(forces.of(allocation.deviation)).max() <= 0.5
     assert weak or np.abs(allocation.tau).max() > np.abs(free.tau).max()
     assert (allocation.tau[1] == pytest.approx(0.9)) == weak
-
-
-def test_a_plan_beyond_the_limits_of_the_carriers_is_left_by_them_and_made_up_for():
-    """No force is wanted of anybody, but the carriers cannot be driven as planned."""
-    forces, settings = within([0.1, 0.1])
-    allocation = shared(np.eye(2), np.array([[1.0, 0.0], [0.0, 1.0]]), [0.0, 0.0], **settings)
-    assert (allocation.status, allocation.saturated) == (SampleStatus.OK, True)
-    assert np.abs(forces.planned + forces.mass @ allocation.deviation) == pytest.approx([0.1, 0.1])
-    assert allocation.tau == pytest.approx(allocation.deviation)  # W τ = M_xs δ
 
 
 def test_carriers_and_efforts_at_their_limits_miss_least():

@@ -8,6 +8,7 @@ the motion is followed from the reference by ``along``, which marks what cannot 
 
 from __future__ import annotations
 
+import ctypes
 import math
 from typing import TYPE_CHECKING
 
@@ -36,8 +37,20 @@ class Continued:
         self._x: tuple[int, ...] = (4, 4) if is_pose(robot) else (robot.n,)
         self._places, self._nq = 16 if is_pose(robot) else robot.n, robot.model.nq
         self._loads = of_kind(robot.loads, Wrench)
+        self._width = 1 + self._places + 2 * robot.n + 6 * len(self._loads)
         # first and last configurations of the batches before, each with its coordinates
         self._near = np.full((NEIGHBOURS, self._nq + self._places), np.nan)
+        self._function, self._numbers = dynamics.kernel.library.rp_terms, dynamics.kernel.numbers
+        self._make_room(8)
+
+    def _make_room(self, samples: int) -> None:
+        """Make memory for so many samples, whose addresses are looked up once."""
+        self._room = samples
+        self._given, self._sizes = np.empty((samples, self._width)), np.empty((samples, 2))
+        n, m, k = self._n, self._m, self._k
+        self._out = np.empty(samples * (n * m + (1 + k * TERMS) * (n + k)))
+        parts = self._given, self._out, self._sizes
+        self._addresses = [ctypes.c_void_p(part.ctypes.data) for part in parts]
 
     def __call__(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
         """Return W, f and forces by terms; arguments as of ``Dynamics.carrier_terms``."""
@@ -45,17 +58,25 @@ class Continued:
         fits = samples and x.shape[1:] == self._x and x.shape[0] == samples and xd.shape == xdd.shape == (samples, n)
         if not fits:
             return self._followed(t, x, xd, xdd)
+        if samples > self._room:
+            self._make_room(2 * samples)
         wrenches = wrench_values(self._loads, t, x, xd) if self._loads else ()
-        given = np.empty((samples, 1 + self._places + 2 * n + 6 * len(self._loads)))  # row by row, as C reads it
-        np.concatenate((t[:, None], x.reshape(samples, -1), xd, xdd, *wrenches), axis=1, out=given)
-        shapes = (n, self._m), (n + self._k,), (self._k, TERMS, n + self._k)
-        *ends, size = np.cumsum([samples * math.prod(shape) for shape in shapes]).tolist()
-        result, sizes = np.empty(size), np.empty((samples, 2))
-        closed = self._dynamics.kernel.call("rp_terms", samples, given, given.shape[1], self._near, result, sizes)
+        flat = x.reshape(samples, -1)
+        np.concatenate((t[:, None], flat, xd, xdd, *wrenches), axis=1, out=self._given[:samples])
+        given, result, sizes = self._addresses
+        near = ctypes.c_void_p(self._near.ctypes.data)
+        closed = int(self._function(self._numbers, samples, given, self._width, near, result, sizes))
         if closed < samples and not self._ends_before(x[closed]):
             return self._followed(t, x, xd, xdd)
-        parts = zip(np.split(result, ends), shapes, strict=True)
-        terms = CarrierTerms(*(part.reshape(samples, *shape) for part, shape in parts))
+        return self._read_out(samples, closed)
+
+    def _read_out(self, samples: int, closed: int) -> CarrierTerms:
+        """Return the results, NaN behind those that are closed."""
+        n, m, k = self._n, self._m, self._k
+        shapes = (n, m), (n + k,), (k, TERMS, n + k)
+        ends = np.cumsum([samples * math.prod(shape) for shape in shapes]).tolist()
+        parts = np.split(self._out[: ends[-1]].copy(), ends[:-1])
+        terms = CarrierTerms(*(part.reshape(samples, *shape) for part, shape in zip(parts, shapes, strict=True)))
         for part in terms:
             part[closed:] = np.nan
         return terms
