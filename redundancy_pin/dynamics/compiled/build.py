@@ -259,18 +259,6 @@ def text_of(name: str) -> str:
 # --- libraries --------------------------------------------------------------------------------------------------------
 
 
-def library_of(kind: type[Code], robot: Robot) -> ctypes.CDLL:
-    """Return a compiled library of a robot's topology: the one of this process, that on disk, or a new one.
-
-    Raises:
-        CompilerError: there is no C compiler, or it fails.
-        UnsupportedRobotError: a joint of a type that is not covered.
-    """
-    # another compiler or folder, named while the process runs, counts from then on
-    environment = tuple(map(os.environ.get, ("CC", "PATH", CACHE)))
-    return _library_of(kind.__name__, kind.source, kind.flags, topology_of(robot), environment)
-
-
 @functools.cache  # nothing that is loaded is ever unloaded
 def _library_of(
     kind: str,
@@ -279,6 +267,7 @@ def _library_of(
     topology: Topology,
     _environment: tuple[str | None, ...],
 ) -> ctypes.CDLL:
+    """Return a compiled library of a topology: the one of this process, that on disk, or a new one."""
     library, reason = built(
         lambda compiler: digest([kind, topology.text, *_sources(), compiler, *flags]),
         lambda: source(topology.robot),
@@ -310,12 +299,19 @@ class Code:
         robot: the robot.
         library: its functions, the same object for all robots of the topology.
         numbers: the address of the robot's ``parameters.parameter_vector``, the first argument of the functions.
+
+    Raises:
+        CompilerError: there is no C compiler, or it fails.
+        UnsupportedRobotError: a joint of a type that is not covered.
     """
 
     flags: ClassVar[tuple[str, ...]] = FLAGS
 
     def __init__(self, robot: Robot) -> None:
-        self.robot, self.library = robot, library_of(type(self), robot)
+        # another compiler or folder, named while the process runs, counts from then on
+        environment = tuple(map(os.environ.get, ("CC", "PATH", CACHE)))
+        self.robot = robot
+        self.library = _library_of(type(self).__name__, self.source, self.flags, topology_of(robot), environment)
         self._numbers = parameter_vector(robot)
         self.numbers = address(self._numbers)
 

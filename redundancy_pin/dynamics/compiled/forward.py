@@ -39,9 +39,6 @@ class CompiledForward(Code):
 
     Args:
         robot: the robot.
-
-    Raises:
-        CompilerError: there is no C compiler, or it fails.
     """
 
     # as fast with -O2, and compiled in half the time
