@@ -13,7 +13,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.cli.plan_problem import numbers
-from redundancy_pin.dynamics.base import OnUnreachable, require_matching_carriers
+from redundancy_pin.dynamics.arguments import OnUnreachable, require_matching_carriers
 from redundancy_pin.dynamics.inverse_dynamics import InverseDynamics
 from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics as efforts_along
 from redundancy_pin.errors import InputError, OutputError

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import ReducedDynamics, require_matching_carriers
+from redundancy_pin.dynamics.arguments import require_matching_carriers
 from redundancy_pin.dynamics.distribution import Distribution, distribute
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.closure import ConstraintSystem

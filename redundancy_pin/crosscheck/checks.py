@@ -17,7 +17,8 @@ from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArr
 from redundancy_pin.crosscheck.cases import REASONS, RandomCase, reason_of
 from redundancy_pin.crosscheck.closed_forward import ClosedForward, confined_to_planes
 from redundancy_pin.crosscheck.load_power import energy_rate, load_efforts
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import RedundancyPinError

@@ -30,6 +30,7 @@ forces F = F_0 + M_ss δ, with F = F_0 at δ = 0. What exceeds the limit of one 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,26 +47,43 @@ ROUNDING = 1e-14
 place."""
 
 
-def minimum_norm(matrices: Array, forces: Array, rank: IntArray, cost: Array) -> tuple[Array, Array]:
-    """Return the minimisers (N, m) of Σ cost_j u_j² among the solutions of A u = P g, and the sizes (N,) of g − P g.
+class MinimumNorm(NamedTuple):
+    """Solutions of least norm of N systems A u = P g, and the singular vectors that they were read from.
+
+    Attributes:
+        efforts: (N, m) the minimisers of Σ cost_j u_j².
+        outside: (N,) sizes of g − P g.
+        left: (N, n) the last left singular vector of A; zero where A is square and regular.
+        right: (N, m, m) right singular vectors of A, row by row; zero where A is square and regular.
+    """
+
+    efforts: Array
+    outside: Array
+    left: Array
+    right: Array
+
+
+def minimum_norm(matrices: Array, forces: Array, rank: IntArray, cost: Array) -> MinimumNorm:
+    """Return the minimisers of Σ cost_j u_j² among the solutions of A u = P g.
 
     P projects on the range of A (N, n, m), taken as its first ``rank`` singular directions; cost (m,) is positive. The
     caller decides whether what the projection leaves out is negligible; until then u is not a solution of A u = g.
     Full rank of a square A takes a plain linear solve, about a tenth of the cost.
     """
     samples, n, m = matrices.shape
-    efforts = np.empty((samples, m))
-    outside = np.zeros(samples)
+    found = MinimumNorm(np.empty((samples, m)), np.zeros(samples), np.zeros((samples, n)), np.zeros((samples, m, m)))
     square = (rank == n) & (n == m)
     if square.any():
-        efforts[square] = np.linalg.solve(matrices[square], forces[square, :, np.newaxis])[:, :, 0]
+        found.efforts[square] = np.linalg.solve(matrices[square], forces[square, :, np.newaxis])[:, :, 0]
     other = ~square
     if other.any():
-        efforts[other], outside[other] = _by_singular_vectors(matrices[other], forces[other], rank[other], cost)
-    return efforts, outside
+        parts = _by_singular_vectors(matrices[other], forces[other], rank[other], cost)
+        for whole, part in zip(found, parts, strict=True):
+            whole[other] = part
+    return found
 
 
-def _by_singular_vectors(matrices: Array, forces: Array, rank: IntArray, cost: Array) -> tuple[Array, Array]:
+def _by_singular_vectors(matrices: Array, forces: Array, rank: IntArray, cost: Array) -> MinimumNorm:
     _, n, m = matrices.shape
     p = min(n, m)
     u, singular_values, vt = np.linalg.svd(matrices, full_matrices=True)
@@ -83,7 +101,7 @@ def _by_singular_vectors(matrices: Array, forces: Array, rank: IntArray, cost: A
         root = np.sqrt(cost)
         step = np.linalg.pinv(root[:, np.newaxis] * null) @ (root * efforts)[:, :, np.newaxis]
         efforts = efforts - (null @ step)[:, :, 0]
-    return efforts, outside
+    return MinimumNorm(efforts, outside, u[:, :, -1], vt)
 
 
 _SETTINGS = {"primal_tol": 0.1 * FORCE_TOLERANCE, "sing_tol": ROUNDING, "iter_limit": 10_000}
@@ -158,26 +176,50 @@ _WEIGHT = 1e-6
 which they hardly change are left alone, and a least miss is unique. The root of 1e-12: the miss keeps six digits."""
 
 
-def shortest(matrix: Array, wanted: Array, bounded: Array, lower: Array, upper: Array) -> tuple[Array, bool]:
+class Factors(NamedTuple):
+    """A (n, p) and its singular value decomposition A = U diag(σ) Vᵀ, made once for all that is asked of A y = w.
+
+    Attributes:
+        matrix: (n, p) A.
+        left: (n, n) U; values: (min(n, p),) σ, largest first; right: (p, p) Vᵀ.
+        rank: how many of the values count.
+    """
+
+    matrix: Array
+    left: Array
+    values: Array
+    right: Array
+    rank: int
+
+    def least_norm(self, wanted: Array) -> Array:
+        """Return the shortest y (p,) that makes ‖A y − w‖ least."""
+        components = self.left[:, : self.rank].T @ wanted
+        result: Array = self.right[: self.rank].T @ (components / self.values[: self.rank])
+        return result
+
+
+def factorise(matrix: Array) -> Factors:
+    """Return the singular value decomposition of A (n, p), with its rank."""
+    left, values, right = np.linalg.svd(matrix)
+    return Factors(matrix, left, values, right, int((values > RANK_TOLERANCE * values[0]).sum()))
+
+
+def shortest(equations: Factors, wanted: Array, bounded: Array, lower: Array, upper: Array) -> tuple[Array, bool]:
     """Return the shortest y with A y = w and l ≤ C y ≤ u.
 
     Where nothing within the bounds meets the equations, it is the y within them that makes ‖A y − w‖² + ε² ‖y‖² least,
     ε small. Both are continuous in w, so an integrator can follow them. A is (n, p), w in its range, C (p, p), l < u.
     Also returns whether y is within the bounds; where C is singular and the bounds exclude every solution it is not.
     """
-    u, values, vt = np.linalg.svd(matrix)
-    rank = int((values > RANK_TOLERANCE * values[0]).sum())
-    start = vt[:rank].T @ ((u[:, :rank].T @ wanted) / values[:rank])
-    null = vt[rank:].T
+    start, null = equations.least_norm(wanted), equations.right[equations.rank :].T
     z = within_bounds(start, null, bounded, lower, upper)
     if z is not None:
         return start + null @ z, True
     if np.linalg.cond(bounded) > 1.0 / RANK_TOLERANCE:
         return start, False
-    unit = np.linalg.norm(bounded, axis=1)
+    unit, size = np.linalg.norm(bounded, axis=1), len(start)
     inverse = np.linalg.inv(bounded / unit[:, None])
-    size = matrix.shape[1]
-    system = np.concatenate([matrix, _WEIGHT * values[0] * np.eye(size)]) @ inverse
+    system = np.concatenate([equations.matrix, _WEIGHT * equations.values[0] * np.eye(size)]) @ inverse
     return inverse @ least_miss(system, np.concatenate([wanted, np.zeros(size)]), lower / unit, upper / unit), True
 
 
@@ -189,17 +231,15 @@ def leaves_bounds(efforts: Array, lower: Array, upper: Array) -> BoolArray:
 
 
 def fit_into_bounds(
-    matrices: Array, efforts: Array, rank: IntArray, cost: Array, lower: Array, upper: Array, rows: Array | None = None
+    efforts: Array, right: Array, rank: IntArray, cost: Array, lower: Array, upper: Array, rows: Array
 ) -> Array:
     """Return the minimisers of Σ cost_j u_j² over the solutions of A u = A u₀ with l ≤ C u ≤ h, NaN if there are none.
 
-    All are scaled: A (N, n, m), u₀ = ``efforts`` (N, m), solutions without bounds, cost (m,) > 0, bounds (N, m + c);
-    C = ``rows`` (N, m + c, m) begins with the identity, which it is when left out.
+    All are scaled: u₀ = ``efforts`` (N, m), solutions without bounds, ``right`` (N, m, m) right singular vectors of A,
+    cost (m,) > 0, bounds (N, m + c); C = ``rows`` (N, m + c, m) begins with the identity.
     """
     fitted = np.full_like(efforts, np.nan)
-    root, m = np.sqrt(cost), matrices.shape[2]
-    rows = np.broadcast_to(np.eye(m), (len(efforts), m, m)) if rows is None else rows
-    directions = np.linalg.svd(matrices, full_matrices=True)[2]
+    root, m = np.sqrt(cost), efforts.shape[1]
     # y = √cost u / size: the cost is then a length, and tolerances are relative to the largest effort at stake
     row_values = np.einsum("Ncj,Nj->Nc", rows, efforts)
     size = np.maximum(np.abs(efforts).max(axis=1), np.abs(np.clip(row_values, lower, upper)).max(axis=1))[:, None]
@@ -207,7 +247,7 @@ def fit_into_bounds(
     reach = np.linalg.norm(bounded, axis=2)
     for freedom in np.unique(rank[rank < m]):
         at = np.flatnonzero(rank == freedom)
-        null = np.linalg.qr(root[:, None] * directions[at, freedom:].transpose(0, 2, 1))[0]
+        null = np.linalg.qr(root[:, None] * right[at, freedom:].transpose(0, 2, 1))[0]
         start = root * efforts[at] / size[at]
         start -= np.einsum("Njd,Nkd,Nk->Nj", null, null, start)  # the shortest of all solutions
         now, G = np.einsum("Ncj,Nj->Nc", bounded[at], start), bounded[at] @ null
@@ -328,16 +368,15 @@ def allocate(
     scale = np.concatenate([effort_scale, carrier_scale])
     start = np.concatenate([planned, np.zeros(k)])
     wanted = force / row_scale
-    weighted = full * scale
-    u, values, vt = np.linalg.svd(weighted, full_matrices=False)
+    equations = factorise(full * scale)
+    values = equations.values
     margin = float(values[-1]) if len(values) == len(wanted) else 0.0
     size = FORCE_TOLERANCE * (float(values[0]) + float(np.linalg.norm(wanted)))
-    rank = values > RANK_TOLERANCE * values[0]
     rest = wanted - full @ start
-    answer = start + scale * (vt[rank].T @ ((u[:, rank].T @ rest) / values[rank]))
+    answer = start + scale * equations.least_norm(rest)
     residual = float(np.linalg.norm(wanted - full @ answer))
     if residual > size:
-        short = SampleStatus.UNDERACTUATED if rank.sum() == min(full.shape) else SampleStatus.SINGULAR_INCONSISTENT
+        short = SampleStatus.UNDERACTUATED if equations.rank == len(values) else SampleStatus.SINGULAR_INCONSISTENT
         return Allocation(answer[:m], answer[m:], residual, margin, short)
     most = np.full(m, np.inf) if effort_limit is None else effort_limit
     forces = CarrierForces(np.zeros(k), np.eye(k), np.full(k, np.inf)) if carriers is None else carriers
@@ -347,7 +386,7 @@ def allocate(
     bounded = np.zeros((m + k, m + k))
     bounded[:m, :m], bounded[m:, m:] = np.diag(effort_scale), forces.mass * carrier_scale
     now, limits = np.concatenate([planned, forces.planned]), np.concatenate([most, forces.limit])
-    deviation, within = shortest(weighted, rest, bounded, -limits - now, limits - now)
+    deviation, within = shortest(equations, rest, bounded, -limits - now, limits - now)
     answer = start + scale * deviation
     answer[:m] = np.clip(answer[:m], -most, most)
     residual = float(np.linalg.norm(wanted - full @ answer))

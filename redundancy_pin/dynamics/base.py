@@ -1,210 +1,36 @@
-"""The protocol both dynamics backends speak, and the results they return."""
+"""The protocol of a backend: from motions of platform and carriers to W τ = f."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeGuard, TypeVar
+from typing import Any, Protocol, TypeGuard, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, numbers, peak, read_only
-from redundancy_pin.dynamics.forward import ForwardKernel
-from redundancy_pin.errors import CarrierLimitError, InputError, UnsupportedRobotError, millimetres
-from redundancy_pin.motion import (
-    CarrierMotion,
-    PlatformMotion,
-    require_carrier_motion,
-    require_consistent,
-    require_sampled,
+from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.dynamics.arguments import (
+    OnUnreachable,
+    SampleArguments,
+    one_sample,
+    require_matching_carriers,
+    require_on_track,
 )
+from redundancy_pin.dynamics.forward import ForwardKernel
+from redundancy_pin.dynamics.results import (
+    TERMS,
+    AccelerationSample,
+    CarrierDerivatives,
+    CarrierTerms,
+    JointStateSample,
+    ReducedDynamics,
+    ReducedSample,
+    Sample,
+    TorqueSample,
+)
+from redundancy_pin.errors import UnsupportedRobotError
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent, require_sampled
 from redundancy_pin.robot import Load, Robot
-from redundancy_pin.robot.checks import is_pose
-from redundancy_pin.robot.joint_ranges import track_slack
-from redundancy_pin.status import SampleStatus
-
-OnUnreachable = Literal["raise", "mark"]
-"""What to do with a pose that no configuration closes: raise, or mark the sample with NaN and its residual."""
-
-SampleArguments: TypeAlias = tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike]
-"""x, xd, xdd, s, sd, sdd of ``Dynamics.torque``."""
-
-SampleArrays: TypeAlias = tuple[Array, Array, Array, Array, Array, Array]
-"""The same as arrays: x (n,) or (4, 4), xd and xdd (n,), s, sd and sdd (k,)."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ReducedDynamics(Frozen):
-    """The equation of motion W τ = f in independent coordinates, with the carrier forces.
-
-    N samples, n independent (platform) coordinates, m main actuators, k carriers. ``f`` and ``W`` stay
-    finite at a type II singularity, where W loses rank. Positive efforts do positive work on positive
-    joint rates. Gravity and inertia are both inside ``f``.
-
-    Attributes:
-        t: (N,) time, s.
-        f: (N, n) generalised force, N and N·m, in the base frame.
-        W: (N, n, m) actuation matrix; its transpose maps ẋ to the actuated joint rates.
-        carrier_force: (N, k) force of each carrier's own actuator, N.
-        reachable: (N,) false where no configuration closes the chains (f, W, carrier_force are NaN there).
-        residual: (N,) closure residual left by the kinematics, m; the distance to the nearest closed configuration
-            found where ``reachable`` is false.
-        row_scale: (n,) the characteristic length for rotations, 1 for translations: dividing row i of W and f by it
-            turns moments into forces.
-        column_scale: (m,) the characteristic length for revolute actuators, 1 for prismatic ones.
-        out_of_range: (N,) whether some joint is beyond its range, passive ones too; None where that was not checked.
-        force_size: (N,) size of the forces of the motion before they cancel, N: mass · (gravity + length · (rate² +
-            acceleration)), plus loads. Tolerances on f are fractions of it. None if W and f do not come from a robot.
-    """
-
-    t: Array
-    f: Array
-    W: Array
-    carrier_force: Array
-    reachable: BoolArray
-    residual: Array
-    row_scale: Array
-    column_scale: Array
-    out_of_range: BoolArray | None = None
-    force_size: Array | None = None
-
-    def __repr__(self) -> str:
-        """Return shapes and peaks, not the arrays."""
-        unreached = "" if self.reachable.all() else f", {int((~self.reachable).sum())} unreachable"
-        return (
-            f"ReducedDynamics(N={len(self.t)}, n={self.W.shape[1]}, m={self.W.shape[2]}, "
-            f"k={self.carrier_force.shape[1]}{unreached}; {peak('f', self.f, 'N or N·m')})"
-        )
-
-    def at(self, samples: slice | IntArray) -> ReducedDynamics:
-        """Return some of the samples."""
-        names = ("t", "f", "W", "carrier_force", "reachable", "residual", "out_of_range", "force_size")
-        parts = {name: getattr(self, name) for name in names}
-        chosen: dict[str, Any] = {name: part if part is None else part[samples] for name, part in parts.items()}
-        return replace(self, **chosen)
-
-
-class ReducedSample(Protocol):
-    """W τ = f at one sample; what ``Dynamics.sample`` returns."""
-
-    @property
-    def W(self) -> Array:
-        """(n, m) actuation matrix."""
-
-    @property
-    def f(self) -> Array:
-        """(n,) generalised force, N and N·m, in the base frame."""
-
-    @property
-    def carrier_force(self) -> Array:
-        """(k,) force of each carrier's own actuator, N."""
-
-
-class Sample(NamedTuple):
-    """One sample of the equation of motion: W (n, m), f (n,), carrier_force (k,); see ``ReducedDynamics``."""
-
-    W: Array
-    f: Array
-    carrier_force: Array
-
-
-class TorqueSample(NamedTuple):
-    """Efforts of one sample, with a status; what ``Dynamics.torque`` returns.
-
-    Attributes:
-        tau: (m,) efforts of the main actuators, N or N·m; NaN where there are none.
-        status: as ``distribute`` gives it.
-        margin: singularity margin of type II, the smallest singular value of the scaled W, no unit; NaN without W.
-        carrier_force: (k,) force of each carrier's actuator, N or N·m; NaN without W.
-        residual: closure residual of the configuration, m; of an unreachable pose the residual that Newton's method
-            ends with; NaN if it is not known.
-        serial_margin: lower bound of the distance to a type I singularity, no unit (``JointTrajectory``'s
-            ``serial_margin_bound``); joint rates and efforts grow as it falls. NaN without W, and of a closed form.
-    """
-
-    tau: Array
-    status: SampleStatus
-    margin: float
-    carrier_force: Array
-    residual: float
-    serial_margin: float = math.nan
-
-
-class AccelerationSample(NamedTuple):
-    """Accelerations of the tree at one state, with a status; what ``Dynamics.acceleration`` returns.
-
-    Attributes:
-        a: (nv,) acceleration of the tree, m/s² and rad/s²; NaN unless the status is ok.
-        status: ok; singular_inconsistent where the closures have lost rank, or a free motion has no inertia;
-            not_finite.
-    """
-
-    a: Array
-    status: SampleStatus
-
-
-class JointStateSample(NamedTuple):
-    """All joints and the platform at one instant; what ``Dynamics.joint_state`` returns.
-
-    Attributes:
-        q: (nq,) configuration of the tree, m and rad, as Pinocchio has it: carriers included.
-        v: (nv,) its velocity, m/s and rad/s.
-        x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
-        xd: (n,) their rates; the twist of a pose, in world axes at the platform's origin.
-        status: ok, near_singular (type II), out_of_range; otherwise all numbers but the residual are NaN. Redundant
-            motors whose positions or velocities contradict each other are unreachable, as in ``forward_kinematics``:
-            by more than 1e-8 characteristic lengths or rad, or than that fraction of the velocities.
-        margin: singularity margin, the smallest singular value of the scaled W, no unit.
-        residual: closure residual or mismatch of redundant motors, whichever is larger, m (angles times the
-            characteristic length); NaN if unknown. To use one of several noisy encoders, declare fewer joints as
-            actuated.
-    """
-
-    q: Array
-    v: Array
-    x: Array
-    xd: Array
-    status: SampleStatus
-    margin: float
-    residual: float
-
-
-@dataclass(frozen=True, eq=False)
-class CarrierDerivatives(Frozen):
-    """Exact derivatives of f and of the carrier forces with respect to the carrier motion.
-
-    Attributes:
-        f_s, f_sd, f_sdd: (N, n, k) derivatives of f by s, ṡ, s̈.
-        force_s, force_sd, force_sdd: (N, k, k) derivatives of carrier_force by s, ṡ, s̈.
-    """
-
-    f_s: Array
-    f_sd: Array
-    f_sdd: Array
-    force_s: Array
-    force_sd: Array
-    force_sdd: Array
-
-
-TERMS = 5
-"""Terms by which a carrier on a straight track enters W τ = f: s, s², ṡ, s ṡ and s̈."""
-
-
-class CarrierTerms(NamedTuple):
-    """W τ = f at N instants for every motion of carriers on straight tracks: they enter by s, s², ṡ, s ṡ and s̈.
-
-    N samples, n independent coordinates, m main actuators, k carriers; NaN where no configuration closes the chains.
-
-    ``W`` (N, n, m) actuation matrix; ``constant`` (N, n + k) f and the carriers' forces with the carriers at rest at
-    s = 0, N and N·m; ``terms`` (N, k, 5, n + k) their increments per unit of s, s², ṡ, s ṡ and s̈ of each
-    carrier. A carrier adds nothing to the force of another one.
-    """
-
-    W: Array
-    constant: Array
-    terms: Array
 
 
 class DynamicsAlongMotion(Protocol):
@@ -518,90 +344,3 @@ def terms_along(along: DynamicsAlongMotion) -> CarrierTerms:
     terms[:, own, :, n + own] = by_term("force")[:, own, own].transpose(1, 0, 2)
     constant = np.concatenate([reduced.f, reduced.carrier_force], axis=1)
     return CarrierTerms(reduced.W, read_only(constant), read_only(terms))
-
-
-def sample_arrays(robot: Robot, given: SampleArguments) -> SampleArrays:
-    """Return the arguments of one sample as arrays of doubles; they need not be finite, nor x a pose.
-
-    Arguments of the carriers that are empty are zero; one number is that of all carriers.
-
-    Raises:
-        InputError: wrong shapes, or what is no real number.
-    """
-    x, xd, xdd, *tracks = given
-    n, k = robot.n, robot.k
-    pose = (4, 4) if is_pose(robot) else (n,)
-    platform = numbers(x, "x", pose), numbers(xd, "xd", (n,)), numbers(xdd, "xdd", (n,))
-    carriers = []
-    for part, name in zip(tracks, ("s", "sd", "sdd"), strict=True):
-        shape = np.shape(part)
-        if shape == (0,):
-            carriers.append(np.zeros(k))
-        else:
-            carriers.append(numbers(part, name, (k,)) if shape else np.full(k, numbers(part, name, ())))
-    return (*platform, carriers[0], carriers[1], carriers[2])
-
-
-def one_sample(robot: Robot, given: SampleArguments, t: float) -> tuple[PlatformMotion, CarrierMotion]:
-    """Return motions of one sample; arguments as of ``Dynamics.sample``.
-
-    Raises:
-        InputError: wrong shapes, values that are not finite, or a matrix that is no pose.
-    """
-    x, xd, xdd, s, sd, sdd = (part[None] for part in sample_arrays(robot, given))
-    return PlatformMotion([t], x, xd, xdd), CarrierMotion(s, sd, sdd)
-
-
-def require_choice(unreachable: str) -> None:
-    """Check what to do with unreachable poses.
-
-    Raises:
-        InputError: neither "raise" nor "mark".
-    """
-    if unreachable not in ("raise", "mark"):
-        raise InputError(f"unreachable is {unreachable!r}.", remedy='Pass "raise" or "mark".')
-
-
-def require_matching_carriers(robot: Robot, carriers: CarrierMotion | None, samples: int) -> CarrierMotion:
-    """Return the carrier motion; parked at s = 0 when left out.
-
-    Raises:
-        InputError: wrong number of samples or carriers.
-    """
-    if carriers is None:
-        return CarrierMotion.parked(samples, robot.k)
-    require_carrier_motion(carriers)
-    if carriers.s.shape != (samples, robot.k):
-        raise InputError(
-            f"The carrier motion has shape {carriers.s.shape}, expected {(samples, robot.k)}.",
-            remedy=f"{robot.name} has k = {robot.k} carriers; give one row for each sample of the platform motion.",
-        )
-    return carriers
-
-
-def require_on_track(robot: Robot, carriers: CarrierMotion, t: Array) -> None:
-    """Check that every carrier stays on its track.
-
-    Args:
-        robot: the robot.
-        carriers: (N, k) carrier motion.
-        t: (N,) time, s, for the message.
-
-    Raises:
-        CarrierLimitError: naming carrier, sample, time and the amount by which it leaves the track.
-    """
-    lower = np.array([limits.lower for limits in robot.carrier_limits])
-    upper = np.array([limits.upper for limits in robot.carrier_limits])
-    outside = np.maximum(lower - carriers.s, carriers.s - upper)
-    if (outside > track_slack(robot)).any():
-        k, i = (int(j) for j in np.unravel_index(int(outside.argmax()), outside.shape))
-        raise CarrierLimitError(
-            f"Carrier {robot.carriers[i]!r} leaves its track [{lower[i]:g}, {upper[i]:g}] m by {outside[k, i]:.3g} m "
-            f"at sample {k} (t = {t[k]:.6g} s, s = {carriers.s[k, i]:.6g} m)."
-            f"{millimetres(float(outside[k, i]), float(upper[i] - lower[i]))}",
-            remedy="Shorten the motion or lengthen the track; planners evaluate off the track with check_track=False.",
-            carrier=robot.carriers[i],
-            sample=k,
-            time=float(t[k]),
-            amount=float(outside[k, i]),
-        )

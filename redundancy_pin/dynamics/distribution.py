@@ -29,14 +29,15 @@ from redundancy_pin.arrays import (
 from redundancy_pin.dynamics.allocation import (
     FORCE_TOLERANCE,
     ROUNDING,
+    MinimumNorm,
     fit_into_bounds,
     least_residual,
     leaves_bounds,
     minimum_norm,
 )
-from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import InputError
-from redundancy_pin.spectrum import null_directions, scaled, spectrum_of
+from redundancy_pin.spectrum import oriented, scaled, spectrum_of
 from redundancy_pin.status import SampleStatus, solved_status
 
 
@@ -187,7 +188,7 @@ def distribute(
     }
     _check_tolerances(tolerances)
     problem = _problem(reduced, weights, lower, upper, rows)
-    samples, _, m = problem.A.shape
+    samples, n, m = problem.A.shape
     force, start = problem.g, np.zeros((samples, m))
     if preferred is not None:
         start = _bound(preferred, "preferred", math.inf, samples, m)
@@ -204,14 +205,16 @@ def distribute(
     spectrum = spectrum_of(problem.A)
     rank = spectrum.rank(rank_tolerance)
     at = problem.solvable
-    u, outside = np.full((len(rank), problem.A.shape[2]), np.nan), np.full(len(rank), np.nan)
-    u[at], outside[at] = minimum_norm(problem.A[at], problem.g[at], rank[at], problem.cost)
+    shapes = (m,), (), (n,), (m, m)
+    u, outside, left, right = solution = MinimumNorm(*(np.full((samples, *shape), np.nan) for shape in shapes))
+    for whole, part in zip(solution, minimum_norm(problem.A[at], problem.g[at], rank[at], problem.cost), strict=True):
+        whole[at] = part
     allowed = consistency_tolerance * size
     if reduced.force_size is not None:
         allowed = allowed + np.ldexp(force_tolerance * reduced.force_size, -exponent)
     consistent = at & (outside <= allowed)
     u[~consistent] = np.nan
-    u, infeasible = _within_bounds(problem, u, rank)
+    u, infeasible = _within_bounds(problem, u, right, rank)
     full, near = rank == min(problem.A.shape[1:]), spectrum.margin < near_singular
     # the first condition that holds decides, so the order is part of the meaning
     status: IntArray = np.select(
@@ -226,7 +229,7 @@ def distribute(
         ],
         SampleStatus.SINGULAR_INCONSISTENT,
     ).astype(np.intp)
-    free_direction, uncontrolled = _directions(problem, rank, status)
+    free_direction, uncontrolled = _directions(problem, left, right, rank, status)
     residual = _residual(problem, u, outside, infeasible)
     u, unbalanced = _times_power(u, exponent), _times_power(residual, exponent)
     with np.errstate(over="ignore"):
@@ -441,14 +444,14 @@ def _check_tolerances(tolerances: dict[str, float]) -> None:
             )
 
 
-def _within_bounds(problem: _Problem, efforts: Array, rank: IntArray) -> tuple[Array, BoolArray]:
+def _within_bounds(problem: _Problem, efforts: Array, right: Array, rank: IntArray) -> tuple[Array, BoolArray]:
     """Return (N, m) efforts within the bounds, and (N,) where there are none although there are efforts."""
     m = efforts.shape[1]
     bounded = np.clip(efforts, problem.lower[:, :m], problem.upper[:, :m])
     at = leaves_bounds(np.einsum("Ncj,Nj->Nc", problem.rows, efforts), problem.lower, problem.upper)
     if at.any():
         limits = problem.lower[at], problem.upper[at], problem.rows[at]
-        bounded[at] = fit_into_bounds(problem.A[at], efforts[at], rank[at], problem.cost, *limits)
+        bounded[at] = fit_into_bounds(efforts[at], right[at], rank[at], problem.cost, *limits)
     return bounded, at & np.isnan(bounded).any(axis=1)
 
 
@@ -462,13 +465,13 @@ def _residual(problem: _Problem, efforts: Array, outside: Array, infeasible: Boo
     return residual
 
 
-def _directions(problem: _Problem, rank: IntArray, status: IntArray) -> tuple[Array, Array]:
+def _directions(problem: _Problem, left: Array, right: Array, rank: IntArray, status: IntArray) -> tuple[Array, Array]:
     """Return (N, m) free effort and (N, n) uncontrolled velocity directions, scaled, NaN where there are none."""
     samples, n, m = problem.A.shape
     free_direction = np.full((samples, m), np.nan)
     uncontrolled = np.full((samples, n), np.nan)
     deficient = problem.solvable & (rank < n)
     if deficient.any():
-        uncontrolled[deficient], free_direction[deficient] = null_directions(problem.A[deficient])
+        uncontrolled[deficient], free_direction[deficient] = oriented(left[deficient]), oriented(right[deficient, -1])
         free_direction[status != SampleStatus.SINGULAR_CONSISTENT] = np.nan
     return free_direction, uncontrolled

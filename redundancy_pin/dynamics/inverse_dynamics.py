@@ -12,16 +12,11 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, runs
 from redundancy_pin.dynamics.allocation import ROUNDING
-from redundancy_pin.dynamics.base import (
-    Dynamics,
-    DynamicsAlongMotion,
-    OnUnreachable,
-    ReducedDynamics,
-    require_matching_carriers,
-    require_on_track,
-)
+from redundancy_pin.dynamics.arguments import OnUnreachable, require_matching_carriers, require_on_track
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.dynamics.distribution import Distribution, distribute
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.coordinates import difference
@@ -41,13 +36,6 @@ _CONSISTENT = 1e-3
 """Fraction of f, no unit, outside the range of W that counts as none at an instant between samples: rates and
 accelerations are interpolated there. Efforts that it calls for exceed f only where the margin is below it, for as long
 as that lasts."""
-
-_AT_INSTANT = ROUNDING**0.5
-"""Rank tolerance at an instant, scaled: 1e-7, the root of the rounding of a margin that only touches zero."""
-
-_NEAR, _FAR = 2.0 * SPACING, 10.0 * SPACING
-"""Steps of samples, in characteristic lengths, between which the margin is not searched where it stays away from zero;
-the second where the search fails."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +127,8 @@ class InverseDynamics(Frozen):
         margins = signed_margin(scaled(reduced.W, reduced.row_scale, reduced.column_scale))
         for first, stop in runs(reduced.reachable):
             part, margin = motion[first:stop], margins[first:stop]
-            if not part.t[-1] > part.t[0] or not _may_meet(robot, part, margin, _NEAR):
+            # of samples hardly farther apart than those of a search the margin itself shows whether there is anything
+            if not part.t[-1] > part.t[0] or not _may_meet(robot, part, margin, 2.0 * SPACING):
                 continue
             q, gamma = (each[first] for each in self._configurations)
             start = follower(robot).state_at(q, part.x[0], gamma) if np.isfinite(q).all() else None
@@ -148,7 +137,7 @@ class InverseDynamics(Frozen):
                 crossings += find_crossings(robot, checked, start=start)
             except RedundancyPinError as error:
                 # the samples can be followed, the motion between them cannot, or is too near a rank loss to search
-                if _may_meet(robot, part, margin, _FAR):
+                if _may_meet(robot, part, margin, 10.0 * SPACING):
                     unresolved = unresolved or error.message
         return crossings, unresolved
 
@@ -215,8 +204,8 @@ def inverse_dynamics(
 def _may_meet(robot: Robot, motion: PlatformMotion, margin: Array, nearest: float) -> bool:
     """Return whether a singularity may lie between samples; true for samples too far apart to tell.
 
-    Between neighbouring samples at most ``nearest`` apart the margin (N,) has at most one dip, less than twice as deep
-    as the fall outside of them (``roots``).
+    Between neighbouring samples at most ``nearest`` characteristic lengths apart the margin (N,) has at most one dip,
+    less than twice as deep as the fall outside of them (``roots``).
     """
     steps = np.linalg.norm(difference(robot, motion.x[1:], motion.x[:-1]) * row_scale(robot), axis=1)
     if steps.max() > nearest * robot.characteristic_length:
@@ -256,7 +245,8 @@ def _instants(
     if any(new is not old for new, old in zip(loads, dynamics.robot.loads, strict=True)):
         dynamics = dynamics.for_robot(replace(dynamics.robot, loads=loads))
     reduced = dynamics.reduce(among, moved, unreachable=unreachable, check_track=False)
-    solved = distribute(reduced, consistency_tolerance=_CONSISTENT, rank_tolerance=_AT_INSTANT)
+    # a margin that only touches zero is known to the root of its rounding
+    solved = distribute(reduced, consistency_tolerance=_CONSISTENT, rank_tolerance=ROUNDING**0.5)
     instants = []
     for one, k in zip(met, np.searchsorted(time, t).tolist(), strict=True):
         if solved.rank[k] == min(reduced.W.shape[1:]):

@@ -1,4 +1,4 @@
-"""Efforts of one sample with a status, for control loops: ``distribute`` without the cost of a batch of one.
+"""Efforts of one sample with a status, for control loops: ``distribute`` without the cost of many samples.
 
 The decisions and their tolerances are those that ``distribute`` takes for many samples.
 """
@@ -6,7 +6,7 @@ The decisions and their tolerances are those that ``distribute`` takes for many 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -14,26 +14,13 @@ import numpy as np
 
 from redundancy_pin.arrays import LARGEST, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, lapack, read_only
 from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
-from redundancy_pin.dynamics.base import (
-    Dynamics,
-    ReducedSample,
-    SampleArguments,
-    SampleArrays,
-    TorqueSample,
-    one_sample,
-    require_on_track,
-    sample_arrays,
-)
-from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, distribute
-from redundancy_pin.errors import (
-    CarrierLimitError,
-    RedundancyPinError,
-    SingularPoseError,
-    UnreachablePoseError,
-    WorkingModeError,
-)
+from redundancy_pin.dynamics.arguments import SampleArguments, SampleArrays, one_sample, sample_arrays, track_excess
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE
+from redundancy_pin.dynamics.results import ReducedSample, Sample, TorqueSample
+from redundancy_pin.errors import RedundancyPinError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.joint_ranges import is_in_range
+from redundancy_pin.robot.joint_ranges import is_in_range, track_slack
 from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.scales import column_scale, force_sizes, row_scale
 from redundancy_pin.spectrum import UNIT
@@ -77,7 +64,7 @@ def _unit_of_W(robot: Robot) -> Array:
 def solve_sample(
     robot: Robot, sample: ReducedSample, q: Array, kinematics: tuple[float, float], given: SampleArrays, t: float
 ) -> TorqueSample:
-    """Return the efforts of least norm with W τ = f (Parsa 2014, eqs. 2.17 and 2.53, with W = Jᵀ), or a status.
+    """Return the efforts of one sample with a status, of a backend that knows the configuration.
 
     Args:
         robot: the robot.
@@ -95,42 +82,19 @@ def solve_sample(
         >>> solve_sample(robot, sample, robot.q_reference, (0.0, 1.0), given, 0.0).status.label
         'ok'
     """
-    A, g = sample.W * _unit_of_W(robot), sample.f / row_scale(robot)
-    size = math.hypot(*g.tolist())  # whose squares do not overflow
-    u, values, vt, failed = lapack().dgesdd(A)
-    if failed or not math.isfinite(size):
-        return without_answer(robot, SampleStatus.NOT_FINITE)
-    sizes = values.tolist()
-    smallest, margin = RANK_TOLERANCE * max(sizes[0], UNIT), sizes[-1]
-    rank = sum(value > smallest for value in sizes)
-    components = g @ u
-    outside, full = components[rank:], rank == len(sizes)
-    if len(outside):
-        allowed = CONSISTENCY_TOLERANCE * size + FORCE_TOLERANCE * _force_size(robot, given, t)
-        if math.hypot(*outside.tolist()) > allowed:
-            status = SampleStatus.UNDERACTUATED if full else SampleStatus.SINGULAR_INCONSISTENT
-            return TorqueSample(np.full(robot.m, np.nan), status, margin, sample.carrier_force, *kinematics)
-    tau = column_scale(robot) * ((components[:rank] / values[:rank]) @ vt[:rank])
-    if not full:
-        status = SampleStatus.SINGULAR_CONSISTENT
-    else:
-        status = SampleStatus.NEAR_SINGULAR if margin < NEAR_SINGULAR_MARGIN else SampleStatus.OK
     if robot.k:
         q = q.copy()
         q[robot.carrier_position] = given[3]
-    if not is_in_range(robot, q):
-        status = SampleStatus.OUT_OF_RANGE
-    return TorqueSample(tau, status, margin, sample.carrier_force, *kinematics)
+
+    def force_size() -> float:
+        x, xd, xdd, _, sd, sdd = (part[None] for part in given)
+        return float(force_sizes(robot, xd, xdd, sd, sdd, wrench_values(robot.loads, np.array([t]), x, xd))[0])
+
+    return _balance(robot, sample, force_size, is_in_range(robot, q), kinematics)
 
 
-def _force_size(robot: Robot, given: SampleArrays, t: float) -> float:
-    """Return the size of the forces of one sample before they cancel, N: ``scales.force_sizes``."""
-    x, xd, xdd, _, sd, sdd = (part[None] for part in given)
-    return float(force_sizes(robot, xd, xdd, sd, sdd, wrench_values(robot.loads, np.array([t]), x, xd))[0])
-
-
-def solve_batch_of_one(dynamics: Dynamics, given: SampleArguments, t: float) -> TorqueSample:
-    """Return the efforts of one sample with a status through ``reduce`` and ``distribute``, of any backend.
+def solve_reduced_sample(dynamics: Dynamics, given: SampleArguments, t: float) -> TorqueSample:
+    """Return the efforts of one sample with a status, of a backend that knows ``reduce`` alone: a closed form.
 
     Args:
         dynamics: the backend.
@@ -145,15 +109,51 @@ def solve_batch_of_one(dynamics: Dynamics, given: SampleArguments, t: float) -> 
         return without_answer(robot, SampleStatus.NOT_FINITE)
     motion, carriers = one_sample(robot, given, t)
     try:
-        reduced = dynamics.along(motion).reduce(carriers)
+        one = dynamics.along(motion).reduce(carriers)
     except REFUSALS as error:
         return without_answer(robot, *refusal_of(error))
-    efforts = distribute(reduced)
-    status = SampleStatus(int(efforts.status[0]))
-    if status.solved:
-        try:
-            require_on_track(robot, carriers, motion.t)
-        except CarrierLimitError:
-            status = SampleStatus.OUT_OF_RANGE
-    margin, residual = float(efforts.margin[0]), float(reduced.residual[0])
-    return TorqueSample(efforts.tau[0], status, margin, reduced.carrier_force[0], residual)
+    in_range = not np.any(one.out_of_range) and bool((track_excess(robot, carriers) <= track_slack(robot)).all())
+    sample = Sample(one.W[0], one.f[0], one.carrier_force[0])
+    size = 0.0 if one.force_size is None else float(one.force_size[0])
+    return _balance(robot, sample, lambda: size, in_range, (float(one.residual[0]), math.nan))
+
+
+def _balance(
+    robot: Robot,
+    sample: ReducedSample,
+    force_size: Callable[[], float],
+    in_range: bool,
+    kinematics: tuple[float, float],
+) -> TorqueSample:
+    """Return the efforts of least norm with W τ = f (Parsa 2014, eqs. 2.17 and 2.53, with W = Jᵀ), or a status.
+
+    Args:
+        robot: the robot.
+        sample: W, f and carrier forces.
+        force_size: returns the size of the forces before they cancel, N; called where W does not reach all of f.
+        in_range: whether all joints are in their ranges, carriers too.
+        kinematics: closure residual, m, and lower bound of the distance to type I.
+    """
+    A, g = sample.W * _unit_of_W(robot), sample.f / row_scale(robot)
+    size = math.hypot(*g.tolist())  # whose squares do not overflow
+    u, values, vt, failed = lapack().dgesdd(A)
+    if failed or not math.isfinite(size):
+        return without_answer(robot, SampleStatus.NOT_FINITE)
+    sizes = values.tolist()
+    smallest, margin = RANK_TOLERANCE * max(sizes[0], UNIT), sizes[-1]
+    rank = sum(value > smallest for value in sizes)
+    components = g @ u
+    outside, full = components[rank:], rank == len(sizes)
+    if len(outside):
+        allowed = CONSISTENCY_TOLERANCE * size + FORCE_TOLERANCE * force_size()
+        if math.hypot(*outside.tolist()) > allowed:
+            status = SampleStatus.UNDERACTUATED if full else SampleStatus.SINGULAR_INCONSISTENT
+            return TorqueSample(np.full(robot.m, np.nan), status, margin, sample.carrier_force, *kinematics)
+    tau = column_scale(robot) * ((components[:rank] / values[:rank]) @ vt[:rank])
+    if not in_range:
+        status = SampleStatus.OUT_OF_RANGE
+    elif not full:
+        status = SampleStatus.SINGULAR_CONSISTENT
+    else:
+        status = SampleStatus.NEAR_SINGULAR if margin < NEAR_SINGULAR_MARGIN else SampleStatus.OK
+    return TorqueSample(tau, status, margin, sample.carrier_force, *kinematics)

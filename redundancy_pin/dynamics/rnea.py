@@ -22,20 +22,18 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, frozen, numbers, read_only
-from redundancy_pin.dynamics.base import (
-    CarrierDerivatives,
-    Dynamics,
+from redundancy_pin.dynamics.arguments import (
     OnUnreachable,
-    ReducedDynamics,
     SampleArguments,
     SampleArrays,
-    TorqueSample,
     one_sample,
     require_choice,
     require_matching_carriers,
     sample_arrays,
 )
+from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, refusal_of, solve_sample, without_answer
+from redundancy_pin.dynamics.results import CarrierDerivatives, ReducedDynamics, TorqueSample
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort, tree_energy, tree_loads
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower

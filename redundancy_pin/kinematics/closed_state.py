@@ -60,7 +60,7 @@ CONTINUITY = 0.25
 """Acceptance threshold: relative error of the trapezoidal prediction (Γ₀ + Γ₁) Δx / 2. Halving a step reduces the error
 of a smooth branch eightfold, that of a jump between branches not at all."""
 
-ROUNDING = 1e-7
+ROUNDING = 1e4 * CLOSURE_TOLERANCE
 """Rounding of a closed configuration, rad or characteristic lengths: the root of the closure tolerance, 1e-11, times
 the largest inverse margin, 1e4, that is not treated as a rank loss."""
 
@@ -71,7 +71,7 @@ the loss itself ``closure.dependent_rows_restore_rank`` decides."""
 _NEWTON_STEPS = 10
 """Most steps of Newton's method, which doubles the correct digits: from 0.1 to rounding it takes five."""
 
-_CONVERGED = 1e-13
+_CONVERGED = 0.01 * CLOSURE_TOLERANCE
 """A Newton step, or ten times a residual, this small (rad or characteristic lengths) is rounding."""
 
 _COS_TURNED_OVER = math.cos(TURNED_OVER)

@@ -34,9 +34,6 @@ _STARTS = (16, 240)
 start in sixteen falls to a given mode, which 16 miss with a chance of 36 %; of six legs one in 64, which 240 miss with
 2 %."""
 
-_EQUAL = 1e-9
-"""rad and characteristic lengths: distances that differ by less are equal. Closed configurations miss by 1e-11."""
-
 
 class PoseSolution(NamedTuple):
     """What multistart reached.
@@ -163,7 +160,7 @@ def _nearest(robot: Robot, q: Array, usable: BoolArray, origin: Array, known: In
     short, turning = away.copy(), _free_turns(robot)
     short[:, turning] = (away[:, turning] + np.pi) % (2.0 * np.pi) - np.pi
     distance = np.where(usable, np.abs(short[:, columns]).sum(axis=1), np.inf)
-    equal = distance <= distance.min() + _EQUAL
+    equal = distance <= distance.min() + ROUNDING
     return int(np.argmin(np.where(equal, np.abs(away).sum(axis=1), np.inf)))
 
 

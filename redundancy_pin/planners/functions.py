@@ -15,8 +15,8 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 
 from redundancy_pin.arrays import Array, Frozen, Side
-from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.trajectory.continuous_motion import Motion

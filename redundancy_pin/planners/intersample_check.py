@@ -23,9 +23,10 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, frozen
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, positive, read_only
-from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics

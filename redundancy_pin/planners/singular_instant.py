@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from redundancy_pin.arrays import Array, Frozen, Side, read_only
-from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.planners.functions import DEGREE
 from redundancy_pin.spectrum import scaled
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, runs
-from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, distribute
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.limits import worst_events

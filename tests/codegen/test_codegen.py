@@ -22,7 +22,7 @@ from scaled import Units, scaled_robot
 
 import redundancy_pin as rp
 from redundancy_pin import codegen
-from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import InputError, OutputError, RedundancyPinError
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.robot import Robot

@@ -19,8 +19,9 @@ from machines import machine
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.cli import main
-from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
+from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import as_dynamics
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import (
     CarrierLimitError,
     CompilerError,
@@ -96,8 +97,9 @@ def test_motions_and_carriers_that_do_not_fit_are_refused(backend: Backend) -> N
     wrong = rp.PlatformMotion(motion.t, *np.zeros((3, 5, 4)))
     poses = rp.PlatformMotion(motion.t, np.tile(np.eye(4), (5, 1, 1)), *np.zeros((2, 5, 3)))
     for bad in (wrong, poses):
-        with pytest.raises(InputError, match=r"moves in \d coordinates"):
+        with pytest.raises(InputError, match=r"3rrr moves in 3 coordinates") as caught:
             dynamics.along(bad)
+        assert "xd, xdd as (N, 3)" in caught.value.remedy
     with pytest.raises(InputError, match="unreachable is 'ignore'"):
         dynamics.reduce(motion, unreachable="ignore")  # type: ignore[arg-type]
     for samples, count in ((4, 3), (5, 2), (5, 0)):

@@ -16,7 +16,8 @@ from flat_linkages import parallelogram
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import CarrierTerms, Dynamics, terms_along
+from redundancy_pin.dynamics.base import Dynamics, terms_along
+from redundancy_pin.dynamics.results import CarrierTerms
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import JointForces, Payload, Robot, Wrench

@@ -66,15 +66,6 @@ def test_near_a_singularity_the_residual_stays_at_rounding_and_the_efforts_lose_
     assert (np.linalg.norm(d.tau - tau, axis=1) <= 1e-14 * d.condition * np.linalg.norm(tau, axis=1)).all()
 
 
-def test_default_weights_count_a_torque_as_the_force_at_the_characteristic_length():
-    # one freedom; a linear actuator and a motor whose lever is the characteristic length share the force equally
-    length = 0.25
-    d = distribute(reduced([[[1.0, 1.0 / length]]], [[10.0]], column_scale=[1.0, length]))
-    assert d.tau[0] == pytest.approx([5.0, 5.0 * length])
-    equal = distribute(reduced([[[1.0, 4.0]]], [[17.0]], column_scale=[1.0, length]), weights=[1.0, 1.0])
-    assert equal.tau[0] == pytest.approx([1.0, 4.0])  # the pseudo-inverse of the row (1, 4)
-
-
 @pytest.mark.parametrize(("n", "m"), [(2, 1), (3, 2), (6, 4)])
 def test_fewer_actuators_than_freedoms_balance_a_force_in_the_range(n, m):
     rng = np.random.default_rng(5)
@@ -94,16 +85,6 @@ def test_fewer_actuators_than_freedoms_balance_a_force_in_the_range(n, m):
     assert not d.solved.any()
     assert np.isnan(d.tau).all()
     assert d.residual == pytest.approx(np.full(N, 3e-3), rel=1e-10)
-
-
-def test_fewer_actuators_near_and_at_a_singularity():
-    rng = np.random.default_rng(6)
-    U, near, _ = factors(rng, N, 3, 2, [1.0, 1e-3])
-    tau = rng.normal(size=(N, 2))
-    assert (distribute(reduced(near, times(near, tau))).status == SampleStatus.NEAR_SINGULAR).all()
-    U, lost, _ = factors(rng, N, 3, 2, [1.0, 0.0])
-    assert (distribute(reduced(lost, times(lost, tau))).status == SampleStatus.SINGULAR_CONSISTENT).all()
-    assert (distribute(reduced(lost, U[:, :, 2])).status == SampleStatus.SINGULAR_INCONSISTENT).all()
 
 
 def test_unreachable_samples_are_marked_and_leave_their_neighbours_alone():

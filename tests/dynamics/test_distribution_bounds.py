@@ -7,7 +7,7 @@ import pytest
 import scipy.optimize
 import zoo
 from examples import examples
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 from scipy.optimize import LinearConstraint, minimize, nnls
@@ -19,9 +19,9 @@ from redundancy_pin.dynamics.allocation import (
     least_miss,
     within_bounds,
 )
-from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.contacts import ClosureForces, closure_forces
 from redundancy_pin.dynamics.distribution import EffortRows, distribute, torque_speed_bounds
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaAlongMotion
 from redundancy_pin.errors import InputError
 from redundancy_pin.status import SampleStatus
@@ -100,15 +100,6 @@ def test_residual_where_bounded_least_squares_end_in_nan(monkeypatch):
     assert np.linalg.norm(W @ least_miss(W, goal, -box, box) - goal) == pytest.approx(expected, rel=1e-9)
 
 
-def test_residual_of_infeasible_rows_is_the_way_to_them():
-    # W = 1: u1 + u2 of (3, 0) is 3; to 1 and to 5 it is 2 / √2 away, to −1 it is 4 / √2
-    for (low, high), missing in {(-np.inf, 1.0): 2.0, (5.0, np.inf): 2.0, (-7.0, -1.0): 4.0}.items():
-        rows = [EffortRows(np.array([[1.0, 1.0]]), np.array([low]), np.array([high]))]
-        d = distribute(reduced([np.eye(2)], [[3.0, 0.0]]), rows=rows)
-        assert d.status[0] == SampleStatus.BOUND_INFEASIBLE
-        assert d.residual[0] == pytest.approx(missing / np.sqrt(2.0), abs=1e-5)  # the steadying weight's root
-
-
 @pytest.mark.parametrize("angle", [1e-4, 1e-6])
 def test_bounds_nearly_along_one_another_are_two(angle):
     start, null, rows = np.zeros(2), np.eye(2), np.array([[1.0, 0.0], [1.0, angle]])
@@ -150,30 +141,6 @@ def test_bounded_optimum_meets_the_optimality_conditions(n, extra, lost, exponen
     assert scipy.optimize.nnls(generators, gradient)[1] <= 1e-6 * max(weights.max(), 1.0)
 
 
-@examples(40)
-@given(seed=st.integers(0, 9999), m=st.integers(2, 5))
-def test_feasibility_agrees_with_linear_programming(seed, m):
-    rng = np.random.default_rng(seed)
-    n = m - 1
-    _, W, _ = factors(rng, 1, n, m, np.linspace(2.0, 1.0, n))
-    f, lower, upper = rng.normal(size=(1, n)), rng.uniform(-1.0, 0.0, m), rng.uniform(0.0, 1.0, m)
-    # widen the bounds until they can be met: the sign of the necessary widening decides
-    c = np.append(np.zeros(m), 1.0)
-    rows = np.concatenate([np.eye(m), -np.eye(m)])
-    widen = scipy.optimize.linprog(
-        c,
-        A_ub=np.column_stack([rows, -np.ones(2 * m)]),
-        b_ub=np.concatenate([upper, -lower]),
-        A_eq=np.column_stack([W[0], np.zeros(n)]),
-        b_eq=f[0],
-        bounds=[(None, None)] * (m + 1),
-    ).fun
-    assume(abs(widen) > 1e-6)
-    d = distribute(reduced(W, f), lower=lower, upper=upper)
-    assert d.solved[0] == (widen < 0.0)
-    assert (d.status[0] == SampleStatus.BOUND_INFEASIBLE) == (widen > 0.0)
-
-
 def test_bounds_that_leave_a_single_point_are_met():
     # every actuator held at the efforts that made f: rounding must not make that infeasible
     rng = np.random.default_rng(4)
@@ -206,12 +173,6 @@ def test_an_effort_may_pass_its_bound_by_a_share_of_the_largest_one(sign, share,
     assert d.residual[0] == pytest.approx(passed, rel=1e-6)
     if label == "ok":
         assert d.tau[0].tolist() == [1000.0, sign * (1.0 - passed)]
-
-
-def test_inconsistent_samples_stay_inconsistent_under_bounds():
-    d = distribute(reduced([[[1.0, 0.0], [0.0, 0.0]]], [[5.0, 1.0]]), lower=[-1.0, -1.0], upper=[1.0, 1.0])
-    assert d.status[0] == SampleStatus.SINGULAR_INCONSISTENT
-    assert d.residual[0] == pytest.approx(1.0)
 
 
 def test_an_actuator_with_a_tiny_lever_that_has_to_help_is_found_exactly():

@@ -43,9 +43,9 @@ ARGUMENTS = {"2rpr": {"end_effector_mass": 0.3, "cylinder_mass": 0.2, "piston_ma
 
 
 @functools.cache
-def machine(name: str, mode: tuple[int, ...] | None = None) -> Robot:
+def machine(name: str, mode: tuple[int, ...] | None = None, **arguments: float) -> Robot:
     """Return a robot with gravity in all directions."""
-    return zoo.robot_of(name, gravity=(1.0, -9.0, 2.0), working_mode=mode, **ARGUMENTS.get(name, {}))
+    return zoo.robot_of(name, gravity=(1.0, -9.0, 2.0), working_mode=mode, **ARGUMENTS.get(name, {}), **arguments)
 
 
 def moving(robot: Robot, count: int = 12) -> tuple[PlatformMotion, CarrierMotion]:
@@ -109,7 +109,7 @@ def assert_alike(one: Array, other: Array, tolerance: float = PARITY) -> None:
     ("name", "mode"), [("3rrr", (1, -1, 1)), ("2rpr", (-1, 1)), ("five_bar", None), ("four_bar", None), ("gough", None)]
 )
 def test_backends_agree_on_loads_of_every_kind(name: str, mode: tuple[int, ...] | None) -> None:
-    robot = machine(name, mode)
+    robot = machine(name, mode, **({"platform_inertia": 0.05} if name == "3rrr" else {}))  # no disc
     motion, carriers = moving(robot)
     loads = all_loads(robot, len(motion))
     unloaded = RneaDynamics(robot).reduce(motion, carriers)
@@ -171,57 +171,6 @@ def test_a_payload_is_mass_of_the_platform() -> None:
         assert_alike(along.reduce(carriers).f, expected.reduce(carriers).f)
         assert_alike(along.base_wrench(carriers), expected.base_wrench(carriers))
         assert_alike(along.energy(carriers), expected.energy(carriers))
-
-
-_STEP = 1e-3
-
-
-@pytest.mark.parametrize("name", ["3rrr", "2rpr", pytest.param("gough", marks=pytest.mark.long), "four_bar"])
-def test_energy_grows_by_the_power_of_efforts_and_wrenches_less_what_dampers_take(name: str) -> None:
-    """Places and velocities of frames come from Pinocchio: nothing of the loads' own kinematics."""
-    robot = machine(name)
-    t = 0.4 + _STEP * np.arange(-3, 4)
-    motion, carriers = zoo.smooth_motion(robot, 7).at(t), zoo.carriers_at(robot, t)
-    rng = np.random.default_rng(5)
-    links, simple = links_of(robot)[1:], joints_of(robot)
-    wrenches = [
-        Wrench(link, rng.normal(size=6), axes, rng.normal(size=3))
-        for link, axes in zip(links[:: max(1, len(links) // 4)], ("world", "local") * 10, strict=False)
-    ]
-    joints = [JointForces(joint, 0.2, 0.3, 0.1, 0.0, 0.0, 0.02, -5.0) for joint in simple]
-    spring = Spring(links[0], links[-1], 30.0, 2.0, 0.2, 0.1 * rng.normal(size=3))
-    loaded = RneaDynamics(robot.loaded(*wrenches, *joints, spring, Payload(links[-1], 0.8, (0.1, 0.2, 0.3))))
-    along = loaded.along(motion)
-    reduced = along.reduce(carriers)
-    q, v, _ = (part[3] for part in along.tree_motion(carriers))
-    model, data = robot.model, robot.model.createData()
-    pin.forwardKinematics(model, data, q, v)
-    pin.updateFramePlacements(model, data)
-
-    def moving_point(link: str, point: Array) -> tuple[Array, Array, Array, Array]:
-        """Return place and velocity of a point of a link, the link's spin and its rotation."""
-        frame = model.getFrameId(link, pin.FrameType.BODY)
-        twist = pin.getFrameVelocity(model, data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        rotation = data.oMf[frame].rotation
-        arm = rotation @ np.asarray(point)
-        return data.oMf[frame].translation + arm, twist.linear + np.cross(twist.angular, arm), twist.angular, rotation
-
-    power = reduced.f[3] @ motion.xd[3] + reduced.carrier_force[3] @ carriers.sd[3]
-    for wrench in wrenches:
-        _, velocity, spin, rotation = moving_point(wrench.frame, wrench.point)
-        value = np.asarray(wrench.value).reshape(2, 3)
-        force, moment = value if wrench.reference == "world" else value @ rotation.T
-        power += force @ velocity + moment @ spin
-    for load in joints:
-        speed = v[model.joints[model.getJointId(load.joint)].idx_v]
-        power -= speed * (load.damping * speed + load.friction * np.tanh(speed / load.friction_speed))
-    (a, a_rate, *_), (b, b_rate, *_) = (
-        moving_point(spring.frame_a, spring.point_a),
-        moving_point(spring.frame_b, spring.point_b),
-    )
-    power -= spring.damping * ((b - a) / np.linalg.norm(b - a) @ (b_rate - a_rate)) ** 2
-    weights = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0 / _STEP  # of order six
-    assert weights @ along.energy(carriers) == pytest.approx(power, rel=1e-8, abs=1e-8)
 
 
 def test_process_forces_are_functions_of_time_and_pose() -> None:
@@ -348,54 +297,6 @@ def _pull(t: Array, x: Array, xd: Array) -> Array:
     wrench, place = np.zeros((len(t), 6)), x[:, :3, 3] if x.ndim == 3 else x
     wrench[:, 0], wrench[:, 1] = 3.0 * np.sin(2.0 * t) - 4.0 * xd[:, 0], -8.0 - 5.0 * place[:, 1]
     return wrench
-
-
-def test_wrenches_agree_with_mujoco_on_a_closed_chain() -> None:
-    """The machine moves as planned under its efforts and the wrenches, by MuJoCo's masses, forces and Jacobians."""
-    mujoco = pytest.importorskip("mujoco")
-    robot = machine("3rrr")
-    motion, carriers = moving(robot, 3)
-    wrenches = {"distal_2": (40.0, -30.0, 0.0, 0.0, 0.0, 9.0), "platform": (-20.0, 50.0, 0.0, 0.0, 0.0, -8.0)}
-    loads = [Wrench(link, value, point=(0.2, 0.3, 0.0)) for link, value in wrenches.items()]
-    along = RneaDynamics(robot).with_external(*loads).along(motion)
-    reduced = along.reduce(carriers)
-    q, v, a = along.tree_motion(carriers)
-    spec = mujoco.MjSpec.from_string(robot.urdf)
-    spec.compiler.fusestatic, spec.compiler.boundmass, spec.compiler.boundinertia = 0, 1e-12, 1e-12
-    for closure in robot.closures:
-        for frame in (closure.frame_a, closure.frame_b):
-            spec.body(frame).add_site(name=frame)
-        pair = spec.add_equality(type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_SITE)
-        pair.name1, pair.name2 = closure.frame_a, closure.frame_b
-    model = spec.compile()
-    model.opt.gravity, model.opt.jacobian = robot.gravity, mujoco.mjtJacobian.mjJAC_DENSE
-    data, nv = mujoco.MjData(model), model.nv
-    names = list(robot.model.names)[1:]
-    order = [int(model.jnt_dofadr[model.joint(name).id]) for name in names]
-    tau = rp.distribute(reduced).tau
-    for k in range(len(motion)):
-        rows, step = [], 1e-6
-        for sign in (0.0, 1.0, -1.0):
-            data.qpos[order] = q[k] + sign * step * v[k]
-            data.qvel[order] = v[k]
-            mujoco.mj_forward(model, data)
-            rows.append(np.array(data.efc_J).reshape(-1, nv)[: 3 * len(robot.closures)].copy())
-        data.qpos[order] = q[k]
-        mujoco.mj_forward(model, data)
-        applied = np.zeros(nv)
-        applied[[order[names.index(name)] for name in robot.actuated]] = tau[k]
-        applied[[order[names.index(name)] for name in robot.carriers]] = reduced.carrier_force[k]
-        for link, value in wrenches.items():
-            body = model.body(link).id
-            place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ np.array((0.2, 0.3, 0.0))
-            mujoco.mj_applyFT(model, data, np.array(value[:3]), np.array(value[3:]), place, body, applied)
-        mass, J = np.eye(nv), rows[0]
-        for column in mass:
-            mujoco.mj_mulM(model, data, column, column.copy())
-        bias = (rows[1] - rows[2]) @ data.qvel / (2.0 * step)
-        system = np.block([[mass, -J.T], [J, np.zeros((len(J), len(J)))]])
-        moved = np.linalg.lstsq(system, np.concatenate([applied - data.qfrc_bias, -bias]), rcond=1e-12)[0][:nv]
-        np.testing.assert_allclose(moved[order], a[k], atol=1e-6 * np.abs(a[k]).max())  # differences of the rows
 
 
 def test_rotors_obey_lagrange_on_a_spatial_tree() -> None:

@@ -22,7 +22,8 @@ from machines import machine
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics, TorqueSample
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.results import ReducedDynamics, TorqueSample
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics import branch
 from redundancy_pin.kinematics.branch import BranchEnd, Follower, follower
@@ -234,7 +235,7 @@ def test_failures_are_statuses_and_the_next_sample_is_as_before(backend: Backend
         assert dynamics.torque(home, zero, zero, s=end).status is SampleStatus.OK
 
 
-@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
+@ALL
 def test_ranges_of_passive_joints_may_be_counted_from_another_turn(backend: Backend) -> None:
     """The first leg of the 2-RPR swings between 11 and 80 degrees, written a whole turn further."""
     turn = 2.0 * np.pi
@@ -262,7 +263,7 @@ def test_wrenches_and_other_loads_are_felt() -> None:
     assert np.abs(got.tau - dynamics_of("3rrr").torque(home, *rates, *tracks).tau).max() > 0.1
 
 
-@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
+@ALL
 def test_wrenches_that_cancel_count_among_the_forces_that_rounding_is_compared_with(backend: type[Dynamics]) -> None:
     """The legs in one line hold nothing across it: a rest of 1e-4 N of two wrenches of 1e6 N is their rounding."""
     push, still = np.array([0.0, 1e6, 0.0, 0.0, 0.0, 0.0]), np.zeros(2)

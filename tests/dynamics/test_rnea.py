@@ -12,9 +12,6 @@ import pinocchio as pin
 import pytest
 import zoo
 from constrained import constrained
-from examples import examples
-from hypothesis import given
-from hypothesis import strategies as st
 from machines import MASSIVE, machine
 from written import J, urdf_of, write_robot
 
@@ -35,46 +32,9 @@ SIXTH_ORDER = ((1, 0.75), (2, -0.15), (3, 1.0 / 60.0))
 """Weights of the central difference of sixth order: its truncation at STEP is 1e-18 times the seventh derivative."""
 
 
-def rate_of(function: object, t: np.ndarray) -> np.ndarray:
-    """Return the time derivative of function(t) by central differences of sixth order."""
-    return sum(w * (function(t + k * STEP) - function(t - k * STEP)) for k, w in SIXTH_ORDER) / STEP  # type: ignore[operator]
-
-
 def assert_close(actual: np.ndarray, expected: np.ndarray, relative: float) -> None:
     """Compare relative to the largest entry: small entries are differences of large ones."""
     np.testing.assert_allclose(actual, expected, rtol=0.0, atol=relative * np.abs(expected).max())
-
-
-@examples(6)
-@given(name=st.sampled_from(ROBOTS), seed=st.integers(0, 2**16))
-def test_power_of_all_actuators_is_the_rate_of_energy(name: str, seed: int) -> None:
-    robot = machine(name)
-    dynamics, motion = RneaDynamics(robot), zoo.smooth_motion(robot, seed)
-    t = np.linspace(0.0, 1.0, 5)
-    reduced = dynamics.reduce(motion.at(t), zoo.carriers_at(robot, t, seed))
-    platform, carriers = motion.at(t), zoo.carriers_at(robot, t, seed)
-    power = (reduced.f * platform.xd).sum(axis=1) + (reduced.carrier_force * carriers.sd).sum(axis=1)
-    rate = rate_of(lambda at: dynamics.along(motion.at(at)).energy(zoo.carriers_at(robot, at, seed)), t)
-    # energies of up to 1e2 J differenced over STEP: roundings of 1e-11 W against powers of 1 to 1e2 W
-    np.testing.assert_allclose(power, rate, atol=1e-8)
-
-
-@pytest.mark.parametrize("name", ROBOTS)
-def test_acceleration_meets_the_mass_matrix_of_kinetic_energy(name: str) -> None:
-    """f(ẍ + e_j) − f(ẍ) is column j of M, and ½ ẋᵀ M ẋ the kinetic energy: symmetric, positive definite."""
-    robot = machine(name)
-    dynamics, motion = RneaDynamics(robot), zoo.smooth_motion(robot, 5).at(np.linspace(0.0, 1.0, 4))
-
-    def force(xdd: np.ndarray) -> np.ndarray:
-        return dynamics.reduce(PlatformMotion(motion.t, motion.x, motion.xd, xdd)).f
-
-    base = force(motion.xdd)
-    mass = np.stack([force(motion.xdd + unit) - base for unit in np.eye(robot.n)], axis=2)
-    assert_close(mass, mass.transpose(0, 2, 1), 1e-10)
-    assert np.linalg.eigvalsh(mass).min() > 0.0
-    still = PlatformMotion(motion.t, motion.x, np.zeros_like(motion.xd), motion.xdd)
-    kinetic = dynamics.along(motion).energy() - dynamics.along(still).energy()
-    assert_close(0.5 * np.einsum("ni,nij,nj->n", motion.xd, mass, motion.xd), kinetic, 1e-9)
 
 
 def test_armature_about_a_skew_axis_is_in_the_energy() -> None:
@@ -90,36 +50,6 @@ def test_armature_about_a_skew_axis_is_in_the_energy() -> None:
     effort = pin.rnea(model, data, q, still, v) - pin.rnea(model, data, q, still, still)
     along = RneaDynamics(robot).along(PlatformMotion([0.0], q[None], v[None], still[None]))
     assert along.energy()[0] - pin.computePotentialEnergy(model, data, q) == pytest.approx(0.5 * v @ effort, rel=1e-12)
-
-
-def momentum(robot: Robot, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return (N, 6) total linear momentum and angular momentum about the world origin, body by body."""
-    data, result = robot.model.createData(), np.zeros((len(q), 6))
-    for k in range(len(q)):
-        pin.forwardKinematics(robot.model, data, q[k], v[k])
-        for joint in range(1, robot.model.njoints):
-            result[k] += data.oMi[joint].act(robot.model.inertias[joint] * data.v[joint]).vector
-    return result
-
-
-@pytest.mark.parametrize("name", ROBOTS)
-def test_base_wrench_is_weight_less_the_rate_of_momentum(name: str) -> None:
-    robot = machine(name)
-    dynamics, motion = RneaDynamics(robot), zoo.smooth_motion(robot, 6)
-    t = np.linspace(0.0, 1.0, 4)
-    wrench = dynamics.along(motion.at(t)).base_wrench(zoo.carriers_at(robot, t))
-
-    def momentum_at(at: np.ndarray) -> np.ndarray:
-        q, v, _ = dynamics.along(motion.at(at)).tree_motion(zoo.carriers_at(robot, at))
-        return momentum(robot, q, v)
-
-    q, _, _ = dynamics.along(motion.at(t)).tree_motion(zoo.carriers_at(robot, t))
-    mass = sum(inertia.mass for inertia in list(robot.model.inertias)[1:])
-    centre = np.array([pin.centerOfMass(robot.model, robot.model.createData(), q[k]) for k in range(len(t))])
-    weight = np.concatenate(
-        [np.tile(mass * robot.gravity, (len(t), 1)), np.cross(centre, mass * robot.gravity)], axis=1
-    )
-    np.testing.assert_allclose(wrench, weight - rate_of(momentum_at, t), atol=1e-8)
 
 
 @pytest.mark.parametrize("name", ROBOTS)

@@ -25,15 +25,15 @@ from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
+from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.robot.urdf import models_root
-from redundancy_pin.simulation import FeedForward, motion_reference
 from redundancy_pin.status import SampleStatus
 
 AZIMUTHS = 2.0 * np.pi / 3.0 * np.arange(3)
@@ -277,14 +277,6 @@ def _energy(robot: Robot, tree: JointTrajectory) -> Array:
     )
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_accelerations_of_the_actuators_are_those_of_the_closed_form(name: str) -> None:
-    h, tree = 1e-3, lifted(name)
-    places = [actuators(name, motion(name, TIMES + step).x) for step in (-2 * h, -h, 0.0, h, 2 * h)]
-    second = (-places[0] + 16 * places[1] - 30 * places[2] + 16 * places[3] - places[4]) / (12.0 * h * h)
-    near(tree.a[:, robot_of(name).actuated_velocity], second, DIFFERENCES)
-
-
 OTHERS = {
     ("x", "z", "rz"): False,
     ("x", "z", "ry"): True,
@@ -309,16 +301,6 @@ def test_other_coordinates_of_the_same_motion_give_the_same_efforts(axes: tuple[
     expected = rp.distribute(rp.RneaDynamics(robot_of("3prs")).reduce(motion("3prs", SPAN))).tau
     for kind in (rp.RneaDynamics, CompiledDynamics)[: 1 + OTHERS[axes]]:
         near(rp.distribute(kind(robot).reduce(in_coordinates(axes, "3prs", SPAN))).tau, expected, DIFFERENTIATED)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_forward_dynamics_follow_the_motion_that_the_efforts_are_for(name: str) -> None:
-    robot = robot_of(name)
-    points = np.array([[0.0, 0.0, 0.0], [0.04, 0.3, -0.2], [0.0, -0.25, 0.3]]) + np.array([HOME[name], 0.0, 0.0])
-    course = rp.trajectory.from_points(points, [0.0, 0.5, 1.0])
-    run = rp.simulate(robot, FeedForward(motion_reference(robot, course)), dt=0.05)
-    assert run.status.value == "ok"
-    np.testing.assert_allclose(run.x, course.evaluate(np.minimum(run.t, course.duration)).x, atol=1e-6)
 
 
 @pytest.mark.skipif(not COMPILERS, reason="no compiler is installed")

@@ -293,26 +293,6 @@ def test_branches_that_all_but_touch_are_not_taken_for_one_another(samples: int,
     assert np.abs(error).max() < 1e-15 / np.sqrt(excess) * 10.0 + 1e-12
 
 
-def test_efforts_are_continuous_through_the_flat_pose(tmp_path: Path) -> None:
-    """The power of the crank is the rate of the energy, at the pose and beside it."""
-    robot = folding_four_bar(tmp_path, *LINKAGES["folding"])
-    dynamics = RneaDynamics(robot)
-    step = 1e-3
-    offsets = step * np.arange(-4, 5)
-    # crank angle π + 2 (t − 1): the differences around each sample span the pose
-    for t in (1.0, 1.0 + 1e-7, 1.0 + 1e-4, 0.998, 1.3):
-        times = t + offsets
-        size = (len(times), 1)
-        motion = PlatformMotion(
-            times, np.pi + RATE_OF_CRANK * (times - 1.0)[:, None], np.full(size, RATE_OF_CRANK), np.zeros(size)
-        )
-        along = dynamics.along(motion)
-        weights = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0.0, 4 / 5, -1 / 5, 4 / 105, -1 / 280]) / step
-        efforts = distribute(along.reduce())
-        assert efforts.status[4] == SampleStatus.OK
-        assert efforts.tau[4, 0] * RATE_OF_CRANK == pytest.approx(along.energy() @ weights, abs=1e-8)
-
-
 def test_reactions_are_not_made_up_where_the_closures_determine_none(tmp_path: Path) -> None:
     """Flat, the linkage can be prestressed: closure forces are undetermined, and least squares would hide it."""
     robot = folding_four_bar(tmp_path, *LINKAGES["folding"])

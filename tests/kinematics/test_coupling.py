@@ -17,8 +17,6 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.compiled.parameters import topology_of
 from redundancy_pin.errors import DeclarationError, InputError, UnsupportedRobotError
-from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.robot import Coupling, Robot
 from redundancy_pin.simulation import inverse_derivatives
 from redundancy_pin.simulation.forward import ForwardDynamics
@@ -117,35 +115,6 @@ def test_the_multiplier_is_the_effort_of_the_coupling(robot: Robot, motion: rp.P
         gears = tree[4] - tau[k, 1]
         expected = [tree[2], gears, tree[1] + FURTHER * gears]
         np.testing.assert_allclose(reactions.closure_force[k], expected, rtol=1e-10, atol=1e-10)
-
-
-def test_rows_and_their_rates_are_differentials(robot: Robot) -> None:
-    """Away from closed states, at one state and at many."""
-    rng, system, chain = np.random.default_rng(1), ConstraintSystem(robot), ClosedChain(robot)
-    q, v, a = rng.normal(size=(3, 4, 5))
-    state = system.evaluate(q)
-    gears = q[:, 4] - 0.5 - GEAR * q[:, 3] - FURTHER * q[:, 1]
-    expected = np.stack([q[:, 2] - CAM(q[:, 0]), gears, q[:, 1] - 0.1 + 2.0 * q[:, 0]], 1)
-    np.testing.assert_allclose(state.phi, expected, atol=1e-13)
-
-    def quotient(function, h: float = 1e-5) -> Array:
-        return (np.asarray(function(h)) - np.asarray(function(-h))) / (2.0 * h)
-
-    for k in range(len(q)):
-
-        def placed(h: float, k: int = k) -> ClosedChain:
-            chain.update(q[k] + h * v[k] + 0.5 * h * h * a[k], v[k] + h * a[k])
-            return chain
-
-        np.testing.assert_allclose(placed(0.0).residual(), expected[k], atol=1e-13)
-        np.testing.assert_allclose(chain.jacobian(), state.Jc[k], atol=1e-13)
-        np.testing.assert_allclose(chain.full_rate()[: chain.rows] @ v[k], chain.bias(), atol=1e-13)
-        rates = chain.placed.time_derivatives(chain.J, chain.dJ, np.zeros_like(chain.J), v[k], a[k])
-        rates = [part[: chain.rows] for part in rates]
-        np.testing.assert_allclose(rates[0], state.Jc[k], atol=1e-13)
-        np.testing.assert_allclose(rates[1], quotient(lambda h: placed(h).jacobian()), atol=1e-8)
-        np.testing.assert_allclose(rates[2], quotient(lambda h: placed(h).full_rate()[: chain.rows]), atol=1e-8)
-        np.testing.assert_allclose(state.Jc[k] @ v[k], quotient(lambda h: placed(h).residual()), atol=1e-8)
 
 
 def test_forward_dynamics_and_derivatives(robot: Robot) -> None:

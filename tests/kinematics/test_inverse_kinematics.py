@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,9 +18,9 @@ from spatial_chains import CHAINS, chain_of
 
 from redundancy_pin import PlatformMotion, load_robot
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
-from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.assembly import configuration_difference
-from redundancy_pin.kinematics.coordinates import mode_indicator, working_modes
+from redundancy_pin.kinematics.coordinates import mode_indicator
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.types import WorkingModes
@@ -102,45 +101,6 @@ def test_the_platform_is_where_the_motion_says(shipped: Robot) -> None:
         np.testing.assert_allclose(rate[rows], motion.xdd[k], atol=1e-9)
 
 
-def test_columns_of_w_come_in_the_order_of_the_declaration() -> None:
-    """Parsa 2014, eq. 2.4: the rows of the 2-RPR's J = Wᵀ are the directions of leg 1, then of leg 2."""
-    robot = zoo.robot_of("2rpr")
-    assert robot.actuated == ("slide_1", "slide_2")
-    tree = inverse_kinematics(robot, zoo.smooth_motion(robot, 9).at(np.linspace(0.0, 1.0, 5)))
-    for leg, hinge in enumerate(([0.0, 0.0], [0.5, 0.0])):
-        away = tree.motion.x - hinge
-        np.testing.assert_allclose(tree.W[:, :, leg], away / np.linalg.norm(away, axis=1)[:, None], atol=1e-12)
-
-
-@examples(4)
-@given(
-    mode=st.sampled_from(list(itertools.product((1, -1), repeat=3))),
-    radius=st.floats(0.15, 0.35),
-    proximal=st.floats(0.8, 1.2),
-    distal=st.floats(0.8, 1.2),
-)
-def test_every_working_mode_of_the_3rrr_is_the_one_asked_for(
-    mode: tuple[int, ...], radius: float, proximal: float, distal: float
-) -> None:
-    robot = load_robot(
-        "3rrr", working_mode=mode, platform_radius=radius, proximal_length=proximal, distal_length=distal
-    )
-    motion = zoo.smooth_motion(robot, 1, scale=0.7).at(np.linspace(0.0, 1.0, 30))
-    tree = inverse_kinematics(robot, motion)
-    np.testing.assert_array_equal(working_modes(robot, tree.q), np.tile(mode, (30, 1)))
-    # Parsa 2014, eq. 2.22: θ = γ + ψ in mode +1, θ = γ − ψ in mode −1
-    hinges = [np.zeros(2), np.array([np.sqrt(3), 0.0]), np.array([np.sqrt(3) / 2, 1.5])]
-    for leg, hinge in enumerate(hinges):
-        phi = motion.x[:, 2] + (np.pi / 6, 5 * np.pi / 6, -np.pi / 2)[leg]
-        away = motion.x[:, :2] - radius * np.stack([np.cos(phi), np.sin(phi)], axis=1) - hinge
-        rho = np.linalg.norm(away, axis=1)
-        psi = np.arccos((proximal**2 + rho**2 - distal**2) / (2 * proximal * rho))
-        theta = np.arctan2(away[:, 1], away[:, 0]) + mode[leg] * psi
-        column = zoo.index(robot, f"base_{leg + 1}")
-        np.testing.assert_allclose(np.sin(tree.q[:, column] - theta), 0.0, atol=1e-9)
-        np.testing.assert_allclose(np.cos(tree.q[:, column] - theta), 1.0, atol=1e-9)
-
-
 def test_two_sided_samples_differ_in_acceleration_only(shipped: Robot) -> None:
     motion = zoo.smooth_motion(shipped, 12).at(np.linspace(0.0, 1.0, 9))
     order = np.array([0, 1, 2, 3, 4, 4, 5, 6, 7, 8])
@@ -151,15 +111,6 @@ def test_two_sided_samples_differ_in_acceleration_only(shipped: Robot) -> None:
     np.testing.assert_allclose(tree.v[4], tree.v[5], atol=1e-10)
     jump = np.einsum("vi,i->v", tree.gamma[4], np.ones(shipped.n))
     np.testing.assert_allclose(tree.a[5] - tree.a[4], jump, atol=1e-8)
-
-
-@pytest.mark.parametrize("name", zoo.SHIPPED)
-def test_a_motion_in_other_coordinates_is_refused(name: str) -> None:
-    robot = zoo.robot_of(name)
-    wrong = PlatformMotion([0.0], np.zeros((1, robot.n + 1)), np.zeros((1, robot.n + 1)), np.zeros((1, robot.n + 1)))
-    with pytest.raises(InputError, match=f"{robot.name} moves in {robot.n} coordinates") as caught:
-        inverse_kinematics(robot, wrong)
-    assert f"xd, xdd as (N, {robot.n})" in caught.value.remedy
 
 
 # --- motions out of reach, singular, out of the working mode or of the branch of their start
@@ -210,8 +161,8 @@ def test_samples_out_of_reach_are_raised_or_marked_and_the_others_right(
     with pytest.raises(UnreachablePoseError, match=rf"sample {first}\b") as caught:
         inverse_kinematics(robot, motion)
     assert caught.value.details["sample"] == first
-    # the shortage is shared by the rows of closure and target
-    assert 0.3 * excess[first] < caught.value.details["residual"] < 1.1 * excess[first]
+    # the shortage is shared by the rows of closure and target: the largest of four is 1 / (2√2) of it at least
+    assert excess[first] / (2.0 * np.sqrt(2.0)) < caught.value.details["residual"] < 1.1 * excess[first]
     assert "the workspace" in caught.value.remedy
     tree = inverse_kinematics(robot, motion, mark_unreachable=True)
     np.testing.assert_array_equal(tree.reachable, within)

@@ -218,40 +218,10 @@ def in_mjcf(folder: Path, machine: Machine) -> Robot:
     return rp.load_robot(path)
 
 
-def in_sdf(folder: Path, machine: Machine) -> Robot:
-    """Links and hinges are where they are in the model: loops are closed as drawn, and axes out of parallel."""
-    places, parts = {"ground": pin.SE3.Identity()}, []
-    for body in machine.bodies:
-        places[body.name] = places[body.parent] * body.place
-        mass, centre, moments = inertia_of(body)
-        named = "".join(f"<i{at}>{m:.17g}</i{at}>" for at, m in zip(MOMENTS, moments, strict=True))
-        at = f"<pose>{numbers(places[body.name].translation)} {numbers(rpy(places[body.name]))}</pose>"
-        inertial = f"<inertial><pose>{numbers(centre)} 0 0 0</pose><mass>{mass:.17g}</mass><inertia>{named}</inertia>"
-        parts.append(f'<link name="on_{body.name}">{at}{inertial}</inertial></link>')
-        parent, kind = (
-            "world" if body.parent == "ground" else f"on_{body.parent}",
-            "prismatic" if body.slides else "revolute",
-        )
-        parts.append(
-            f'<joint name="{body.name}" type="{kind}"><parent>{parent}</parent><child>on_{body.name}</child>'
-            f"<axis><xyz>{numbers(body.axis)}</xyz><limit><lower>-3</lower><upper>3</upper></limit></axis></joint>"
-        )
-    for k, (one, other) in enumerate(machine.hinges):
-        pose = f"<pose>{numbers(other.place.translation)} {numbers(rpy(other.place))}</pose>"
-        parts.append(
-            f'<joint name="pin_{k}" type="revolute">{pose}<parent>on_{one.body}</parent><child>on_{other.body}</child>'
-            "<axis><xyz>0 0 1</xyz></axis></joint>"
-        )
-    path = folder / "drawn.sdf"
-    path.write_text(f'<sdf version="1.7"><model name="drawn">{"".join(parts)}</model></sdf>')
-    return rp.load_robot(path, actuated=",".join(machine.driven), gravity=GRAVITY)
-
-
 FORMATS: dict[str, Callable[[Path, Machine], Robot]] = {
     "urdf": in_urdf,
     "yaml": in_yaml,
     "mjcf": in_mjcf,
-    "sdf": in_sdf,
 }
 
 
@@ -310,14 +280,14 @@ def test_rounded_placements(name: str, kind: str, tmp_path: Path) -> None:
     assert 2e-3 < caught.value.details["residual"] < 0.1
 
 
-@pytest.mark.parametrize("kind", ["urdf", "yaml", "sdf"])
+@pytest.mark.parametrize("kind", ["urdf", "yaml"])
 def test_what_is_taken_turns_round(kind: str, tmp_path: Path) -> None:
     """A tilted coupler, drawn with its loop open: refused, or the machine of the file with efforts all round."""
     exact = drawn("four_bar")
     x, one = np.linspace(-3.0, 3.0, 13)[:, None], np.ones((13, 1))
     motion, taken, want = rp.PlatformMotion(x[:, 0], x, one, 0.0 * one), [], np.zeros(0)
     for tilt in (0.0, 2e-4, *np.linspace(3e-4, 2e-3, 18), 1e-2):
-        off_by = pin.SE3(pin.exp3(np.array([tilt, 0.0, 0.0 if kind == "sdf" else 0.2])), np.zeros(3))
+        off_by = pin.SE3(pin.exp3(np.array([tilt, 0.0, 0.2])), np.zeros(3))
         bodies = [each._replace(place=each.place * off_by) if each.name == "coupler" else each for each in exact.bodies]
         try:
             robot = FORMATS[kind](tmp_path, exact._replace(bodies=tuple(bodies)))

@@ -12,7 +12,7 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.singular_instant import Evaluate, SingularInstant
 from redundancy_pin.trajectory import reference

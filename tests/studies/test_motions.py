@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import quick_results
 
-from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import CrossCheckError
 from redundancy_pin.motion import PlatformMotion

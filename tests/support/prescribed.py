@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.dynamics.results import ReducedDynamics
 
 
 def reduced(W, f, row_scale=None, column_scale=None, reachable=None):

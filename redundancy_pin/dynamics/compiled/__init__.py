@@ -18,27 +18,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, read_only
-from redundancy_pin.dynamics.base import (
-    AccelerationSample,
-    CarrierDerivatives,
-    CarrierTerms,
-    Dynamics,
-    JointStateSample,
-    OnUnreachable,
-    ReducedDynamics,
-    Sample,
-    SampleArguments,
-    TorqueSample,
-    require_choice,
-    require_matching_carriers,
-)
+from redundancy_pin.dynamics.arguments import OnUnreachable, SampleArguments, require_choice, require_matching_carriers
+from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled.build import Library, bind, define
 from redundancy_pin.dynamics.compiled.carrier_terms import Continued
-from redundancy_pin.dynamics.compiled.closing import ClosedMotion, Start, close_motion, follow_motors, in_threads
-from redundancy_pin.dynamics.compiled.control import AccelerationCall, JointStateCall, SampleCall, TorqueCall
+from redundancy_pin.dynamics.compiled.closing import ClosedMotion, Start, close_motion, in_threads
+from redundancy_pin.dynamics.compiled.control import AccelerationCall, JointStateCall, SampleCall
 from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Partials, motion_partials
 from redundancy_pin.dynamics.compiled.design import Design, design_of
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
+from redundancy_pin.dynamics.results import (
+    AccelerationSample,
+    CarrierDerivatives,
+    CarrierTerms,
+    JointStateSample,
+    ReducedDynamics,
+    Sample,
+    TorqueSample,
+)
 from redundancy_pin.errors import CompilerError, UnsupportedRobotError
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -125,10 +122,10 @@ class CompiledDynamics(Dynamics):
         As ``Dynamics.sample``. Newton's method starts from the sample that this thread asked for before, and from the
         reference where no straight line leads on from there.
         """
-        return self._calls.sample(x, xd, xdd, s, sd, sdd, t)
+        return self._calls.sample.reduced(x, xd, xdd, s, sd, sdd, t)
 
     def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
-        return self._calls.torque(*given, t, start)
+        return self._calls.torque.torque(*given, t, start)
 
     def acceleration(
         self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, carrier_force: ArrayLike = (), *, t: float = 0.0
@@ -195,8 +192,8 @@ class _Calls(threading.local):
         return SampleCall(self._dynamics.robot, self._dynamics.kernel, self._dynamics._follow)
 
     @cached_property
-    def torque(self) -> TorqueCall:
-        return TorqueCall(self._dynamics.robot, self._dynamics.kernel, self._dynamics._follow)
+    def torque(self) -> SampleCall:
+        return SampleCall(self._dynamics.robot, self._dynamics.kernel, self._dynamics._follow)
 
     @cached_property
     def acceleration(self) -> AccelerationCall:
@@ -204,8 +201,7 @@ class _Calls(threading.local):
 
     @cached_property
     def joint_state(self) -> JointStateCall:
-        robot = self._dynamics.robot
-        return JointStateCall(robot, self._dynamics.kernel, partial(follow_motors, robot))
+        return JointStateCall(self._dynamics.robot, self._dynamics.kernel)
 
     @cached_property
     def carrier_terms(self) -> Continued:

@@ -54,23 +54,26 @@ static int next_sample(const double *numbers, Branch *branch, double dt, const d
   return STATUS_OK;
 }
 
-/* A motion of `samples` samples from the configuration q0, closed at x0. Returns STATUS_OK, or why a sample failed. */
+/* A motion of `samples` samples, on the branch of the closed configuration q0. Returns how many samples there are before the first that
+   is not closed, or at a rank loss. */
 int rp_lift(const double *numbers, int samples, const double *t, const double *x, const double *xd, const double *xdd, const double *q0,
-            const double *x0, double *q, double *trig, double *v, double *a, double *gamma, double *W, double *residuals, double *sizes) {
+            double *q, double *trig, double *v, double *a, double *gamma, double *W, double *residuals, double *sizes) {
+  double here[NX];
   Branch branch;
+  long k = 0;
   branch.known = 0;
-  if (!newton(numbers, q0, x0, 0, &branch.pose)) return STATUS_UNREACHABLE;
-  for (long k = 0; k < samples; ++k) {
-    int failed = next_sample(numbers, &branch, k ? t[k] - t[k - 1] : 0.0, x + k * NX, xd + k * N, xdd + k * N, gamma + k * NV * N, W + k * N * M,
-                       sizes + 2 * k);
-    if (failed) return failed;
+  if (pose_at(numbers, q0, 0.0, &branch.pose, here) || !go_far(numbers, &branch.pose, here, x)) return 0;
+  for (; k < samples; ++k) {
+    if (next_sample(numbers, &branch, k ? t[k] - t[k - 1] : 0.0, x + k * NX, xd + k * N, xdd + k * N, gamma + k * NV * N, W + k * N * M,
+                    sizes + 2 * k))
+      break;
     copy(q + k * NQ, branch.pose.q, NQ);
     copy(trig + k * 2 * NT, branch.pose.trig, 2 * NT);
     copy(v + k * NV, branch.v, NV);
     copy(a + k * NV, branch.a, NV);
     residuals[k] = branch.pose.residual * LENGTH;
   }
-  return before_rank_loss(sizes, samples) < samples ? STATUS_TYPE_I : STATUS_OK;
+  return (int)before_rank_loss(sizes, k);
 }
 
 static double distance(const double *a, const double *b, int size) {
@@ -115,15 +118,6 @@ int rp_terms(const double *numbers, int samples, const double *in, int width, do
   copy(near, ends[0], NQ + NX);
   copy(near + NQ + NX, ends[closed > 1], NQ + NX);
   return (int)closed;
-}
-
-/* From a closed configuration to other coordinates; q is replaced. Returns a status. */
-int rp_follow(const double *numbers, double *q, const double *x) {
-  double here[NX];
-  Pose pose;
-  if (pose_at(numbers, q, 0.0, &pose, here) || !go_far(numbers, &pose, here, x)) return STATUS_UNREACHABLE;
-  copy(q, pose.q, NQ);
-  return in_mode(numbers, &pose) ? STATUS_OK : STATUS_BRANCH_LOST;
 }
 
 /* Many samples of one generated function, its arguments and results one after the other in memory. */

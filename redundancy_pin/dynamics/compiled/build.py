@@ -14,7 +14,7 @@ import importlib.resources
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pinocchio as pin
@@ -29,12 +29,12 @@ from redundancy_pin.arrays import (
     Array,
 )
 from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
-from redundancy_pin.dynamics.base import TERMS
 from redundancy_pin.dynamics.compiled.emit import c_functions
 from redundancy_pin.dynamics.compiled.parameters import Topology, parameter_vector, topology_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE
 from redundancy_pin.dynamics.forward import LEAST_INERTIA
+from redundancy_pin.dynamics.results import TERMS
 from redundancy_pin.errors import CompilerError
 from redundancy_pin.machine_code import CACHE, FLAGS, REMEDY, built, digest, loaded
 from redundancy_pin.motion import POSE_TOLERANCE
@@ -131,10 +131,7 @@ def _defined(topology: Topology) -> Definition:
         "base_wrench": (motion, [-ground]),
         "energy": (motion, [energy]),
     }
-    functions = {}
-    for name, (inputs, outputs) in definitions.items():
-        functions[f"rp_{name}"] = function_of(chain, f"rp_{name}", inputs, outputs)
-    return Definition(chain, functions)
+    return Definition(chain, functions_of(chain, definitions))
 
 
 def _carrier_terms(whole: Any, carriers: list[Any], n: int) -> list[Any]:
@@ -164,11 +161,14 @@ def tree_functions(chain: SymbolicChain) -> dict[str, tuple[list[Any], list[Any]
     }
 
 
-def function_of(chain: SymbolicChain, name: str, inputs: list[Any], outputs: list[Any]) -> Any:
-    """Return a casadi Function with dense results; numbers of the robot, where it needs any, are its last argument."""
-    dense = [ca.densify(part) for part in ca.cse(outputs)]
-    depends = ca.depends_on(ca.veccat(*dense), chain.parameters)
-    return ca.Function(name, [*inputs, chain.parameters] if depends else inputs, dense)
+def functions_of(chain: SymbolicChain, definitions: Mapping[str, tuple[list[Any], list[Any]]]) -> dict[str, Any]:
+    """Return casadi Functions with dense results; numbers of the robot, where one needs any, are its last argument."""
+    functions = {}
+    for name, (inputs, outputs) in definitions.items():
+        dense = [ca.densify(part) for part in ca.cse(outputs)]
+        depends = ca.depends_on(ca.veccat(*dense), chain.parameters)
+        functions[f"rp_{name}"] = ca.Function(f"rp_{name}", [*inputs, chain.parameters] if depends else inputs, dense)
+    return functions
 
 
 def bind(function: Any, robot: Robot) -> Any:
@@ -193,20 +193,6 @@ def _missed(chain: SymbolicChain, positions: Any) -> Any:
             c, s = ca.cos(positions[i]), ca.sin(positions[i])
             missed.append(ca.atan2(s * q[0] - c * q[1], c * q[0] + s * q[1]))
     return ca.vertcat(ca.SX(0, 1), *missed)
-
-
-def source(robot: Robot) -> str:
-    """Return the C of a robot as Python calls it: generated functions, sizes and tables, driver, batches."""
-    definition = define(robot)
-    return "\n".join(
-        [
-            driver_source(definition, definition.functions.values()),
-            text_of("sample.c"),
-            carried_table(robot),
-            text_of("calls.c"),
-            text_of("batch.c"),
-        ]
-    )
 
 
 def driver_source(definition: Definition, functions: Iterable[Any], storage: str = "") -> str:
@@ -273,39 +259,20 @@ def text_of(name: str) -> str:
 # --- libraries --------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Recipe:
-    """How a library of a topology is made: there are two of them, for inverse and for forward dynamics.
-
-    Attributes:
-        name: what tells it from others.
-        write: returns its C for a robot.
-        flags: of the compiler.
-    """
-
-    name: str
-    write: Callable[[Robot], str]
-    flags: tuple[str, ...] = FLAGS
-
-
-def library_of(recipe: Recipe, robot: Robot) -> ctypes.CDLL:
-    """Return a compiled library of a robot's topology: the one of this process, that on disk, or a new one.
-
-    Raises:
-        CompilerError: there is no C compiler, or it fails.
-        UnsupportedRobotError: a joint of a type that is not covered.
-    """
-    # another compiler or folder, named while the process runs, counts from then on
-    return _library_of(recipe, topology_of(robot), tuple(map(os.environ.get, ("CC", "PATH", CACHE))))
-
-
 @functools.cache  # nothing that is loaded is ever unloaded
-def _library_of(recipe: Recipe, topology: Topology, _environment: tuple[str | None, ...]) -> ctypes.CDLL:
+def _library_of(
+    kind: str,
+    source: Callable[[Robot], str],
+    flags: tuple[str, ...],
+    topology: Topology,
+    _environment: tuple[str | None, ...],
+) -> ctypes.CDLL:
+    """Return a compiled library of a topology: the one of this process, that on disk, or a new one."""
     library, reason = built(
-        lambda compiler: digest([recipe.name, topology.text, *_sources(), compiler, *recipe.flags]),
-        lambda: recipe.write(topology.robot),
+        lambda compiler: digest([kind, topology.text, *_sources(), compiler, *flags]),
+        lambda: source(topology.robot),
         loaded,
-        recipe.flags,
+        flags,
     )
     if library is None:
         raise CompilerError(f"Generated code cannot be compiled: {reason}.", remedy=REMEDY)
@@ -322,20 +289,29 @@ def _sources() -> tuple[str, ...]:
 
 
 class Code:
-    """A compiled topology with the numbers of one robot.
+    """A compiled topology with the numbers of one robot; a class for each kind of library.
 
     Args:
-        recipe: which of its libraries.
         robot: the robot.
 
     Attributes:
+        flags: of the compiler.
         robot: the robot.
         library: its functions, the same object for all robots of the topology.
         numbers: the address of the robot's ``parameters.parameter_vector``, the first argument of the functions.
+
+    Raises:
+        CompilerError: there is no C compiler, or it fails.
+        UnsupportedRobotError: a joint of a type that is not covered.
     """
 
-    def __init__(self, recipe: Recipe, robot: Robot) -> None:
-        self.robot, self.library = robot, library_of(recipe, robot)
+    flags: ClassVar[tuple[str, ...]] = FLAGS
+
+    def __init__(self, robot: Robot) -> None:
+        # another compiler or folder, named while the process runs, counts from then on
+        environment = tuple(map(os.environ.get, ("CC", "PATH", CACHE)))
+        self.robot = robot
+        self.library = _library_of(type(self).__name__, self.source, self.flags, topology_of(robot), environment)
         self._numbers = parameter_vector(robot)
         self.numbers = address(self._numbers)
 
@@ -343,25 +319,31 @@ class Code:
         """Load it again, from the cache, where it is copied or sent to."""
         return type(self), (self.robot,)
 
+    @staticmethod
+    def source(robot: Robot) -> str:
+        """Return the C of a robot."""
+        raise NotImplementedError
+
+    def call(self, name: str, *arguments: object) -> int:
+        """Call a function of the library with arrays, which must be contiguous, and numbers of ctypes or integers."""
+        given = (address(value) if isinstance(value, np.ndarray) else value for value in arguments)
+        return int(getattr(self.library, name)(self.numbers, *given))
+
 
 def address(array: Array) -> ctypes.c_void_p:
     """Return where an array is in memory; who keeps the address has to keep the array."""
     return ctypes.c_void_p(array.ctypes.data)
 
 
-_INVERSE = Recipe("inverse", source)
-
-
 class Library(Code):
     """Inverse dynamics and the closing of loops of one robot: functions called with arrays."""
 
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(_INVERSE, robot)
-
-    def call(self, name: str, *arguments: object) -> int:
-        """Call a function of the driver with arrays and integers."""
-        given = (address(value) if isinstance(value, np.ndarray) else value for value in arguments)
-        return int(getattr(self.library, name)(self.numbers, *given))
+    @staticmethod
+    def source(robot: Robot) -> str:
+        """Return the C of a robot as Python calls it: generated functions, sizes and tables, driver, batches."""
+        definition = define(robot)
+        driver = driver_source(definition, definition.functions.values())
+        return "\n".join([driver, text_of("sample.c"), carried_table(robot), text_of("calls.c"), text_of("batch.c")])
 
     def map(self, name: str, samples: int, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Evaluate a generated function for many samples, the first axis of all arrays; outputs are written to."""

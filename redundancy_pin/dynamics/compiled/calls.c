@@ -48,7 +48,7 @@ static int close_start(const double *numbers, const double *start, Pose *pose, d
   turns_of(start, trig);
   coordinates_of(numbers, start, trig, x);
   if (!newton_by(1.0, numbers, start, x, 0, pose)) return 0;
-  inverse_sizes(pose, &all, &platform);
+  inverse_sizes(pose->lu, pose->pivot, &all, &platform);
   for (int i = 0; i < NQ; ++i) moved = fmax(moved, fabs(pose->q[i] - start[i]) / POSITION_UNIT[i]);
   return moved * moved * all < 0.25; /* half of the margin, 1 / sqrt(all) */
 }
@@ -56,14 +56,6 @@ static int close_start(const double *numbers, const double *start, Pose *pose, d
 /* What Newton's method solves at a configuration: residual (NP), its matrix, and alignment of hinges, for a goal of coordinates or
    actuators. */
 typedef void Linearise(const double *numbers, const double *q, const double *trig, const double *goal, double *residual, double *K, double *alignment);
-
-/* The square of the Frobenius norm of an inverse. */
-static double inverse_size(const double *lu, const int *pivot) {
-  double X[NP + 1][NP + 1], size = 0.0;
-  invert(lu, pivot, X);
-  for (int i = 0; i < NP; ++i) size += dot(X[i], X[i], NP);
-  return size;
-}
 
 /* Where a goal is looked for by Newton's method with a line search; q is moved. It ends where steps no longer reduce the residual, at
    latest after MOST_SEARCHES. Returns STATUS_UNREACHABLE where the largest residual, without unit, is not zero; STATUS_OK where it is, at
@@ -87,7 +79,12 @@ static int search(const double *numbers, Linearise *linearise, double *q, const 
     solve(K, pivot, step);
     double longest = largest(step, NP);
     int last = longest <= FLOOR; /* a step of rounding is taken whole */
-    int regular = last && inverse_size(K, pivot) * NEAR_SINGULAR * NEAR_SINGULAR < 1.0;
+    int regular = 0;
+    if (last) {
+      double all, platform;
+      inverse_sizes(K, pivot, &all, &platform);
+      regular = all * NEAR_SINGULAR * NEAR_SINGULAR < 1.0;
+    }
     for (share = fmin(1.0, LONGEST / longest); share > SHORTEST; share *= 0.5) {
       for (int i = 0; i < NP; ++i) part[i] = share * step[i] * VELOCITY_UNIT[COLUMNS[i]];
       copy(q, from, NQ);
@@ -256,8 +253,8 @@ static int lost_drives(const double *numbers, const Pose *pose, const double *po
   rows(numbers, pose->q, pose->trig, x, rest, own.lu, alignment);
   driven_rows(numbers, pose->q, pose->trig, position, rest, other.lu, alignment);
   if (decompose(own.lu, own.pivot) == 0.0 || decompose(other.lu, other.pivot) == 0.0) return FOR_KINEMATICS;
-  inverse_sizes(&own, &all, &platform);
-  inverse_sizes(&other, &driven, &platform);
+  inverse_sizes(own.lu, own.pivot, &all, &platform);
+  inverse_sizes(other.lu, other.pivot, &driven, &platform);
   if (may_go_on(&own) || !(driven * SINGULAR_MARGIN * SINGULAR_MARGIN < 1.0)) return FOR_KINEMATICS;
   keep(pose, reached);
   if (2.0 * driven < all) {

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import TERMS, CarrierTerms, terms_along
+from redundancy_pin.dynamics.base import terms_along
 from redundancy_pin.dynamics.compiled.build import NEIGHBOURS
 from redundancy_pin.dynamics.compiled.closing import branch_ends
+from redundancy_pin.dynamics.results import TERMS, CarrierTerms
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Wrench
 from redundancy_pin.robot.checks import is_pose

@@ -25,7 +25,6 @@ from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, invers
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import column_scale, coordinate_unit, row_scale
-from redundancy_pin.status import SampleStatus
 
 _PER_THREAD = 400
 """Samples below which a second thread costs more than it brings."""
@@ -58,35 +57,30 @@ def close_motion(
     Raises:
         RedundancyPinError: what ``kinematics.inverse_kinematics`` raises.
     """
-    samples = len(motion)
-    q0 = _first_configuration(robot, kernel, motion) if start is None else None
-    if q0 is not None:
-        # a motion keeps the layout it was given in, say of a transposed array; C reads row by row
-        given = [np.ascontiguousarray(part) for part in (motion.t, motion.x, motion.xd, motion.xdd)]
-        nq, nv, n, m = robot.model.nq, robot.model.nv, robot.n, robot.m
-        shapes = ((nq,), (2 * len(turning_joints(robot)),), (nv,), (nv,), (nv, n), (n, m), (), (2,))
-        arrays = [np.empty((samples, *shape)) for shape in shapes]
-        if kernel.call("rp_lift", samples, *given, q0, given[1], *arrays) == SampleStatus.OK:
-            q, trig, v, a, gamma, W, residual, sizes = map(read_only, arrays)
-            everywhere = read_only(np.ones(samples, dtype=bool))
-            tree = JointTrajectory(robot, motion, q, v, a, gamma, W, residual, everywhere, sizes[:, 0])
-            return ClosedMotion(tree, trig)
+    lifted = None
+    if start is None:
+        lifted = _lift(robot, kernel, motion, robot.q_reference)
+        if lifted is None and len(motion) > 1:  # its beginning may be on no straight way from the reference
+            first = inverse_kinematics(robot, motion[:1], mark_unreachable=True)
+            lifted = _lift(robot, kernel, motion, first.q[0]) if first.reachable[0] else None
+    if lifted is not None:
+        return lifted
     tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=_state_of(robot, start))
     return ClosedMotion(tree, read_only(trig_at(robot, tree.q)))
 
 
-def _first_configuration(robot: Robot, kernel: Library, motion: PlatformMotion) -> Array | None:
-    """Return a configuration (nq,) closed at the first sample: straight from the reference; otherwise by kinematics.
-
-    None where a motion of one sample, or a first sample out of reach, is for kinematics as a whole.
-    """
-    q = np.array(robot.q_reference)
-    if kernel.call("rp_follow", q, np.ascontiguousarray(motion.x[0])) == SampleStatus.OK:
-        return q
-    if len(motion) == 1:
+def _lift(robot: Robot, kernel: Library, motion: PlatformMotion, q0: Array) -> ClosedMotion | None:
+    """Return the tree's motion on the branch of a closed configuration (nq,); None where the driver loses it."""
+    # a motion keeps the layout it was given in, say of a transposed array; C reads row by row
+    given = [np.ascontiguousarray(part) for part in (motion.t, motion.x, motion.xd, motion.xdd)]
+    samples, nq, nv, n, m = len(motion), robot.model.nq, robot.model.nv, robot.n, robot.m
+    shapes = ((nq,), (2 * len(turning_joints(robot)),), (nv,), (nv,), (nv, n), (n, m), (), (2,))
+    arrays = [np.empty((samples, *shape)) for shape in shapes]
+    if kernel.call("rp_lift", samples, *given, np.array(q0), *arrays) < samples:
         return None
-    tree = inverse_kinematics(robot, motion[:1], mark_unreachable=True)
-    return np.array(tree.q[0]) if tree.reachable[0] else None
+    q, trig, v, a, gamma, W, residual, sizes = map(read_only, arrays)
+    everywhere = read_only(np.ones(samples, dtype=bool))
+    return ClosedMotion(JointTrajectory(robot, motion, q, v, a, gamma, W, residual, everywhere, sizes[:, 0]), trig)
 
 
 def _state_of(robot: Robot, start: Start | None) -> ClosedState | None:

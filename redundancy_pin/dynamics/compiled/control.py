@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, SINGULAR_MARGIN, Array, numbers
-from redundancy_pin.dynamics.base import AccelerationSample, JointStateSample, ReducedDynamics, Sample, TorqueSample
 from redundancy_pin.dynamics.compiled.build import Code
-from redundancy_pin.dynamics.compiled.closing import ClosedMotion, Driven, Start
+from redundancy_pin.dynamics.compiled.closing import ClosedMotion, Start, follow_motors
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
 from redundancy_pin.dynamics.compiled.parameters import layout_of, parameter_vector, places_of, topology_of
 from redundancy_pin.dynamics.one_sample import REFUSALS, Refusal, is_finite, refusal_of, solve_sample, without_answer
+from redundancy_pin.dynamics.results import AccelerationSample, JointStateSample, ReducedDynamics, Sample, TorqueSample
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_poses
 from redundancy_pin.robot import Robot, Wrench
@@ -205,7 +205,9 @@ class _Branch:
 
 
 class SampleCall:
-    """W, f and carrier forces of one sample; see ``Dynamics.sample``.
+    """One sample of a motion: its torques, or W, f and carrier forces; see ``Dynamics.torque`` and ``Dynamics.sample``.
+
+    What the C does not close is for kinematics: they pass a bifurcation of the branch, or say what is wrong.
 
     Args:
         robot: the robot.
@@ -221,24 +223,21 @@ class SampleCall:
         sizes = (self._shape, (n,), (n,), (k,), (k,), (k,), (wrenches,))
         self._arguments = _Arguments(dict(zip(("x", "xd", "xdd", "s", "sd", "sdd", "wrench"), sizes, strict=True)))
         self._x, self._xd, self._xdd, self._s, self._sd, self._sdd, _ = self._arguments.views
-        self._branch = _Branch(robot, code)
+        self._branch = branch = _Branch(robot, code)
         ends = np.cumsum([n * m, n, k, 2, m, 1]).tolist()
         self._results = np.zeros(ends[-1])
         self._W, self._f, self._force, _, self._tau, _ = np.split(self._results, ends[:-1])
         places = ends[2], ends[2] + 1, ends[4]
         self._residual, self._serial, self._margin = (partial(self._results.item, at) for at in places)
         self._ranges = range_table(robot)
-        self._call = self._function(code)
-
-    def _function(self, code: Code, name: str = "rp_reach", *more: Any) -> Callable[[], int]:
-        branch = self._branch
         given = branch.numbers, branch.state, branch.reached, self._arguments.memory, self._results
-        return _caller(code, name, *given, *more)
+        self._call_reach = _caller(code, "rp_reach", *given)
+        self._call_torque = _caller(code, "rp_torque", *given, self._ranges, len(self._ranges)) if m else None
 
-    def __call__(self, x: Any, xd: Any, xdd: Any, s: Any, sd: Any, sdd: Any, t: float) -> Sample:
-        """Return W (n, m), f (n,) and carrier forces (k,)."""
+    def reduced(self, x: Any, xd: Any, xdd: Any, s: Any, sd: Any, sdd: Any, t: float) -> Sample:
+        """Return W (n, m), f (n,) and carrier forces (k,); see ``Dynamics.sample``."""
         self._take(x, xd, xdd, s, sd, sdd, t)
-        if not self._call():
+        if not self._call_reach():
             return Sample(self._W.reshape(len(self._f), -1).copy(), self._f.copy(), self._force.copy())
         (tree, _), reduced = self._followed(self._motion(t), None)
         self._branch.state[:-1], self._branch.state[-1] = tree.q[0], 0.0
@@ -246,6 +245,50 @@ class SampleCall:
         if not all(np.isfinite(part).all() for part in sample):
             raise InputError("The efforts of the sample are not finite.", remedy="Its rates are too large.")
         return sample
+
+    def torque(
+        self, x: Any, xd: Any, xdd: Any, s: Any, sd: Any, sdd: Any, t: float, start: ArrayLike | None
+    ) -> TorqueSample:
+        """Return the torques; see ``Dynamics.torque``."""
+        if self._call_torque is None:
+            raise InputError(f"{self._robot.name} has no main actuators.", remedy="Declare which joints are actuated.")
+        self._take(x, xd, xdd, s, sd, sdd, t)
+        saved = None if start is None else self._branch.save()
+        if start is not None and not self._branch.begin(start):
+            return without_answer(self._robot, SampleStatus.NOT_FINITE)
+        code = self._call_torque()
+        if code not in _WITHOUT_RESULT:
+            self._branch.known = True
+            margins = self._residual(), self._serial()
+            return TorqueSample(self._tau.copy(), _STATUSES[code], self._margin(), self._force.copy(), *margins)
+        solved = False
+        try:
+            answer = self._answer(code, t)
+            solved = int(answer.status) not in _WITHOUT_RESULT
+        finally:
+            if saved is not None and not solved:
+                self._branch.restore(saved)
+        return answer
+
+    def _answer(self, code: int, t: float) -> TorqueSample:
+        """Return a sample that the C does not close; raises InputError where it is no sample."""
+        if code == SampleStatus.NOT_FINITE:
+            return without_answer(self._robot, SampleStatus.NOT_FINITE)
+        if self._pose:
+            require_poses(self._arguments.parts[0].reshape(1, *self._shape))
+        if code == SampleStatus.UNREACHABLE and self._branch.known:
+            return without_answer(self._robot, SampleStatus.UNREACHABLE, self._residual())
+        motion, robot, branch = self._motion(t), self._robot, self._branch
+        found = branch.by_kinematics(self._arguments.parts[0], partial(self._followed, motion))
+        if isinstance(found, Refusal):
+            return without_answer(robot, *found)
+        (tree, _), reduced = found
+        x, xd, xdd, s, sd, sdd, _ = self._arguments.parts
+        margin, residual = float(tree.serial_margin_bound[0]), float(tree.residual[0])
+        branch.move(tree.q[0], tree.state(0), margin)
+        sample = Sample(reduced.W[0], reduced.f[0], reduced.carrier_force[0])
+        given = x.reshape(self._shape), xd, xdd, s, sd, sdd
+        return solve_sample(robot, sample, tree.q[0], (residual, margin), given, t)
 
     def _take(self, x: Any, xd: Any, xdd: Any, s: Any, sd: Any, sdd: Any, t: float) -> None:
         """Copy the arguments to where the C reads them, and evaluate wrenches; what is not finite the C finds.
@@ -292,77 +335,18 @@ class SampleCall:
         return self._follow(motion, carriers, start)
 
 
-class TorqueCall(SampleCall):
-    """Torques of one sample; arguments as of ``SampleCall``; see ``Dynamics.torque``.
-
-    What the C does not close is for kinematics: they pass a bifurcation of the branch, or say what is wrong.
-    """
-
-    def __init__(self, robot: Robot, code: Code, follow: Follow) -> None:
-        if not robot.m:
-            raise InputError(f"{robot.name} has no main actuators.", remedy="Declare which joints are actuated.")
-        super().__init__(robot, code, follow)
-
-    def _function(self, code: Code, name: str = "rp_torque", *more: Any) -> Callable[[], int]:
-        return super()._function(code, name, self._ranges, len(self._ranges), *more)
-
-    def __call__(  # type: ignore[override]
-        self, x: Any, xd: Any, xdd: Any, s: Any, sd: Any, sdd: Any, t: float, start: ArrayLike | None
-    ) -> TorqueSample:
-        """Return the torques; see ``Dynamics.torque``."""
-        self._take(x, xd, xdd, s, sd, sdd, t)
-        saved = None if start is None else self._branch.save()
-        if start is not None and not self._branch.begin(start):
-            return without_answer(self._robot, SampleStatus.NOT_FINITE)
-        code = self._call()
-        if code not in _WITHOUT_RESULT:
-            self._branch.known = True
-            margins = self._residual(), self._serial()
-            return TorqueSample(self._tau.copy(), _STATUSES[code], self._margin(), self._force.copy(), *margins)
-        solved = False
-        try:
-            answer = self._answer(code, t)
-            solved = int(answer.status) not in _WITHOUT_RESULT
-        finally:
-            if saved is not None and not solved:
-                self._branch.restore(saved)
-        return answer
-
-    def _answer(self, code: int, t: float) -> TorqueSample:
-        """Return a sample that the C does not close; raises InputError where it is no sample."""
-        if code == SampleStatus.NOT_FINITE:
-            return without_answer(self._robot, SampleStatus.NOT_FINITE)
-        if self._pose:
-            require_poses(self._arguments.parts[0].reshape(1, *self._shape))
-        if code == SampleStatus.UNREACHABLE and self._branch.known:
-            return without_answer(self._robot, SampleStatus.UNREACHABLE, self._residual())
-        motion, robot, branch = self._motion(t), self._robot, self._branch
-        found = branch.by_kinematics(self._arguments.parts[0], partial(self._followed, motion))
-        if isinstance(found, Refusal):
-            return without_answer(robot, *found)
-        (tree, _), reduced = found
-        x, xd, xdd, s, sd, sdd, _ = self._arguments.parts
-        margin, residual = float(tree.serial_margin_bound[0]), float(tree.residual[0])
-        branch.move(tree.q[0], tree.state(0), margin)
-        sample = Sample(reduced.W[0], reduced.f[0], reduced.carrier_force[0])
-        given = x.reshape(self._shape), xd, xdd, s, sd, sdd
-        return solve_sample(robot, sample, tree.q[0], (residual, margin), given, t)
-
-
 class JointStateCall:
     """All joints and the platform from the main actuators; see ``Dynamics.joint_state``.
 
     Args:
         robot: the robot.
         code: its compiled dynamics.
-        follow: solves positions and velocities (m,) of the main actuators by kinematics, on the branch of a start;
-            called where the C does not get there.
 
     Raises:
         UnsupportedRobotError: fewer main actuators than degrees of freedom.
     """
 
-    def __init__(self, robot: Robot, code: Code, follow: Callable[[Start | None, Array, Array], Driven]) -> None:
+    def __init__(self, robot: Robot, code: Code) -> None:
         few = too_few_motors(robot)
         if few:
             raise UnsupportedRobotError(few, remedy="Determine the other degrees of freedom by other means.")
@@ -375,7 +359,7 @@ class JointStateCall:
         self._results = np.zeros(self._ends[-1] + 2)
         branch = self._branch = _Branch(robot, code)
         branch.known = True  # that of the reference
-        self._robot, self._follow, self._ranges = robot, follow, range_table(robot)
+        self._robot, self._ranges = robot, range_table(robot)
         self._own_coordinates = robot.platform is None and set(robot.independent_joints) == set(robot.actuated)
         given = branch.numbers, branch.state, branch.reached, self._arguments.memory, self._results
         self._call = _caller(code, "rp_joint_state", *given, self._ranges, len(self._ranges))
@@ -421,7 +405,9 @@ class JointStateCall:
         position, velocity, s, sd = self._arguments.parts
         if not is_finite((position, velocity), 0.0):
             return int(SampleStatus.NOT_FINITE)
-        found = branch.by_kinematics(position, lambda start: self._follow(start, position.copy(), velocity.copy()))
+        found = branch.by_kinematics(
+            position, lambda start: follow_motors(robot, start, position.copy(), velocity.copy())
+        )
         if isinstance(found, Refusal):
             self._results[-1] = found.residual
             # K of the actuators as coordinates is singular: they do not determine the platform's

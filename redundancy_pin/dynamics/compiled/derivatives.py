@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, blocks, checked, read_only
-from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.compiled.design import Design
 from redundancy_pin.dynamics.compiled.parameters import Topology, parameter_vector, topology_of, trig_at
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, Distribution, distribute
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.robot import Robot
 from redundancy_pin.spectrum import scaled
 

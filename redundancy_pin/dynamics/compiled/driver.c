@@ -212,10 +212,10 @@ static int in_mode(const double *numbers, const Pose *pose) {
   return 1;
 }
 
-/* Squares of the Frobenius norms of the inverse of a pose's K, and of its columns that belong to the platform. */
-static void inverse_sizes(const Pose *pose, double *all, double *platform) {
+/* Squares of the Frobenius norms of the inverse of a decomposed matrix, and of its columns that belong to the platform. */
+static void inverse_sizes(const double *lu, const int *pivot, double *all, double *platform) {
   double X[NP + 1][NP + 1];
-  invert(pose->lu, pose->pivot, X);
+  invert(lu, pivot, X);
   *all = *platform = 0.0;
   for (int i = 0; i < NP; ++i) {
     *all += dot(X[i], X[i], NP);
@@ -227,7 +227,7 @@ static void inverse_sizes(const Pose *pose, double *all, double *platform) {
    on beyond. At a leg that is stretched, or folded, it has one, and the branch ends. */
 static int may_go_on(const Pose *pose) {
   double all, platform;
-  inverse_sizes(pose, &all, &platform);
+  inverse_sizes(pose->lu, pose->pivot, &all, &platform);
   return !(platform > PART * PART * all);
 }
 

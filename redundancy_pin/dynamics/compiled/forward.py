@@ -16,10 +16,8 @@ import numpy as np
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.compiled.build import (
     Code,
-    Recipe,
-    address,
     carried_table,
-    function_of,
+    functions_of,
     tables,
     text_of,
     tree_functions,
@@ -36,82 +34,72 @@ from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.loads import of_kind
 
 
-def source(robot: Robot) -> str:
-    """Return the C of a robot's forward dynamics."""
-    chain = SymbolicChain(robot)
-    pose, motion = [chain.q, chain.trig], [chain.q, chain.trig, chain.v]
-    efforts = chain.efforts[0]
-    at_rest = ca.substitute(efforts, chain.a, ca.SX.zeros(chain.model.nv))
-    mass = ca.jacobian(efforts, chain.a)
-    definitions: dict[str, tuple[list[Any], list[Any]]] = {
-        "equations": ([*motion, chain.external], [ca.vec(chain.K), chain.bias, ca.vec(mass), at_rest]),
-        "closures": (pose, [chain.closure_rows, ca.vec(chain.K)]),
-        "rates": ([chain.q, chain.v], [chain.configuration_rate]),
-        **tree_functions(chain),
-        "platform": (motion, [chain.coordinates, chain.row_rates[chain.row_rates.numel() - robot.n :]]),
-    }
-    functions = [function_of(chain, f"rp_{name}", inputs, outputs) for name, (inputs, outputs) in definitions.items()]
-    text = [*tables(chain, functions, "static"), carried_table(robot)]
-    return "\n".join([*text, text_of("forward.c"), DECLARATIONS, text_of("integration.c")])
-
-
-# as fast with -O2, and compiled in half the time
-_FORWARD = Recipe("forward", source, tuple("-O2" if flag == "-O3" else flag for flag in FLAGS))
-
-
 class CompiledForward(Code):
     """Forward dynamics of one robot; ``dynamics.forward.ForwardKernel``.
 
     Args:
         robot: the robot.
-
-    Raises:
-        CompilerError: there is no C compiler, or it fails.
     """
 
+    # as fast with -O2, and compiled in half the time
+    flags = tuple("-O2" if flag == "-O3" else flag for flag in FLAGS)
+
     def __init__(self, robot: Robot) -> None:
-        super().__init__(_FORWARD, robot)
-        self._accelerations, self._projected = self.library.rp_accelerations, self.library.rp_projected
+        super().__init__(robot)
         model = robot.model
-        self._nq, self._nv, self._p = model.nq, model.nv, model.nv - robot.k
+        self._nv, self._p = model.nv, model.nv - robot.k
         self._rows = self._p - robot.n
+
+    @staticmethod
+    def source(robot: Robot) -> str:
+        """Return the C of a robot's forward dynamics."""
+        chain = SymbolicChain(robot)
+        pose, motion = [chain.q, chain.trig], [chain.q, chain.trig, chain.v]
+        efforts = chain.efforts[0]
+        at_rest = ca.substitute(efforts, chain.a, ca.SX.zeros(chain.model.nv))
+        mass = ca.jacobian(efforts, chain.a)
+        definitions: dict[str, tuple[list[Any], list[Any]]] = {
+            "equations": ([*motion, chain.external], [ca.vec(chain.K), chain.bias, ca.vec(mass), at_rest]),
+            "closures": (pose, [chain.closure_rows, ca.vec(chain.K)]),
+            "rates": ([chain.q, chain.v], [chain.configuration_rate]),
+            **tree_functions(chain),
+            "platform": (motion, [chain.coordinates, chain.row_rates[chain.row_rates.numel() - robot.n :]]),
+        }
+        text = [*tables(chain, functions_of(chain, definitions).values(), "static"), carried_table(robot)]
+        return "\n".join([*text, text_of("forward.c"), DECLARATIONS, text_of("integration.c")])
 
     def accelerations(
         self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None
     ) -> Accelerations | None:
         """Return what acts at a closed state; see ``ForwardKernel.accelerations``."""
         a, closure_force, missing = np.empty(self._nv), np.empty(self._rows), np.empty(self._nv)
-        # held by name until the call is over: ctypes keeps addresses only
-        inputs = [np.ascontiguousarray(part, dtype=np.float64) for part in (q, v, force)]
-        carriers = None if carrier_acceleration is None else np.ascontiguousarray(carrier_acceleration, np.float64)
-        given = None if carriers is None else address(carriers)
-        results = (address(part) for part in (a, closure_force, missing))
-        status = self._accelerations(self.numbers, *(address(part) for part in inputs), None, given, *results)
+        given = [None if part is None else _plain(part) for part in (q, v, force, None, carrier_acceleration)]
+        status = self.call("rp_accelerations", *given, a, closure_force, missing)
         return None if status else Accelerations(a, closure_force, missing)
 
     def project(self, y: Array, tolerance: float) -> tuple[Array, float, float] | None:
         """Return the closed state nearest to y (nq + nv,), the residual before and after, m; None if none is."""
-        state, gaps = np.array(y, dtype=np.float64), np.zeros(2)
-        if not self._projected(self.numbers, address(state), ctypes.c_double(tolerance), address(gaps)):
+        state, residuals = np.array(y, dtype=np.float64), np.zeros(2)
+        if not self.call("rp_projected", state, ctypes.c_double(tolerance), residuals):
             return None
-        return state, float(gaps[0]), float(gaps[1])
+        return state, float(residuals[0]), float(residuals[1])
 
     def equations(self, q: Array, v: Array) -> Equations:
         """Return the equations of the tree and its closures at a state."""
         p, nv = self._p, self._nv
-        K, bias, mass, effort = self._read(self.library.rp_dynamics, q, v, (p * p, p, nv * nv, nv))
+        K, bias, mass, effort = self._read("rp_dynamics", q, v, (p * p, p, nv * nv, nv))
         return Equations(K.reshape(p, p, order="F"), bias, mass.reshape(nv, nv, order="F"), effort)
 
     def platform(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return coordinates of the platform and their rates at a state; see ``ForwardKernel.platform``."""
         n, shape = self.robot.n, (4, 4) if is_pose(self.robot) else (self.robot.n,)
-        x, xd = self._read(self.library.rp_platform_at, q, v, (math.prod(shape), n))
+        x, xd = self._read("rp_platform_at", q, v, (math.prod(shape), n))
         return x.reshape(shape), xd
 
-    def _read(self, function: Any, q: Array, v: Array, sizes: tuple[int, ...]) -> list[Array]:
+    def _read(self, name: str, q: Array, v: Array, sizes: tuple[int, ...]) -> list[Array]:
         """Return results of these sizes at a state; side by side in memory, for an address takes a microsecond."""
-        state, out = np.concatenate((q, v)), np.empty(sum(sizes))
-        function(self.numbers, address(state), address(out))
+        out = np.empty(sum(sizes))
+        self.call(name, np.concatenate((q, v)), out)
         ends = accumulate(sizes)
         return [out[end - size : end] for size, end in zip(sizes, ends, strict=True)]
 
@@ -141,3 +129,7 @@ class CompiledForward(Code):
     def integration(self, rules: Rules) -> CompiledIntegration:
         """Return an integration by these rules."""
         return CompiledIntegration(self, rules)
+
+
+def _plain(array: Array) -> Array:
+    return np.ascontiguousarray(array, dtype=np.float64)

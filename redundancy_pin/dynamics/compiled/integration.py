@@ -13,73 +13,84 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.compiled.build import Code, address
-from redundancy_pin.dynamics.compiled.layout import Member, Struct
+from redundancy_pin.dynamics.compiled.build import Code
 from redundancy_pin.dynamics.forward import Loads, Progress, ProgressT, Rules
 
 _LOADS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
-_KINDS = {"float": "double", "float | None": "double", "int": "long"}
-"""By the annotation of a number in ``dynamics.forward`` its type in C."""
+_INT, _LONG, _DOUBLE, _POINTER = ctypes.c_int, ctypes.c_long, ctypes.c_double, ctypes.c_void_p
+
+_IN_C = {_INT: "int ", _LONG: "long ", _DOUBLE: "double ", _POINTER: "double *", _LOADS: "Loads "}
+"""By type of ctypes that of C."""
+
+_NUMBERS = {"float": _DOUBLE, "float | None": _DOUBLE, "int": _LONG}
+"""By the annotation of a number in ``dynamics.forward`` its type."""
 
 
-def _shared(of: type) -> tuple[Member, ...]:
-    """Return the numbers of a dataclass of ``dynamics.forward`` as members; that module documents them."""
+def _shared(of: type) -> dict[str, Any]:
+    """Return the type of each number of a dataclass of ``dynamics.forward`` by name; that module documents them."""
     known = ((field.name, str(field.type)) for field in fields(of))
-    return tuple(Member(name, _KINDS[kind], f"of {of.__name__}") for name, kind in known if kind in _KINDS)
+    return {name: _NUMBERS[kind] for name, kind in known if kind in _NUMBERS}
 
 
-_RUN = Struct(
-    "Run",
-    (
-        Member("stages", "int", "of an explicit Runge-Kutta method, by the tables of scipy"),
-        Member("rows", "int", "stages, the rates at the end, and stages of the interpolant"),
-        Member("powers", "int", "of the share of a step in the interpolant, without the constant"),
-        Member("A", "const double *", "(rows, rows); the row after the stages leads to the end of a step"),
-        Member("C", "const double *", "(rows)"),
-        Member("E", "const double *", "(stages + 1) of the error estimate"),
-        Member("E3", "const double *", "(stages + 1) of a second one, of DOP853; zeros otherwise"),
-        Member("P", "const double *", "(rows, powers) interpolant"),
-        Member("rates", "double *", "(rows, NQ + NV), memory for the rates of the stages"),
-        Member("order", "double", "of its error estimate"),
-        Member("atol", "const double *", "(NQ + NV) absolute tolerance of a step"),
-        Member("prescribed", "int", "whether the carriers' motion is given, by loads"),
-        Member("pieces", "int", "of the polynomials of efforts"),
-        Member("terms", "int", "of each of them"),
-        Member("edges", "const double *", "(pieces + 1) their ends, s"),
-        Member("coefficients", "const double *", "(pieces, terms, M + NK), N and N m"),
-        Member("limits", "const double *", "(M + NK) largest main efforts and carrier forces, N and N m"),
-        Member("loads", "Loads", "what acts in place of the polynomials, or null"),
-        Member("breaks", "int", "times at which efforts jump or kink, the last one being the end"),
-        Member("samples", "int", "times to record"),
-        Member("break_at", "const double *", "(breaks) s"),
-        Member("sample_at", "const double *", "(samples) s"),
-        Member("recorded", "double *", "(samples, NQ + NV) states"),
-        Member("stops", "int", "of joints at their limits"),
-        Member("stop", "const double *", "(stops, 4) index in q and in v, side, bound"),
-        Member("mode", "const double *", "(LEGS) signs of the working mode"),
-        *_shared(Rules),
-    ),
-    {"Loads": _LOADS},
-)
+class _Run(ctypes.Structure):
+    """What stays the same in an integration; pointers are to doubles, SI units."""
 
-_PROGRESS = Struct(
-    "Progress",
-    (
-        *_shared(Progress),
-        Member("sample", "int", "the next one to record"),
-        Member("piece", "int", "of the polynomials, at the last evaluation"),
-        Member("next_break", "int", "the next one"),
-    ),
-)
+    _fields_ = (
+        ("stages", _INT),  # of an explicit Runge-Kutta method, by the tables of scipy
+        ("rows", _INT),  # stages, the rates at the end, and stages of the interpolant
+        ("powers", _INT),  # of the share of a step in the interpolant, without the constant
+        ("A", _POINTER),  # (rows, rows); the row after the stages leads to the end of a step
+        ("C", _POINTER),  # (rows)
+        ("E", _POINTER),  # (stages + 1) of the error estimate
+        ("E3", _POINTER),  # (stages + 1) of a second one, of DOP853; zeros otherwise
+        ("P", _POINTER),  # (rows, powers) interpolant
+        ("rates", _POINTER),  # (rows, NQ + NV), memory for the rates of the stages
+        ("order", _DOUBLE),  # of its error estimate
+        ("atol", _POINTER),  # (NQ + NV) absolute tolerance of a step
+        ("prescribed", _INT),  # whether the carriers' motion is given, by loads
+        ("pieces", _INT),  # of the polynomials of efforts
+        ("terms", _INT),  # of each of them
+        ("edges", _POINTER),  # (pieces + 1) their ends, s
+        ("coefficients", _POINTER),  # (pieces, terms, M + NK), N and N m
+        ("limits", _POINTER),  # (M + NK) largest main efforts and carrier forces, N and N m
+        ("loads", _LOADS),  # what acts in place of the polynomials, or null
+        ("breaks", _INT),  # times at which efforts jump or kink, the last one being the end
+        ("samples", _INT),  # times to record
+        ("break_at", _POINTER),  # (breaks) s
+        ("sample_at", _POINTER),  # (samples) s
+        ("recorded", _POINTER),  # (samples, NQ + NV) states
+        ("stops", _INT),  # of joints at their limits
+        ("stop", _POINTER),  # (stops, 4) index in q and in v, side, bound
+        ("mode", _POINTER),  # (LEGS) signs of the working mode
+        *_shared(Rules).items(),
+    )
+
+
+class _Progress(ctypes.Structure):
+    """How far an integration is."""
+
+    _fields_ = (
+        *_shared(Progress).items(),
+        ("sample", _INT),  # the next one to record
+        ("piece", _INT),  # of the polynomials, at the last evaluation
+        ("next_break", _INT),  # the next one
+    )
+
+
+def _declared(name: str, of: type[ctypes.Structure]) -> str:
+    """Return the declaration in C of a structure."""
+    members = "".join(f"  {_IN_C[kind]}{member};\n" for member, kind, *_ in of._fields_)
+    return f"typedef struct {{\n{members}}} {name};"
+
 
 DECLARATIONS = "\n".join(
     [
         "/* Generalised forces (NV) at a state, then s, s', s'' (NK each) where the carriers' motion is given;",
         "   returns 0 where there are none. */",
         "typedef int (*Loads)(double t, const double *q, const double *v, double *out);",
-        _RUN.declaration,
-        _PROGRESS.declaration,
+        _declared("Run", _Run),
+        _declared("Progress", _Progress),
     ]
 )
 
@@ -97,12 +108,12 @@ class CompiledIntegration:
         robot, self._nq, self._nv = forward.robot, forward.robot.model.nq, forward.robot.model.nv
         self._width = self._nq + self._nv
         self._recorded = np.full((len(rules.grid), self._width), np.nan)
-        self._run, self._at = _RUN.type(), _PROGRESS.type()
+        self._run, self._at = _Run(), _Progress()
         self._kept: dict[str, Any] = {}
         self._views: dict[int, Array] = {}
         self._set_method(rules.method)
-        for member in _shared(Rules):
-            setattr(self._run, member.name, getattr(rules, member.name))
+        for name in _shared(Rules):
+            setattr(self._run, name, getattr(rules, name))
         self._point("atol", rules.atol)
         self._point("sample_at", rules.grid)
         self._point("break_at", rules.breaks)
@@ -127,25 +138,18 @@ class CompiledIntegration:
     def advance(self, progress: ProgressT, recorded: int, end: float, most: int) -> tuple[ProgressT, Array, bool]:
         """Take ordinary steps; see ``dynamics.forward.Integration.advance``."""
         at, breaks = self._at, self._rules.breaks
-        shared = [member.name for member in _shared(Progress)]
-        for name in shared:
+        for name in _shared(Progress):
             setattr(at, name, getattr(progress, name))
         at.sample = recorded
         at.next_break = int(np.searchsorted(breaks, progress.t, side="right"))
         self._run.breaks = int(np.searchsorted(breaks, end, side="right"))
         y, values = np.array(progress.y, dtype=np.float64), np.array(progress.values, dtype=np.float64)
-        status = self._forward.library.rp_advance(
-            self._forward.numbers,
-            ctypes.byref(self._run),
-            ctypes.byref(at),
-            address(y),
-            address(values),
-            ctypes.c_long(most),
-        )
+        given = ctypes.byref(self._run), ctypes.byref(at), y, values, ctypes.c_long(most)
+        status = self._forward.call("rp_advance", *given)
         if self._error is not None:
             error, self._error = self._error, None
             raise error
-        progress = replace(progress, y=y, values=values, **{name: getattr(at, name) for name in shared})
+        progress = replace(progress, y=y, values=values, **{name: getattr(at, name) for name in _shared(Progress)})
         return progress, self._recorded[recorded : at.sample].copy(), bool(status)
 
     def _act(self, edges: Array, coefficients: Array) -> None:

@@ -9,17 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, read_only
-from redundancy_pin.dynamics.base import (
-    CarrierDerivatives,
-    Dynamics,
-    OnUnreachable,
-    ReducedDynamics,
-    SampleArguments,
-    TorqueSample,
-    require_choice,
-    require_matching_carriers,
-)
-from redundancy_pin.dynamics.one_sample import solve_batch_of_one
+from redundancy_pin.dynamics.arguments import OnUnreachable, SampleArguments, require_choice, require_matching_carriers
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.one_sample import solve_reduced_sample
+from redundancy_pin.dynamics.results import CarrierDerivatives, ReducedDynamics, TorqueSample
 from redundancy_pin.dynamics.virtual_work.loads import add_loads, require_known
 from redundancy_pin.dynamics.virtual_work.mechanism import Carriers, Efforts
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrLegs, ThreeRrrMechanism
@@ -101,7 +94,7 @@ class VirtualWork(Dynamics):
                 "One sample does not tell the whole turns of a hinge, which its spring counts.",
                 remedy="Use reduce and distribute for whole motions, or RneaDynamics.",
             )
-        return solve_batch_of_one(self, given, t)
+        return solve_reduced_sample(self, given, t)
 
 
 class VirtualWorkAlongMotion(Frozen):

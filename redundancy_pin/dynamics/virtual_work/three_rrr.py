@@ -18,7 +18,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, SINGULAR_MARGIN, Array, BoolArray, Frozen, read_only
 from redundancy_pin.dynamics.virtual_work.mechanism import (
     Body,
     Carriers,
@@ -34,10 +34,6 @@ from redundancy_pin.dynamics.virtual_work.mechanism import (
 
 CORNER_ANGLES = (np.pi / 6.0, 5.0 * np.pi / 6.0, -np.pi / 2.0)
 """φ - α of each leg, rad (Parsa 2014, eq. 2.20)."""
-
-LEAST_ELBOW_SINE = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
-"""Sine of the elbow below which a pose counts as a type I singularity: a leg that close to straight or folded becomes
-exactly so when its end moves by the closure tolerance (relative to the links), so the mode is no longer resolved."""
 
 
 @dataclass(frozen=True)
@@ -181,7 +177,7 @@ class ThreeRrrMechanism:
         *("platform_arm", "platform", "corner_2", "corner_3"),
     )
     joints = (*(f"{kind}_{leg}" for kind in ("base", "elbow", "carrier") for leg in (1, 2, 3)), "wrist_1")
-    least_margin = LEAST_ELBOW_SINE
+    least_margin = SINGULAR_MARGIN  # of the sine of the elbow
 
     def __init__(self, parameters: Parameters, gravity: Sequence[float], mode: Sequence[int]) -> None:
         self.geometry = geometry = ThreeRrrGeometry.from_parameters(parameters)

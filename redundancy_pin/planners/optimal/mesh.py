@@ -9,7 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only, require_few
-from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.spectrum import scaled, spectrum_of
 from redundancy_pin.trajectory.continuous_motion import Motion

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import (

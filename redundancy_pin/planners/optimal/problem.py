@@ -22,12 +22,7 @@ from functools import partial
 import numpy as np
 
 from redundancy_pin.arrays import Array, read_only
-from redundancy_pin.dynamics.base import (
-    Dynamics,
-    DynamicsAlongMotion,
-    ExactAlongMotion,
-    has_expressions,
-)
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ExactAlongMotion, has_expressions
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.base_wrench import BASE, BaseWrench, base_wrench, load_at_rest

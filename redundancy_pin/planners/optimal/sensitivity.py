@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 
 from redundancy_pin.arrays import Array, read_only
-from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.limits import ResolvedLimits

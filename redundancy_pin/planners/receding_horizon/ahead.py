@@ -24,7 +24,8 @@ from numpy.polynomial.chebyshev import chebder, chebroots, chebval
 from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
-from redundancy_pin.dynamics.base import CarrierTerms, Dynamics
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.results import CarrierTerms
 from redundancy_pin.planners.carrier_model import carrier_model, terms, turning_model
 from redundancy_pin.planners.receding_horizon.preview import SAME, Preview
 from redundancy_pin.robot.scales import turning_velocities

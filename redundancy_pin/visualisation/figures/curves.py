@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, assign, require_type, runs
-from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import InputError, PlanFileError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.plan import Plan
