@@ -439,7 +439,7 @@ def closed_around(system: ConstraintSystem) -> Assembly:
 def typical_margin(system: ConstraintSystem) -> float:
     """Return the largest singularity margin at the reference and some configurations around it; 1 where all are 0."""
     around = closed_around(system)
-    return float(around.projection.margin.max(where=around.closed, initial=0.0)) or 1.0
+    return float(around.margin.max(where=around.closed, initial=0.0)) or 1.0
 
 
 def near_rank_loss(system: ConstraintSystem) -> float:

@@ -47,7 +47,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, IntArray, blocks
+from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array, IntArray, blocks
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics import angles
 from redundancy_pin.kinematics.coupling import CouplingRows
@@ -329,12 +329,6 @@ class ConstraintState:
     def placement(self, frame: str) -> tuple[Array, Array]:
         """Return rotation (3, 3, N) and origin (3, N), m, of a frame of a closure or the platform, by its name."""
         return frame_placement(self.vectors, self.frames[frame])
-
-    def overwrite(self, at: IntArray, other: ConstraintState, chosen: BoolArray) -> None:
-        """Replace the configurations ``at`` by chosen ones of another evaluation of the same system."""
-        self.vectors[:, at] = other.vectors[:, chosen]
-        for name in ("q", "columns", "phi", "Jc", "Jx", "K"):
-            getattr(self, name)[at] = getattr(other, name)[chosen]
 
 
 class ConstraintSystem:

@@ -18,7 +18,7 @@ from redundancy_pin.errors import (
     WorkingModeError,
     millimetres,
 )
-from redundancy_pin.kinematics.assembly import assemble, project
+from redundancy_pin.kinematics.assembly import assemble, evaluated
 from redundancy_pin.kinematics.branch import (
     SAME_CONFIGURATION,
     BranchEnd,
@@ -375,7 +375,7 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0, *, time
             return reached
     q, residual, in_mode = multistart(system, home.q, x)
     closed, pose = residual < closure_tolerance(robot), f"The pose {where}, x = {np.round(x, 6).tolist()},"
-    if closed and project(system, system.evaluate(q[None])).margin[0] == 0.0:
+    if closed and evaluated(system, q[None]).margin[0] == 0.0:
         raise SingularPoseError(
             f"{pose} is a type I singularity: the platform velocity does not determine the joint velocities.",
             remedy=_STAY_AWAY,

@@ -10,7 +10,7 @@ import numpy as np
 
 from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.assembly import assemble, project, smallest_independent
+from redundancy_pin.kinematics.assembly import assemble, evaluated, smallest_independent
 from redundancy_pin.kinematics.closure import ConstraintSystem, dependent_row_residual, with_all_rows
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.build import with_pointer
@@ -123,7 +123,7 @@ def check_reference_rank(system: ConstraintSystem, *, dropped: bool = False) -> 
 
 def _margin(system: ConstraintSystem) -> float:
     """Return how far the reference is from a type I singularity, 0 at one."""
-    return float(project(system, system.evaluate(np.array(system.robot.q_reference)[None])).margin[0])
+    return float(evaluated(system, np.array(system.robot.q_reference)[None]).margin[0])
 
 
 def fitting_axes(robot: Robot, count: int) -> tuple[str, ...] | None:
@@ -136,7 +136,7 @@ def fitting_axes(robot: Robot, count: int) -> tuple[str, ...] | None:
         other = replace(platform, axes=axes)
         system = ConstraintSystem(replace(robot, platform=with_pointer(other, robot.model, q[0])))
         if len(system.rows) + count == len(system.pose_columns):
-            margins[axes] = float(project(system, system.evaluate(q)).margin[0])
+            margins[axes] = float(evaluated(system, q).margin[0])
     best = max(margins, key=lambda axes: round(margins[axes], 9), default=())
     return best if margins.get(best, 0.0) > RANK_TOLERANCE else None
 
@@ -151,7 +151,7 @@ def other_axes(robot: Robot) -> str:
     """Return a remedy where the platform's axes do not determine the configuration near the guess, else nothing."""
     system = ConstraintSystem(robot)
     near = assemble(system, np.array(robot.q_reference)[None])
-    if robot.platform is None or not near.closed[0] or near.projection.margin[0] > RANK_TOLERANCE:
+    if robot.platform is None or not near.closed[0] or near.margin[0] > RANK_TOLERANCE:
         return ""
     return _fitting(replace(robot, q_reference=near.q[0]), robot.n).strip()
 

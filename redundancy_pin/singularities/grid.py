@@ -18,7 +18,7 @@ from scipy.ndimage import label
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, IntArray, blocks, checked, frozen, read_only, whole
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.assembly import assemble, configuration_difference, project
+from redundancy_pin.kinematics.assembly import assemble, configuration_difference, evaluated
 from redundancy_pin.kinematics.closed_state import are_continuous
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, moved
@@ -248,7 +248,7 @@ class _Flood:
         x, q = place.x[None], place.q[None]
         away = np.abs(difference(self.robot, nodes, np.repeat(x, len(nodes), axis=0))).max(axis=1)
         nearest = np.argsort(away, kind="stable")[: 4 ** len(shape)]
-        gamma = project(self.system, self.system.evaluate(q)).gamma
+        gamma = evaluated(self.system, q).gamma
         self._spread(self._step(nearest, *(part.repeat(len(nearest), axis=0) for part in (x, q, gamma))))
         self.start = int(nearest[self.solved[nearest].argmax()])
 

@@ -146,7 +146,7 @@ def test_small_margins_throughout_are_no_rank_loss():
     """Cassie's margin is 3.6e-4 everywhere, an order below that of a rank loss."""
     path = CASSIE / "cassie_reduced.sdf"
     system = constraint_system(load_robot(path, actuated=cassie.drives(path)))
-    margin = closed_around(system).projection.margin
+    margin = closed_around(system).margin
     assert margin.max() < 0.2 * NEAR_RANK_LOSS
     assert near_rank_loss(system) < 0.2 * margin.min()
     five_bar = load_robot("five_bar")

@@ -16,7 +16,7 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, SINGULAR_MARGIN
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import (
     assemble,
-    project,
+    evaluated,
 )
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.closing import close, closed_near
@@ -299,9 +299,8 @@ def test_gamma_obeys_the_closures_and_the_margin_is_a_lower_bound(shipped: Robot
     """Of the smallest singular value of K with velocities in m/s on both sides, within the root of its size."""
     system = zoo.system_of(shipped)
     assert not any(row.rotation for row in system.rows)  # closure rows are in m/s already
-    state = system.evaluate(zoo.random_closed(shipped, 11, 8))
-    projection = project(system, state)
-    gamma = projection.gamma
+    closed = evaluated(system, zoo.random_closed(shipped, 11, 8))
+    state, gamma = closed.state, closed.gamma
     np.testing.assert_allclose(state.Jc @ gamma, 0.0, atol=INVERSION)
     np.testing.assert_allclose(
         state.Jx @ gamma, np.broadcast_to(np.eye(shipped.n), (8, shipped.n, shipped.n)), atol=INVERSION
@@ -309,8 +308,8 @@ def test_gamma_obeys_the_closures_and_the_margin_is_a_lower_bound(shipped: Robot
     assert np.all(gamma[:, shipped.carrier_velocity] == 0.0)
     k = np.concatenate([state.Jc, state.Jx * row_scale(shipped)[:, None]], axis=1) / velocity_scale(shipped)
     smallest = np.linalg.svd(k[:, :, system.pose_columns], compute_uv=False).min(axis=1)
-    assert np.all(projection.margin <= smallest * (1 + INVERSION))
-    assert np.all(projection.margin >= smallest / np.sqrt(len(system.pose_columns)) * (1 - INVERSION))
+    assert np.all(closed.margin <= smallest * (1 + INVERSION))
+    assert np.all(closed.margin >= smallest / np.sqrt(len(system.pose_columns)) * (1 - INVERSION))
 
 
 def five_bar_at(height: float) -> np.ndarray:
@@ -334,13 +333,13 @@ def test_margin_is_zero_and_gamma_nan_at_a_type_i_singularity(name: str) -> None
         singular[0, slides], singular[0, swivel] = (0.0, 0.5), np.pi
     assert np.abs(system.evaluate(singular).phi).max() < 1e-11
     both = np.concatenate([singular, robot.q_reference[None]])
-    projection = project(system, system.evaluate(both))
-    assert projection.margin[0] == 0.0
-    assert np.isnan(projection.gamma[0, system.pose_columns]).all()
+    known = evaluated(system, both)
+    assert known.margin[0] == 0.0
+    assert np.isnan(known.gamma[0, system.pose_columns]).all()
     # the regular neighbour in the same stack is untouched
-    alone = project(system, system.evaluate(robot.q_reference[None]))
-    np.testing.assert_allclose(projection.gamma[1], alone.gamma[0], rtol=1e-12)
-    assert projection.margin[1] == pytest.approx(alone.margin[0])
+    alone = evaluated(system, robot.q_reference[None])
+    np.testing.assert_allclose(known.gamma[1], alone.gamma[0], rtol=1e-12)
+    assert known.margin[1] == pytest.approx(alone.margin[0])
 
 
 @pytest.mark.parametrize("exponent", [-9.0, -6.5, -3.0])
@@ -349,8 +348,8 @@ def test_margin_falls_with_the_square_root_of_the_way_to_full_stretch(exponent: 
     robot = zoo.robot_of("five_bar")
     system = zoo.system_of(robot)
     height = 10.0**exponent
-    margin = project(system, system.evaluate(five_bar_at(height))).margin[0]
-    unit = project(system, system.evaluate(five_bar_at(1e-4))).margin[0] / 1e-2
+    margin = evaluated(system, five_bar_at(height)).margin[0]
+    unit = evaluated(system, five_bar_at(1e-4)).margin[0] / 1e-2
     # the next term of the expansion is of the relative order √height; Newton leaves the elbow off by 1e-11 / √height
     assert margin == pytest.approx(unit * np.sqrt(height), rel=0.1)
     assert margin > SINGULAR_MARGIN
