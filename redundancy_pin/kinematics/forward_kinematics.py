@@ -28,7 +28,6 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.errors import InputError, SingularPoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import (
-    assemble,
     closed_configurations,
     configuration_difference,
     integrate,
@@ -37,7 +36,7 @@ from redundancy_pin.kinematics.branch import ClosedState, follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, joint_position, with_independent_joints
-from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.kinematics.inverse_kinematics import MotionSolution
 from redundancy_pin.kinematics.mobility import independent_columns
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import PlatformMotion
@@ -176,29 +175,30 @@ def _follow(
     """Return where motors at ``given`` positions, rates and accelerations (N, m) take the platform from q0 (nq,)."""
     robot, u = system.robot, given[0]
     driven = with_independent_joints(robot, tuple(robot.actuated[j] for j in followed))
-    first = _start(driven, q0)
-    still = np.zeros(driven.n)  # the motors come from the start
-    before = first.x, still, still
-    path = [np.concatenate([start[None], part[:, followed]]) for start, part in zip(before, given, strict=True)]
-    _require_few_turns(driven, path[0])
-    motion = PlatformMotion(np.arange(len(path[0])), *path, check_rates=False)
-    tree = inverse_kinematics(driven, motion, mark_unreachable=True, start=first)
-    # what inverse_kinematics takes up again behind a sample without a state is on any branch
-    end = int(np.logical_and.accumulate(tree.reachable).sum()) - 1
-    q, v, a, gamma, residual, margin = (
-        np.array(part[1:]) for part in (tree.q, tree.v, tree.a, tree.gamma, tree.residual, tree.serial_margin_bound)
-    )
+    own, first = follower(driven), _start(driven, q0)
+    _require_few_turns(driven, np.concatenate([first.x[None], u[:, followed]]))
+    motion = PlatformMotion(np.arange(len(u)), *(part[:, followed] for part in given), check_rates=False)
+    solution = MotionSolution(own, motion)
+    end, last, _ = solution.follow(range(len(u)), first)
+    tree = solution.trajectory()
+    q, residual, margin = (np.array(part) for part in (tree.q, tree.residual, tree.serial_margin_bound))
     status: IntArray = np.full(len(u), int(SampleStatus.OK))
-    for part in (q, v, a, gamma):
-        part[end:] = np.nan
     if end < len(u):
-        rest = q[end:], status[end:], residual[end:], margin[end:]
-        _mark_rest(constraint_system(driven), path[0][end:], tree.q[end], rest)
+        ends = own.diagnose_each([last] * (len(u) - end), motion.x[end:])
+        passed = int(np.argmin([*(one.is_singular for one in ends), False]))  # only until another sample is met
+        for k in range(passed):
+            q[end + k] = ends[k].q
+        far = are_too_many_turns_away(driven, last.x, motion.x[end:])
+        unreachable = ~far & [one.status is SampleStatus.UNREACHABLE for one in ends]
+        status[end:] = np.where(unreachable, SampleStatus.UNREACHABLE, SampleStatus.BRANCH_LOST)
+        status[end : end + passed] = SampleStatus.TYPE_II
+        residual[end:] = np.where(far, np.nan, [one.residual for one in ends])
+        margin[end:] = np.where([one.is_singular for one in ends], 0.0, np.nan)
     x = _platform_at(system, q)
-    xd, xdd = platform_rates(robot, q, v, a)
+    xd, xdd = platform_rates(robot, q, tree.v, tree.a)
     J = np.full((len(u), robot.n, robot.m), np.nan)
     J[:end] = 0.0
-    J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
+    J[:end, :, followed] = system.evaluate(q[:end]).Jx @ tree.gamma[:end]
     residual = np.where(np.isnan(residual), np.nan, np.fmax(residual, motor_mismatch(system, followed, u, q)))
     contradicted = (status == SampleStatus.OK) & (residual > AGREEMENT_TOLERANCE * robot.characteristic_length)
     status[contradicted] = SampleStatus.UNREACHABLE
@@ -248,18 +248,6 @@ def motor_mismatch(system: ConstraintSystem, followed: IntArray, u: Array, q: Ar
     off = [(u[:, j] - joint_position(robot, robot.actuated[j], q)) / unit[j] for j in left]
     worst: Array = np.abs(np.reshape(off, (len(off), len(u)))).max(axis=0, initial=0.0)
     return worst * robot.characteristic_length
-
-
-def _mark_rest(motors: ConstraintSystem, u: Array, last: Array, rest: tuple[Array, IntArray, Array, Array]) -> None:
-    """Write q, status, residual and margin of samples beyond the end of the branch, ``last`` (nq,), at u[0]."""
-    far = are_too_many_turns_away(motors.robot, u[0], u[1:])
-    solved = assemble(motors, np.repeat(last[None], len(far), axis=0), u[1:])
-    passed = int(np.argmin(np.append(solved.singular, False)))  # only until another sample is met the branch is known
-    q, status, residual, margin = rest
-    status[:] = np.where(solved.closed | far, SampleStatus.BRANCH_LOST, SampleStatus.UNREACHABLE)
-    status[:passed] = SampleStatus.TYPE_II
-    residual[:], margin[:] = np.where(far, np.nan, solved.residual), np.where(solved.singular, 0.0, np.nan)
-    q[:passed] = solved.q[:passed]
 
 
 def _require_few_turns(driven: Robot, u: Array) -> None:

@@ -137,24 +137,32 @@ def inverse_kinematics(
     """
     robot = as_robot(robot)
     require_matching(robot, motion)
-    solution = _Solution(follower(robot), motion, positions_only, progress)
+    solution = MotionSolution(follower(robot), motion, positions_only, progress)
     if mark_unreachable:
         solution.solve_what_is_reachable(start)
     else:
-        first = solution.first(0, start)
-        solution.follow(range(len(motion)), first)
+        count, _, end = solution.follow(range(len(motion)), solution.first(0, start))
+        if end is not None:
+            raise _error(end, motion, count)
     return solution.trajectory()
 
 
-class _Solution:
-    """The samples of a motion in progress, NaN where there is no configuration."""
+class MotionSolution:
+    """The samples of a motion in progress, NaN where there is no configuration.
+
+    Args:
+        follower: of the robot.
+        motion: N samples of the independent coordinates.
+        positions_only: as of ``inverse_kinematics``.
+        progress: as of ``inverse_kinematics``.
+    """
 
     def __init__(
         self,
         follower: Follower,
         motion: PlatformMotion,
-        positions_only: bool,
-        progress: Callable[[int, int], None] | None,
+        positions_only: bool = False,
+        progress: Callable[[int, int], None] | None = None,
     ) -> None:
         self._follower, self._motion, self._positions_only = follower, motion, positions_only
         self._progress, self._done = progress, 0
@@ -183,19 +191,24 @@ class _Solution:
             sample=sample,
         )
 
-    def follow(self, order: Sequence[int], here: ClosedState) -> None:
-        """Solve samples one after the other from a state of the branch; raises where it ends."""
-        for k in order:
+    def follow(self, order: Sequence[int], here: ClosedState) -> tuple[int, ClosedState, BranchEnd | None]:
+        """Solve samples one after the other from a state of the branch.
+
+        Returns:
+            How many have a state, the last of the states, and why the branch ends there; None where all have one.
+        """
+        for count, k in enumerate(order):
             reached = self._solved(here, k)
             if isinstance(reached, BranchEnd):
-                raise _error(reached, self._motion, k)
+                return count, here, reached
             here = self._keep(k, reached)
+        return len(order), here, None
 
     def solve_what_is_reachable(self, start: ClosedState | None) -> None:
         """Solve samples from the first reachable one on, then from there back; others stay NaN."""
         found = self._first_reachable(start)
         if found is None:
-            self._measure(range(len(self._motion)), np.array(self._follower.robot.q_reference))
+            self._mark(range(len(self._motion)), self._follower.home)
             return
         first, state = found
         self._follow_marked(range(first, len(self._motion)), state)
@@ -217,42 +230,29 @@ class _Solution:
 
     def _follow_marked(self, order: range, here: ClosedState) -> None:
         """Follow samples; behind those without a state the motion is reacquired, and followed back where it goes on."""
-        k = 0
-        while k < len(order):
-            reached = self._solved(here, order[k])
-            if isinstance(reached, Rates):
-                here = self._keep(order[k], reached)
-                k += 1
-                continue
-            if reached.reason:  # nothing is known there; the samples behind it may be near again
-                self._measure(order[k : k + 1], here.q)
-                k += 1
+        while order:
+            count, here, end = self.follow(order, here)
+            order = order[count:]
+            if end is None:
+                return
+            if end.reason:  # nothing is known there; the samples behind it may be near again
+                self._mark(order[:1], here)
+                order = order[1:]
                 continue
             # the chains may close on another branch at once: the sample is marked all the same
-            near = _reacquire(self._follower, self._motion.x[order[k:]], here.q)
-            found = len(order) if near is None else max(k + near[0], k + 1)
-            joined = 0 if near is None else self._follow_back(order[k + 1 : found], near[1])
-            self._measure(order[k : found - joined], here.q)
+            near = _reacquire(self._follower, self._motion.x[order], here.q)
+            skipped = len(order) if near is None else max(near[0], 1)
+            joined = 0 if near is None else self.follow(order[1:skipped][::-1], near[1])[0]
+            self._mark(order[: skipped - joined], here)
             if near is None:
                 return
-            here, k = near[1], found
+            here, order = near[1], order[skipped:]
 
-    def _follow_back(self, order: range, here: ClosedState) -> int:
-        """Follow samples from the last one towards the first; return how many are on the branch of a state."""
-        for count, sample in enumerate(reversed(order)):
-            reached = self._solved(here, sample)
-            if isinstance(reached, BranchEnd):
-                return count
-            here = self._keep(sample, reached)
-        return len(order)
-
-    def _measure(self, samples: Sequence[int], q: Array) -> None:
-        """Note the closure residual that is left at samples without a state."""
-        if len(samples):
-            at = np.array(samples)
-            self.residual[at] = assemble(
-                self._follower.system, np.repeat(q[None], len(at), axis=0), self._motion.x[at]
-            ).residual
+    def _mark(self, samples: range, last: ClosedState) -> None:
+        """Note the closure residual at samples that the branch of a state does not lead to."""
+        if samples:
+            ends = self._follower.diagnose_each([last] * len(samples), self._motion.x[samples])
+            self.residual[samples] = [end.residual for end in ends]
 
     def _solved(self, here: ClosedState, k: int) -> Rates | BranchEnd:
         """Return a sample on the branch of a state, or why it is not there."""

@@ -226,10 +226,10 @@ class FollowedPath:
         beyond = [k for k, t in enumerate(new) if not self._keep(t, self._follower.step(self._nearest(t), x[k]))]
         if beyond:
             # many instants next to a touch at once; all else is for the follower, one after the other
-            ends = assemble(self.system, np.array([self._nearest(new[k]).q for k in beyond]), x[beyond])
-            for k, q, is_singular in zip(beyond, ends.q, ends.singular, strict=True):
-                if is_singular:
-                    self._q[new[k]] = q
+            ends = self._follower.diagnose_each([self._nearest(new[k]) for k in beyond], x[beyond])
+            for k, end in zip(beyond, ends, strict=True):
+                if end.is_singular:
+                    self._q[new[k]] = end.q
                 else:
                     self._advance(new[k], x[k])
         return np.array([self._q[t] for t in times.tolist()])
