@@ -129,23 +129,22 @@ def assemble(
     guess: Array,
     target: Array | None = None,
     *,
-    rank_tolerance: float | None = None,
+    rank_tolerance: float = RANK_TOLERANCE,
     max_iterations: int = 50,
     shortest_step: float = 2.0**-12,
 ) -> Assembly:
     """Close the chains from guesses, by Newton with a backtracking line search on the residual.
 
-    With ``target`` the independent coordinates are prescribed, without it the smallest change of the guess closes the
-    loops. Steps of a rank-deficient system are of least norm. Nothing is returned silently unclosed: see ``closed`` and
-    ``residual``.
+    With ``target`` the independent coordinates are prescribed. Without it the smallest change of the guess closes the
+    loops: rows may depend on one another, and frames may be turned far away from each other. Steps of a rank-deficient
+    system are of least norm. Nothing is returned silently unclosed: see ``closed`` and ``residual``.
 
     Args:
         system: closures and platform rows of the robot.
         guess: (N, nq) starting configurations; carriers keep their positions.
         target: (N, n) coordinates or (N, 4, 4) poses, base frame, m and rad.
-        rank_tolerance: as of ``newton``, of loops alone: rows may depend on one another, and frames may be turned far
-            away from each other. The configuration closes the independent combinations, and the residual says how far
-            it misses the others.
+        rank_tolerance: as of ``newton``, without a target. The configuration closes the independent combinations of
+            rows, and the residual says how far it misses the others.
         max_iterations: as of ``newton``.
         shortest_step: as of ``newton``.
 
@@ -153,30 +152,29 @@ def assemble(
         >>> assemble(system, np.array(robot.q_reference)[None], x[None]).closed
         array([ True])
     """
-    far = rank_tolerance is not None
 
     def linearise(q: Array, samples: IntArray) -> tuple[Array, Array]:
-        return _equations(system, system.evaluate(q), None if target is None else target[samples], far)
+        return _equations(system, system.evaluate(q), None if target is None else target[samples])
 
     q = newton(
         system,
         linearise,
         guess,
-        rank_tolerance=rank_tolerance,
+        rank_tolerance=rank_tolerance if target is None else None,
         max_iterations=max_iterations,
         shortest_step=shortest_step,
     )
-    return evaluated(system, q, target, far=far)
+    return evaluated(system, q, target)
 
 
-def evaluated(system: ConstraintSystem, q: Array, target: Array | None = None, *, far: bool = False) -> Assembly:
-    """Return configurations (N, nq) as they are; arguments as of ``assemble``, ``far``: as ``rank_tolerance`` says.
+def evaluated(system: ConstraintSystem, q: Array, target: Array | None = None) -> Assembly:
+    """Return configurations (N, nq) as they are; arguments as of ``assemble``.
 
     Example:
         >>> evaluated(system, np.array(robot.q_reference)[None]).margin
     """
     state = system.evaluate(q)
-    worst = np.abs(_equations(system, state, target, far)[0]).max(axis=1, initial=0.0)
+    worst = np.abs(_equations(system, state, target)[0]).max(axis=1, initial=0.0)
     misaligned = system.misalignment(state)
     worst = np.where(misaligned > TURNED_OVER, np.maximum(worst, misaligned), worst)
     return Assembly(system, state, system.robot.characteristic_length * worst)
@@ -285,18 +283,13 @@ def configuration_difference(model: pin.Model, q0: Array, q1: Array) -> Array:
     return np.array([pin.difference(model, a, b) for a, b in zip(q0, q1, strict=True)]).reshape(len(q0), model.nv)
 
 
-def _equations(
-    system: ConstraintSystem, state: ConstraintState, target: Array | None, far: bool
-) -> tuple[Array, Array]:
-    """Return what is missing to closed loops, and to a target (N, n), as ``newton`` takes it.
-
-    ``far``: angles in place of sines, where frames are turned far away from each other.
-    """
+def _equations(system: ConstraintSystem, state: ConstraintState, target: Array | None) -> tuple[Array, Array]:
+    """Return what is missing to closed loops, and to a target (N, n), as ``newton`` takes it."""
     if target is not None:
         off = difference(system.robot, target, coordinates(system.robot, state))
         residual, rows = np.concatenate([-state.phi, off], axis=1), state.K
     else:
-        phi, jacobian = system.rotation_rows(state) if far else (state.phi, state.Jc)
+        phi, jacobian = system.rotation_rows(state)
         residual, rows = -phi, jacobian[:, :, system.pose_columns]
     return residual / system.equation_unit[: residual.shape[1]], system.relative(rows)
 

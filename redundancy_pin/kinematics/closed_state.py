@@ -32,8 +32,9 @@ from redundancy_pin.arrays import (
     read_only,
 )
 from redundancy_pin.errors import SingularPoseError
-from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, Assembly, assemble, inverses
+from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, Assembly, evaluated, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
+from redundancy_pin.kinematics.closing import closed_neighbours
 from redundancy_pin.kinematics.closure import (
     ConstraintSystem,
     constraint_system,
@@ -42,7 +43,6 @@ from redundancy_pin.kinematics.closure import (
     with_all_rows,
 )
 from redundancy_pin.kinematics.coordinates import coordinates, difference
-from redundancy_pin.kinematics.mobility import free_motions
 from redundancy_pin.kinematics.multistart import SEED, draw_starts
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.checks import is_pose
@@ -51,10 +51,9 @@ from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
 NEAR_RANK_LOSS = 3e-3
 """Singularity margin below which rounding shows: velocities lose 1e-16 / margin², accelerations 1e-16 / margin³."""
 
-_SAMPLES, _SPREAD = 8, 0.4
-"""Random configurations around the reference that determine the typical margin, of each kind, and how far the joints
-are from it at most, before closing, rad or characteristic lengths."""
-
+_AROUND = 16, 0.4
+"""Number of configurations around the reference that determine the typical margin, and how far from it the joint is
+that moves farthest, before closing, rad or characteristic lengths."""
 
 CONTINUITY = 0.25
 """Acceptance threshold: relative error of the trapezoidal prediction (Γ₀ + Γ₁) Δx / 2. Halving a step reduces the error
@@ -346,7 +345,7 @@ class LoopSolver:
         bias = chain.full_bias() / self.system.equation_unit
         if state.basis is not None:
             every = self._every.all_rows
-            every_bias = every.bias_at(every.place(chain.vectors, state.q), chain.J, chain.dJ, v)
+            every_bias = every.place(chain.vectors, state.q).jacobian_rate(chain.J, chain.dJ, v).dot(v)
             bias[: self.rank] = (every_bias[: len(self._every.rows)] / self._every.closure_unit).dot(state.basis)
         rest = -bias
         rest[self.rank :] += xdd / self.unit
@@ -422,17 +421,8 @@ def largest(values: Array) -> float:
 
 @lru_cache(maxsize=64)
 def closed_around(system: ConstraintSystem) -> Assembly:
-    """Return the reference configuration and some around it, the chains closed again where Newton's method can.
-
-    Half of them are displaced in any direction, half along the branch: near a pose where several loops are flat,
-    Newton's method closes the former to flat poses again.
-    """
-    q, rng = np.array(system.robot.q_reference), np.random.default_rng(SEED)
-    around = [
-        draw_starts(system, q, _SAMPLES, rng, turn=_SPREAD, slide=_SPREAD, along=along)
-        for along in (None, free_motions(system, q))
-    ]
-    return assemble(system, np.concatenate([q[None], *around]))
+    """Return the reference configuration and some around it on its branch, as far as they close."""
+    return evaluated(system, closed_neighbours(system, np.array(system.robot.q_reference), *_AROUND))
 
 
 @lru_cache(maxsize=64)
@@ -459,7 +449,7 @@ def loop_blocks(system: ConstraintSystem) -> tuple[tuple[IntArray, IntArray], ..
     from j to k and back. Entries below 1e-9 of the largest, with open chains, are zero by the structure of the robot.
     """
     q, rng = np.array(system.robot.q_reference), np.random.default_rng(SEED)
-    rows = system.relative(system.evaluate(draw_starts(system, q, 2, rng, turn=_SPREAD, slide=_SPREAD)).K)
+    rows = system.relative(system.evaluate(draw_starts(system, q, 2, rng, turn=_AROUND[1], slide=_AROUND[1])).K)
     solves, has = (
         (np.abs(part) > 1e-9 * np.abs(part).max(axis=(1, 2), keepdims=True)).any(axis=0)
         for part in (inverses(rows), rows)

@@ -19,7 +19,7 @@ from redundancy_pin.kinematics.assembly import (
     evaluated,
 )
 from redundancy_pin.kinematics.branch import follower
-from redundancy_pin.kinematics.closing import close, closed_near
+from redundancy_pin.kinematics.closing import closed_near
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, working_modes
 from redundancy_pin.kinematics.multistart import multistart, wrapped
@@ -83,7 +83,8 @@ def test_frames_far_away_are_turned_together(tmp_path: Path, kind: str, size: fl
     robot = arm(tmp_path, kind, size)
     system, rng = ConstraintSystem(robot), np.random.default_rng(4)
     for _ in range(12):
-        reached, gap = close(system, rng.uniform(-1.2, 1.2, robot.model.nq) * position_unit(robot))
+        one = assemble(system, rng.uniform(-1.2, 1.2, (1, robot.model.nq)) * position_unit(robot))
+        reached, gap = one.q[0], one.residual[0]
         assert gap < CLOSED
         assert max(apart(robot, reached, kind)) < CLOSED
 
@@ -96,7 +97,7 @@ def test_hinges_that_are_opposite_turn_over(tmp_path: Path, kind: str) -> None:
     over = next(name for name in ("turn_z", "turn_y") if name[-1] != kind[-1])
     q[zoo.index(robot, over)] = np.pi
     assert apart(robot, q, kind)[1] == pytest.approx(np.pi)
-    assert max(apart(robot, close(ConstraintSystem(robot), q)[0], kind)) < CLOSED
+    assert max(apart(robot, assemble(ConstraintSystem(robot), q[None]).q[0], kind)) < CLOSED
     own = follower(robot)
     assert own.close(own.home.q, own.home.x) is not None
     assert own.close(q, own.home.x) is None
