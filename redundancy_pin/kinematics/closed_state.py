@@ -165,8 +165,12 @@ class LoopSolver:
 
     @cached_property
     def near(self) -> float:
-        """The singularity margin below which a state counts as near a rank loss."""
-        return near_rank_loss(self.system)
+        """The singularity margin below which a state is near a rank loss: smaller for robots of small margins.
+
+        Short levers, gears and many joints make margins of 1e-3 and less everywhere (Cassie's leg), where no rank is
+        lost.
+        """
+        return min(NEAR_RANK_LOSS, 0.1 * typical_margin(self.system))
 
     @cached_property
     def _ample(self) -> float:
@@ -430,14 +434,6 @@ def typical_margin(system: ConstraintSystem) -> float:
     """Return the largest singularity margin at the reference and some configurations around it; 1 where all are 0."""
     around = closed_around(system)
     return float(around.margin.max(where=around.closed, initial=0.0)) or 1.0
-
-
-def near_rank_loss(system: ConstraintSystem) -> float:
-    """Return the singularity margin below which a state is near a rank loss: smaller for robots of small margins.
-
-    Short levers, gears and many joints make margins of 1e-3 and less everywhere (Cassie's leg), where no rank is lost.
-    """
-    return min(NEAR_RANK_LOSS, 0.1 * typical_margin(system))
 
 
 @lru_cache(maxsize=64)

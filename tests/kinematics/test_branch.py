@@ -26,8 +26,7 @@ from redundancy_pin.kinematics.branch import (
     Follower,
     follower,
 )
-from redundancy_pin.kinematics.closed_state import NEAR_RANK_LOSS, are_continuous, near_rank_loss
-from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.closed_state import NEAR_RANK_LOSS, are_continuous
 from redundancy_pin.kinematics.coordinates import mode_indicator, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
@@ -362,7 +361,7 @@ def test_a_reference_beside_a_pose_where_three_loops_are_flat_costs_no_digits(be
     robot = row_of_four_bars(3)
     turn = np.array([1.0 if name.startswith("crank") else -1.0 for name in list(robot.model.names)[1:]])
     robot = replace(robot, q_reference=beside * turn)
-    assert near_rank_loss(constraint_system(robot)) == NEAR_RANK_LOSS
+    assert follower(robot).near == NEAR_RANK_LOSS
     crank = np.linspace(beside, -1.02 * beside, 41)[:, None]
     rate = np.ones_like(crank)
     tree = inverse_kinematics(robot, PlatformMotion(np.arange(41.0), crank, 2.0 * rate, 3.0 * rate, check_rates=False))
