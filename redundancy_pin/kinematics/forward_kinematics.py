@@ -11,6 +11,7 @@ With rates u̇ of the motors and v = Γ' u̇
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -183,22 +184,27 @@ def _follow(
     tree = solution.trajectory()
     q, residual, margin = (np.array(part) for part in (tree.q, tree.residual, tree.serial_margin_bound))
     status: IntArray = np.full(len(u), int(SampleStatus.OK))
+    solved = end
     if end < len(u):
         ends = own.diagnose_each([last] * (len(u) - end), motion.x[end:])
-        passed = int(np.argmin([*(one.is_singular for one in ends), False]))  # only until another sample is met
-        for k in range(passed):
-            q[end + k] = ends[k].q
+        for one in takewhile(lambda one: one.is_singular, ends):  # behind another sample the branch is unknown
+            q[solved] = one.q
+            solved += 1
         far = are_too_many_turns_away(driven, last.x, motion.x[end:])
         unreachable = ~far & [one.status is SampleStatus.UNREACHABLE for one in ends]
         status[end:] = np.where(unreachable, SampleStatus.UNREACHABLE, SampleStatus.BRANCH_LOST)
-        status[end : end + passed] = SampleStatus.TYPE_II
+        status[end:solved] = SampleStatus.TYPE_II
         residual[end:] = np.where(far, np.nan, [one.residual for one in ends])
         margin[end:] = np.where([one.is_singular for one in ends], 0.0, np.nan)
-    x = _platform_at(system, q)
+    placed = system.evaluate(q[:solved])
+    x = np.full((len(u), 4, 4) if is_pose(robot) else (len(u), robot.n), np.nan)
+    x[:solved] = coordinates(robot, placed)
+    if not is_pose(robot):
+        x[:solved] += _turns(system, q[:solved])
     xd, xdd = platform_rates(robot, q, tree.v, tree.a)
     J = np.full((len(u), robot.n, robot.m), np.nan)
     J[:end] = 0.0
-    J[:end, :, followed] = system.evaluate(q[:end]).Jx @ tree.gamma[:end]
+    J[:end, :, followed] = placed.Jx[:end] @ tree.gamma[:end]
     residual = np.where(np.isnan(residual), np.nan, np.fmax(residual, motor_mismatch(system, followed, u, q)))
     contradicted = (status == SampleStatus.OK) & (residual > AGREEMENT_TOLERANCE * robot.characteristic_length)
     status[contradicted] = SampleStatus.UNREACHABLE
@@ -274,16 +280,6 @@ def _require_few_turns(driven: Robot, u: Array) -> None:
             remedy="Pass samples in between, or take whole turns off.",
             turns=turns,
         )
-
-
-def _platform_at(system: ConstraintSystem, q: Array) -> Array:
-    """Return (N, n) coordinates or (N, 4, 4) poses of the platform at configurations, NaN where these are."""
-    robot, known = system.robot, np.isfinite(q).all(axis=1)
-    x = np.full((len(q), 4, 4) if is_pose(robot) else (len(q), robot.n), np.nan)
-    x[known] = coordinates(robot, system.evaluate(q[known]))
-    if not is_pose(robot) and known.any():
-        x[known] += _turns(system, q[known])
-    return x
 
 
 def platform_rates(robot: Robot, q: Array, v: Array, a: Array) -> tuple[Array, Array]:

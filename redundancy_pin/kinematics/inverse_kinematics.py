@@ -181,7 +181,7 @@ class MotionSolution:
         end = self._solved(start, sample)
         if isinstance(end, Rates):
             return start
-        if end.status in _ALONE:
+        if end.status in (SampleStatus.UNREACHABLE, SampleStatus.TYPE_I):  # the pose is at fault, whatever leads there
             raise _error(end, self._motion, sample)
         raise WorkingModeError(
             f"The pose of sample {sample}, x = {np.round(x, 6).tolist()}, cannot be reached continuously from the "
@@ -439,10 +439,6 @@ def _spread(samples: IntArray) -> list[int]:
     return [int(samples[place]) for place in places]
 
 
-_ALONE = SampleStatus.UNREACHABLE, SampleStatus.TYPE_I
-"""Statuses that a pose has by itself, whatever leads there."""
-
-
 def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError:
     """Return the error of sample k, which a branch does not lead to."""
     robot, t, x = end.last.robot, float(motion.t[k]), motion.x[k]
@@ -474,7 +470,15 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError
             sample=k,
         )
     if not in_working_mode(robot, end.q[None])[0]:
-        return _leaves_mode(motion, robot, k, end.q)
+        leg = int(np.argmax(mode_indicator(robot, end.q[None])[0] * np.array(robot.working_mode) <= 0.0))
+        name = robot.working_modes.joints[leg] if robot.working_modes else ""
+        return WorkingModeError(
+            f"The motion leaves the working mode {mode_name(robot.working_mode)} at sample {k} (t = {t:.6g} s): leg "
+            f"{leg + 1} ({name}) changes over.",
+            remedy="Plan a path that keeps every leg on its side, or load the robot in another working_mode.",
+            sample=k,
+            leg=leg + 1,
+        )
     before = max(k - 1, 0)
     return WorkingModeError(
         f"The motion cannot be followed continuously from sample {before} to {k} (t = {motion.t[before]:.6g} to "
@@ -483,16 +487,4 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError
         "smooth branch is known to lead across.",
         remedy="Keep every leg away from the end of its reach, or sample the motion more finely.",
         sample=k,
-    )
-
-
-def _leaves_mode(motion: PlatformMotion, robot: Robot, k: int, q: Array) -> WorkingModeError:
-    leg = int(np.argmax(mode_indicator(robot, q[None])[0] * np.array(robot.working_mode) <= 0.0))
-    name = robot.working_modes.joints[leg] if robot.working_modes else ""
-    return WorkingModeError(
-        f"The motion leaves the working mode {mode_name(robot.working_mode)} at sample {k} "
-        f"(t = {motion.t[k]:.6g} s): leg {leg + 1} ({name}) changes over.",
-        remedy="Plan a path that keeps every leg on its side, or load the robot in another working_mode.",
-        sample=k,
-        leg=leg + 1,
     )
