@@ -39,13 +39,14 @@ from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_syste
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, joint_position, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import MotionSolution
 from redundancy_pin.kinematics.mobility import independent_columns
+from redundancy_pin.kinematics.whole_turns import are_too_many_turns_away
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.joint_ranges import range_excess, range_slack
 from redundancy_pin.robot.scales import turning_velocities, velocity_unit
-from redundancy_pin.robot.whole_turns import FARTHEST, TURN, are_too_many_turns_away, counted_turns
+from redundancy_pin.robot.whole_turns import FARTHEST, TURN, counted_turns
 from redundancy_pin.status import SampleStatus, solved_status
 
 _WEAKENED = 0.5

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from redundancy_pin.arrays import ROUNDED_SHARE, Array, BoolArray, Frozen, IntArray, frozen, read_only
+from redundancy_pin.arrays import ROUNDED_SHARE, Array, BoolArray, Frozen, IntArray, read_only
 from redundancy_pin.errors import (
     RedundancyPinError,
     SingularPoseError,
@@ -31,13 +30,13 @@ from redundancy_pin.kinematics.closure import ConstraintSystem, dependent_row_re
 from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator, mode_name, working_modes
 from redundancy_pin.kinematics.mobility import worst_dependent_row
 from redundancy_pin.kinematics.multistart import multistart
+from redundancy_pin.kinematics.whole_turns import advance_turns, are_too_many_turns_away
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.checks import require_matching
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, velocity_unit
-from redundancy_pin.robot.whole_turns import are_too_many_turns_away, follow_whole_turns
 from redundancy_pin.status import SampleStatus
 
 _FAR_STARTS = 5
@@ -318,29 +317,6 @@ def is_rounded(follower: Follower, solved: Rates) -> bool:
         if margin**3 * most < ROUNDED_SHARE * float(speed[own].max()) ** 2:
             return True
     return False
-
-
-def advance_turns(own: Follower, here: ClosedState, x: Array) -> ClosedState | BranchEnd:
-    """Return the state at coordinates x on the branch of a state, as ``Follower.advance``.
-
-    Whole turns of independent joints are followed one joint after the other, and only until they repeat
-    (``robot.whole_turns``).
-    """
-    end: ClosedState | BranchEnd | None = None
-
-    def follow(q: Array, start: Array, target: Array) -> Array | None:
-        nonlocal end
-        # q is that of the last state but for whole turns, which Γ does not see
-        last = end if isinstance(end, ClosedState) and q is not here.q else here
-        state = here if q is here.q else replace(last, q=frozen(q), x=frozen(start))
-        end = own.follow(state, frozen(target))
-        return end.q if isinstance(end, ClosedState) else None
-
-    try:
-        follow_whole_turns(own.robot, here.q, here.x, x, follow)
-    except UnreachablePoseError as error:
-        return BranchEnd(SampleStatus.UNREACHABLE, x, here, here.q, math.nan, reason=error.message)
-    return own.diagnose(here, x) if end is None else end
 
 
 def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0, *, time: float | None = None) -> ClosedState:
