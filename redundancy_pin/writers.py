@@ -276,7 +276,7 @@ def _idle(robot: Robot, closure: Closure) -> set[str]:
     unit = whole.closure_unit
     moved = (np.abs(state.Jc).max(axis=(0, 2)) + np.abs(state.phi).max(axis=0)) / unit
     system, q = ConstraintSystem(robot), np.array(robot.q_reference)
-    reached = assemble(system, draw_starts(system, q, _TRIALS, rng, turn=_AROUND, slide=_AROUND))
+    reached = assemble(system, draw_starts(system, q, _TRIALS, rng, spread=_AROUND))
     closed = np.concatenate([q[None], reached.q[reached.closed]])
     apart = np.abs(whole.evaluate(closed).phi).max(axis=0) / unit
     still = (moved < _STILL) | ((apart < _ROUNDED) & (len(closed) > 1))

@@ -14,7 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -24,7 +24,6 @@ from redundancy_pin.arrays import (
     FILE_TOLERANCE,
     SINGULAR_MARGIN,
     Array,
-    BoolArray,
     Frozen,
     IntArray,
     checked,
@@ -314,14 +313,23 @@ class LoopSolver:
         new = self.close(self.integrate(here.q, here.gamma.dot(increment)), x, here.basis)
         if new is None or not new.margin > 0.0:
             return None
-        return new if self.is_continuous(here, new, increment) else None
+        step = self.tangent(here.q, new.q)
+        return new if self.is_continuous(step, here.gamma, new.gamma, increment) else None
 
     def is_continuous(
-        self, here: ClosedState, new: ClosedState, increment: Array, tolerance: float = CONTINUITY
+        self, step: Array, gamma0: Array, gamma1: Array, increment: Array, tolerance: float = CONTINUITY
     ) -> bool:
-        """Return whether the step between states is what the trapezoidal rule over Γ says of an increment (n,) of x."""
-        predicted = (0.5 * (here.gamma + new.gamma)).dot(increment)
-        return bool(_is_within(self.length(self.tangent(here.q, new.q) - predicted), self.length(predicted), tolerance))
+        """Return whether a tree displacement is what the trapezoidal rule over Γ predicts, or rounding.
+
+        Args:
+            step: (nv,) the displacement.
+            gamma0: (nv, n) Γ at its start.
+            gamma1: (nv, n) Γ at its end.
+            increment: (n,) of the coordinates.
+            tolerance: largest error relative to the prediction.
+        """
+        predicted = (0.5 * (gamma0 + gamma1)).dot(increment)
+        return self.length(step - predicted) <= tolerance * self.length(predicted) + ROUNDING
 
     def rates(self, state: ClosedState, xd: Array, xdd: Array) -> Rates:
         """Return v = Γ ẋ and a (nv,): K a = (−J̇_c v, ẍ − J̇_x v).
@@ -391,27 +399,6 @@ class LoopSolver:
         return result
 
 
-def are_continuous(robot: Robot, step: Array, gamma0: Array, gamma1: Array, increment: Array) -> BoolArray:
-    """Return (N,) what ``LoopSolver.is_continuous`` says of N steps at once.
-
-    Args:
-        robot: the robot.
-        step: (N, nv) tree displacements.
-        gamma0: (N, nv, n) Γ at their starts.
-        gamma1: (N, nv, n) Γ at their ends.
-        increment: (N, n) of the coordinates.
-    """
-    unit = velocity_unit(robot)
-    predicted = np.einsum("nvi,ni->nv", 0.5 * (gamma0 + gamma1), increment) / unit
-    error, size = (np.abs(part).max(axis=1, initial=0.0) for part in (step / unit - predicted, predicted))
-    return np.asarray(_is_within(error, size, CONTINUITY))
-
-
-def _is_within(error: Any, predicted: Any, tolerance: float) -> Any:
-    """Return the acceptance test of a step, or of (N,): its error is small relative to the prediction, or rounding."""
-    return error <= tolerance * predicted + ROUNDING
-
-
 def _kept(array: Array) -> Array:
     """Return a read-only array that nobody else changes: itself if it is read-only, otherwise a copy."""
     return read_only(array.copy()) if array.flags.writeable else array
@@ -445,7 +432,7 @@ def loop_blocks(system: ConstraintSystem) -> tuple[tuple[IntArray, IntArray], ..
     from j to k and back. Entries below 1e-9 of the largest, with open chains, are zero by the structure of the robot.
     """
     q, rng = np.array(system.robot.q_reference), np.random.default_rng(SEED)
-    rows = system.relative(system.evaluate(draw_starts(system, q, 2, rng, turn=_AROUND[1], slide=_AROUND[1])).K)
+    rows = system.relative(system.evaluate(draw_starts(system, q, 2, rng, spread=_AROUND[1])).K)
     solves, has = (
         (np.abs(part) > 1e-9 * np.abs(part).max(axis=(1, 2), keepdims=True)).any(axis=0)
         for part in (inverses(rows), rows)

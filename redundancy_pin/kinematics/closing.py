@@ -42,7 +42,7 @@ def closed_near(
     """
     system, rng = ConstraintSystem(robot), np.random.default_rng(SEED)
     best = np.inf
-    starts = (q, *(draw_starts(system, q, 1, rng, turn=spread, slide=spread)[0] for spread in _SPREADS))
+    starts = (q, *(draw_starts(system, q, 1, rng, spread=spread)[0] for spread in _SPREADS))
     for start in starts:
         reached = assemble(system, start[None], rank_tolerance=rank_tolerance, max_iterations=_ITERATIONS)
         residual = float(reached.residual[0])
@@ -81,7 +81,7 @@ def closed_neighbours(
         rank_tolerance: as of ``assemble``.
     """
     rng, free = np.random.default_rng(SEED), free_motions(system, q, rank_tolerance)
-    starts = draw_starts(system, q, count, rng, turn=spread, slide=spread, along=free)
+    starts = draw_starts(system, q, count, rng, spread=spread, along=free)
     starts = np.concatenate([q[None], starts])
     reached = assemble(system, starts, rank_tolerance=rank_tolerance, max_iterations=_ITERATIONS)
     closed = reached.residual < tolerance * system.robot.characteristic_length
