@@ -140,9 +140,10 @@ def inverse_kinematics(
     if mark_unreachable:
         solution.solve_what_is_reachable(start)
     else:
-        count, _, end = solution.follow(range(len(motion)), solution.first(0, start))
+        here = point_on_branch(solution.system, motion.x[0]) if start is None else start
+        count, _, end = solution.follow(range(len(motion)), here)
         if end is not None:
-            raise _error(end, motion, count)
+            raise _error(end, motion, count, start)
     return solution.trajectory()
 
 
@@ -164,6 +165,7 @@ class MotionSolution:
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
         self._follower, self._motion, self._positions_only = follower, motion, positions_only
+        self.system = follower.system
         self._progress, self._done = progress, 0
         self._near = 0.0  # the margin at which the samples came near a rank loss
         robot, samples = follower.robot, len(motion)
@@ -171,24 +173,6 @@ class MotionSolution:
         self.v, self.a = np.full((2, samples, robot.model.nv), np.nan)
         self.gamma = np.full((samples, robot.model.nv, robot.n), np.nan)
         self.residual, self.margin = np.full((2, samples), np.nan)
-
-    def first(self, sample: int, start: ClosedState | None) -> ClosedState:
-        """Return a state from which the branch leads to a sample: of the branch of the reference, or ``start``."""
-        x = self._motion.x[sample]
-        if start is None:
-            return point_on_branch(self._follower.system, x, sample)
-        end = self._solved(start, sample)
-        if isinstance(end, Rates):
-            return start
-        if end.status in (SampleStatus.UNREACHABLE, SampleStatus.TYPE_I):  # the pose is at fault, whatever leads there
-            raise _error(end, self._motion, sample)
-        raise WorkingModeError(
-            f"The pose of sample {sample}, x = {np.round(x, 6).tolist()}, cannot be reached continuously from the "
-            f"start at x = {np.round(start.x, 6).tolist()}: the straight line leaves the workspace or passes a type I "
-            "singularity.",
-            remedy="Start nearer to it, or leave the start out.",
-            sample=sample,
-        )
 
     def follow(self, order: Sequence[int], here: ClosedState) -> tuple[int, ClosedState, BranchEnd | None]:
         """Solve samples one after the other from a state of the branch.
@@ -216,15 +200,18 @@ class MotionSolution:
 
     def _first_reachable(self, start: ClosedState | None) -> tuple[int, ClosedState] | None:
         lost = UnreachablePoseError, SingularPoseError, WorkingModeError
-        with contextlib.suppress(*lost):
-            return 0, self.first(0, start)
         follower, x = self._follower, self._motion.x
+        if start is not None and isinstance(self._solved(start, 0), Rates):
+            return 0, start
+        if start is None:
+            with contextlib.suppress(*lost):
+                return 0, point_on_branch(self.system, x[0])
         near = _reacquire(follower, x, np.array(follower.robot.q_reference))
         if near is not None:
             return near
         for sample in _spread(np.arange(len(x)))[1:]:
             with contextlib.suppress(*lost):
-                return sample, point_on_branch(follower.system, x[sample], sample)
+                return sample, point_on_branch(self.system, x[sample])
         return None
 
     def _follow_marked(self, order: range, here: ClosedState) -> None:
@@ -319,7 +306,7 @@ def is_rounded(follower: Follower, solved: Rates) -> bool:
     return False
 
 
-def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0, *, time: float | None = None) -> ClosedState:
+def point_on_branch(system: ConstraintSystem, x: Array, time: float | None = None) -> ClosedState:
     """Return a closed state at coordinates, in the robot's working mode.
 
     First the straight line from the reference configuration is followed; where that leaves the workspace, multistart
@@ -328,8 +315,7 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0, *, time
     Args:
         system: closures and platform rows; the robot's ``q_reference`` must be closed.
         x: (n,) coordinates or a pose (4, 4), base frame.
-        sample: index to name in the error.
-        time: s, to name in place of the sample.
+        time: s, to name in errors; otherwise they name sample 0.
 
     Raises:
         UnreachablePoseError: no start leads to a closed configuration; carries the smallest residual.
@@ -338,9 +324,8 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0, *, time
     """
     robot, own = system.robot, follower(system.robot)
     home = own.home
-    where, details = f"of sample {sample}", dict[str, float](sample=sample)
-    if time is not None:
-        where, details = f"at t = {time:.9g} s", {"time": time}
+    where = "of sample 0" if time is None else f"at t = {time:.9g} s"
+    details: dict[str, float] = {"sample": 0} if time is None else {"time": time}
     reached = advance_turns(own, home, x) if np.isfinite(home.gamma).all() else None
     if isinstance(reached, BranchEnd) and reached.reason:
         raise UnreachablePoseError(reached.reason, remedy=_FEWER_TURNS, **details)
@@ -415,8 +400,8 @@ def _spread(samples: IntArray) -> list[int]:
     return [int(samples[place]) for place in places]
 
 
-def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError:
-    """Return the error of sample k, which a branch does not lead to."""
+def _error(end: BranchEnd, motion: PlatformMotion, k: int, start: ClosedState | None) -> RedundancyPinError:
+    """Return the error of sample k, which a branch does not lead to; ``start``: as of ``inverse_kinematics``."""
     robot, t, x = end.last.robot, float(motion.t[k]), motion.x[k]
     place = f"sample {k} (t = {t:.6g} s, x = {np.round(x, 6).tolist()})"
     if end.reason:
@@ -444,6 +429,14 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError
             "velocities.",
             remedy=_STAY_AWAY,
             sample=k,
+        )
+    if start is not None and k == 0:
+        return WorkingModeError(
+            f"The pose of sample 0, x = {np.round(x, 6).tolist()}, cannot be reached continuously from the start at "
+            f"x = {np.round(start.x, 6).tolist()}: the straight line leaves the workspace or passes a type I "
+            "singularity.",
+            remedy="Start nearer to it, or leave the start out.",
+            sample=0,
         )
     if not in_working_mode(robot, end.q[None])[0]:
         leg = int(np.argmax(mode_indicator(robot, end.q[None])[0] * np.array(robot.working_mode) <= 0.0))

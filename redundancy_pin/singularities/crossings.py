@@ -207,9 +207,9 @@ class FollowedPath:
         first = 0
         if start is None:
             try:
-                start = point_on_branch(system, x[0], time=float(self.t[0]))
+                start = point_on_branch(system, x[0], float(self.t[0]))
             except SingularPoseError:  # a motion may start on a type I singularity; the next sample is regular
-                first, start = 1, point_on_branch(system, x[1], time=float(self.t[1]))
+                first, start = 1, point_on_branch(system, x[1], float(self.t[1]))
         self._states, self._q = {float(self.t[first]): start}, dict[float, Array]()
         self._known = [*self._states]  # their times in order
         self.configurations(self.t)
