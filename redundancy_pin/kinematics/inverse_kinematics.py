@@ -195,8 +195,7 @@ class MotionSolution:
             return
         first, state = found
         self._follow_marked(range(first, len(self._motion)), state)
-        if first:
-            self._follow_marked(range(first - 1, -1, -1), state)
+        self._follow_marked(range(first - 1, -1, -1), state)
 
     def _first_reachable(self, start: ClosedState | None) -> tuple[int, ClosedState] | None:
         lost = UnreachablePoseError, SingularPoseError, WorkingModeError
