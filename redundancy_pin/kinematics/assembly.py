@@ -46,6 +46,9 @@ TURNED_OVER = 1.0
 class Assembly:
     """N configurations, and what proves that they may be used; made by ``assemble`` and ``evaluated``.
 
+    Grids, random starts and the singularities of many configurations take these. One configuration at a time is a
+    ``ClosedState``.
+
     Attributes:
         system: closures and platform rows of the robot.
         state: closures and Jacobians at the configurations.

@@ -235,6 +235,8 @@ class LoopSolver:
     def close(self, guess: Array, x: Array, basis: Array | None = None) -> ClosedState | None:
         """Return the closed state at coordinates by Newton's method from a guess nearby; None where that fails.
 
+        The method is undamped; ``assembly.newton`` is the damped one, and says why there are two.
+
         Args:
             guess: (nq,) configuration.
             x: (n,) coordinates, or a pose (4, 4).
