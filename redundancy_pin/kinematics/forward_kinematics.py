@@ -178,20 +178,24 @@ def _follow(
     robot, u = system.robot, given[0]
     driven = with_independent_joints(robot, tuple(robot.actuated[j] for j in followed))
     own, first = follower(driven), _start(driven, q0)
-    _require_few_turns(driven, np.concatenate([first.x[None], u[:, followed]]))
-    motion = PlatformMotion(np.arange(len(u)), *(part[:, followed] for part in given), check_rates=False)
-    solution = MotionSolution(own, motion)
-    end, last, _ = solution.follow(range(len(u)), first)
-    tree = solution.trajectory()
-    q, residual, margin = (np.array(part) for part in (tree.q, tree.residual, tree.serial_margin_bound))
+    still = np.zeros(driven.n)  # the motors come from the start, which is the first sample
+    before = first.x, still, still
+    path = [np.concatenate([start[None], part[:, followed]]) for start, part in zip(before, given, strict=True)]
+    _require_few_turns(driven, path[0])
+    solution = MotionSolution(own, PlatformMotion(np.arange(len(path[0])), *path, check_rates=False))
+    end, last, _ = solution.follow(range(1, len(path[0])), first)
+    tree, positions = solution.trajectory(), path[0][1:]
+    q, v, a, gamma, residual, margin = (
+        np.array(part[1:]) for part in (tree.q, tree.v, tree.a, tree.gamma, tree.residual, tree.serial_margin_bound)
+    )
     status: IntArray = np.full(len(u), int(SampleStatus.OK))
     solved = end
     if end < len(u):
-        ends = own.diagnose_each([last] * (len(u) - end), motion.x[end:])
+        ends = own.diagnose_each([last] * (len(u) - end), positions[end:])
         for one in takewhile(lambda one: one.is_singular, ends):  # behind another sample the branch is unknown
             q[solved] = one.q
             solved += 1
-        far = are_too_many_turns_away(driven, last.x, motion.x[end:])
+        far = are_too_many_turns_away(driven, last.x, positions[end:])
         unreachable = ~far & [one.status is SampleStatus.UNREACHABLE for one in ends]
         status[end:] = np.where(unreachable, SampleStatus.UNREACHABLE, SampleStatus.BRANCH_LOST)
         status[end:solved] = SampleStatus.TYPE_II
@@ -202,10 +206,10 @@ def _follow(
     x[:solved] = coordinates(robot, placed)
     if not is_pose(robot):
         x[:solved] += _turns(system, q[:solved])
-    xd, xdd = platform_rates(robot, q, tree.v, tree.a)
+    xd, xdd = platform_rates(robot, q, v, a)
     J = np.full((len(u), robot.n, robot.m), np.nan)
     J[:end] = 0.0
-    J[:end, :, followed] = placed.Jx[:end] @ tree.gamma[:end]
+    J[:end, :, followed] = placed.Jx[:end] @ gamma[:end]
     residual = np.where(np.isnan(residual), np.nan, np.fmax(residual, motor_mismatch(system, followed, u, q)))
     contradicted = (status == SampleStatus.OK) & (residual > AGREEMENT_TOLERANCE * robot.characteristic_length)
     status[contradicted] = SampleStatus.UNREACHABLE
