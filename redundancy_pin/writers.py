@@ -19,7 +19,7 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array, positive
 from redundancy_pin.errors import InputError, UnsupportedRobotError, shown
 from redundancy_pin.io.files import require_writable, write_text
-from redundancy_pin.kinematics.closing import close
+from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.multistart import draw_starts
 from redundancy_pin.kinematics.spinning_rods import UNIVERSAL
@@ -28,7 +28,7 @@ from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.robot import AXES, Closure, Coupling, JointForces, Payload, Robot
 from redundancy_pin.robot.lookup import find_joint_index, find_link
 from redundancy_pin.robot.loop_joints import ends_of
-from redundancy_pin.robot.scales import closure_tolerance, force_terms
+from redundancy_pin.robot.scales import force_terms
 
 IMPEDANCE = 0.9999
 """The highest impedance that MuJoCo accepts (its mjMAXIMP): the share of the acceleration a constraint may ask for."""
@@ -276,8 +276,8 @@ def _idle(robot: Robot, closure: Closure) -> set[str]:
     unit = whole.closure_unit
     moved = (np.abs(state.Jc).max(axis=(0, 2)) + np.abs(state.phi).max(axis=0)) / unit
     system, q = ConstraintSystem(robot), np.array(robot.q_reference)
-    reached = [close(system, each) for each in draw_starts(system, q, _TRIALS, rng, turn=_AROUND, slide=_AROUND)]
-    closed = np.array([q, *(each for each, gap in reached if gap < closure_tolerance(robot))])
+    reached = assemble(system, draw_starts(system, q, _TRIALS, rng, spread=_AROUND))
+    closed = np.concatenate([q[None], reached.q[reached.closed]])
     apart = np.abs(whole.evaluate(closed).phi).max(axis=0) / unit
     still = (moved < _STILL) | ((apart < _ROUNDED) & (len(closed) > 1))
     return {axis for axis, idle in zip(AXES, still, strict=True) if idle}

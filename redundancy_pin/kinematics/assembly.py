@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -23,6 +22,7 @@ from redundancy_pin.arrays import (
     SINGULAR_MARGIN,
     Array,
     BoolArray,
+    IntArray,
     rows_of,
 )
 from redundancy_pin.errors import InputError
@@ -42,23 +42,12 @@ TURNED_OVER = 1.0
 """Axes further apart than this (rad) at the end of Newton have closed the wrong way round, which takes π/2 or more."""
 
 
-class Projection(NamedTuple):
-    """What the inverse of K says at N configurations.
-
-    Attributes:
-        gamma: (N, nv, n) tree velocity per unit of each independent velocity; carrier rows are zero. NaN at a type I
-            singularity.
-        margin: (N,) lower bound of the smallest singular value of K in scaled units, within a factor √p of it; 0 where
-            it is below ``SINGULAR_MARGIN``: at a type I singularity.
-    """
-
-    gamma: Array
-    margin: Array
-
-
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """N configurations that Newton reached, and what proves that they may be used.
+    """N configurations, and what proves that they may be used; made by ``assemble`` and ``evaluated``.
+
+    Grids, random starts and the singularities of many configurations take these. One configuration at a time is a
+    ``ClosedState``.
 
     Attributes:
         system: closures and platform rows of the robot.
@@ -83,24 +72,41 @@ class Assembly:
         return self.residual < closure_tolerance(self.system.robot)
 
     @cached_property
-    def projection(self) -> Projection:
-        """Γ and margins."""
-        return project(self.system, self.state)
+    def _inverse(self) -> Array:
+        """(N, p, r + n) K⁻¹ without units; where K has more rows than columns, which agree, by least squares."""
+        K = self.system.relative(self.state.K)
+        return inverses(K) if K.shape[1] <= K.shape[2] else np.asarray(np.linalg.pinv(K), dtype=np.float64)
 
-    @property
+    @cached_property
+    def margin(self) -> Array:
+        """(N,) lower bound of the smallest singular value of K without units, within a factor √p of it.
+
+        It is 0 below ``SINGULAR_MARGIN``: at a type I singularity.
+        """
+        # 1 / σ_min is the 2-norm of the scaled inverse; the Frobenius norm bounds it within √p, without decomposition
+        with np.errstate(over="ignore"):  # next to a singularity, where the margin is zero all the same
+            size = np.sqrt(np.einsum("nij,nij->n", self._inverse, self._inverse))
+        return np.where(size < 1.0 / SINGULAR_MARGIN, 1.0 / np.where(size > 0.0, size, np.inf), 0.0)
+
+    @cached_property
     def gamma(self) -> Array:
-        """(N, nv, n) velocities per unit of each independent velocity."""
-        return self.projection.gamma
+        """(N, nv, n) Γ: velocity of the tree per unit of each independent velocity, NaN at a type I singularity."""
+        system, robot = self.system, self.system.robot
+        gamma = np.zeros((len(self.q), robot.model.nv, robot.n))
+        unit = system.step_unit[:, None] / coordinate_unit(robot)
+        gamma[:, system.pose_columns] = self._inverse[:, :, len(system.rows) :] * unit
+        gamma[np.ix_(self.margin == 0.0, system.pose_columns)] = np.nan
+        return gamma
 
     @property
     def regular(self) -> BoolArray:
         """(N,) closed, and no type I singularity."""
-        return self.closed & (self.projection.margin > 0.0)
+        return self.closed & (self.margin > 0.0)
 
     @property
     def singular(self) -> BoolArray:
         """(N,) closed, at a type I singularity."""
-        singular: BoolArray = self.closed & (self.projection.margin == 0.0)
+        singular: BoolArray = self.closed & (self.margin == 0.0)
         return singular
 
     @cached_property
@@ -126,43 +132,89 @@ def assemble(
     guess: Array,
     target: Array | None = None,
     *,
-    rank_tolerance: float | None = None,
+    rank_tolerance: float = RANK_TOLERANCE,
     max_iterations: int = 50,
     shortest_step: float = 2.0**-12,
 ) -> Assembly:
     """Close the chains from guesses, by Newton with a backtracking line search on the residual.
 
-    With ``target`` the independent coordinates are prescribed, without it the smallest change of the guess closes the
-    loops. Steps of a rank-deficient system are of least norm. Nothing is returned silently unclosed: see ``closed`` and
-    ``residual``.
-
-    This is the damped Newton method, for starts from afar and for many poses at once. The undamped one of followers,
-    ``LoopSolver.close``, closes one pose from a configuration nearby in a fifth of the time. Two hundred poses take two
-    to eight times as long with it, one after another.
+    With ``target`` the independent coordinates are prescribed. Without it the smallest change of the guess closes the
+    loops: rows may depend on one another, and frames may be turned far away from each other. Steps of a rank-deficient
+    system are of least norm. Nothing is returned silently unclosed: see ``closed`` and ``residual``.
 
     Args:
         system: closures and platform rows of the robot.
         guess: (N, nq) starting configurations; carriers keep their positions.
         target: (N, n) coordinates or (N, 4, 4) poses, base frame, m and rad.
-        rank_tolerance: of loops alone: rows may depend on one another, and frames may be turned far away from each
-            other. Combinations of rows with smaller singular values, without unit, count as redundant. The
-            configuration closes the others, and the residual says how far it misses these.
-        max_iterations: bound on Newton iterations.
-        shortest_step: fraction of a Newton step below which the line search gives up on a sample.
+        rank_tolerance: as of ``newton``, without a target. The configuration closes the independent combinations of
+            rows, and the residual says how far it misses the others.
+        max_iterations: as of ``newton``.
+        shortest_step: as of ``newton``.
 
     Example:
         >>> assemble(system, np.array(robot.q_reference)[None], x[None]).closed
         array([ True])
     """
+
+    def linearise(q: Array, samples: IntArray) -> tuple[Array, Array]:
+        return _equations(system, system.evaluate(q), None if target is None else target[samples])
+
+    q = newton(
+        system,
+        linearise,
+        guess,
+        rank_tolerance=rank_tolerance if target is None else None,
+        max_iterations=max_iterations,
+        shortest_step=shortest_step,
+    )
+    return evaluated(system, q, target)
+
+
+def evaluated(system: ConstraintSystem, q: Array, target: Array | None = None) -> Assembly:
+    """Return configurations (N, nq) as they are; arguments as of ``assemble``.
+
+    Example:
+        >>> evaluated(system, np.array(robot.q_reference)[None]).margin
+    """
+    state = system.evaluate(q)
+    worst = np.abs(_equations(system, state, target)[0]).max(axis=1, initial=0.0)
+    misaligned = system.misalignment(state)
+    worst = np.where(misaligned > TURNED_OVER, np.maximum(worst, misaligned), worst)
+    return Assembly(system, state, system.robot.characteristic_length * worst)
+
+
+def newton(
+    system: ConstraintSystem,
+    linearise: Callable[[Array, IntArray], tuple[Array, Array]],
+    guess: Array,
+    *,
+    rank_tolerance: float | None = None,
+    max_iterations: int = 50,
+    shortest_step: float = 2.0**-12,
+) -> Array:
+    """Return the configurations (N, nq) at which Newton's method with a backtracking line search ends.
+
+    This is the damped method, for starts from afar and for many samples at once. The undamped one of followers,
+    ``LoopSolver.close``, is a loop of its own, because neither serves the other's purpose: one pose nearby takes 0.2 to
+    0.3 ms with it and 0.8 to 1.4 ms here, of two hundred poses each takes 25 µs (five-bar) to 140 µs (Gough platform)
+    here and 0.2 to 0.3 ms there.
+
+    Args:
+        system: closures of the robot; it says which velocities move.
+        linearise: of configurations (M, nq), and their numbers (M,) among the samples, what is missing to the goal
+            (M, e) and its negative derivatives by the pose columns (M, e, p), both without units.
+        guess: (N, nq) starting configurations; carriers keep their positions.
+        rank_tolerance: combinations of equations with smaller singular values count as redundant. Steps are of least
+            norm. If left out, regular square systems are solved directly.
+        max_iterations: bound on Newton iterations.
+        shortest_step: fraction of a Newton step below which the line search gives up on a sample.
+    """
     q, robot = np.array(guess, dtype=float), system.robot
     active, taken = np.arange(len(q)), np.zeros(len(q), dtype=np.intp)
-    far = rank_tolerance is not None
-    residual, matrix, state = _linearise(system, q, target, far)
-    end = residual.copy()
-    finished = np.full(len(q), max_iterations == 0)
+    residual, matrix = linearise(q, active)
+    begins = np.ones(len(q), dtype=bool)
     step, longest, scale, size = np.zeros((len(q), robot.model.nv)), *np.ones((3, len(q)))
-    begins = ~finished
-    while True:
+    while len(active):
         if begins.any():
             step[begins] = _newton_step(system, matrix[begins], residual[begins], rank_tolerance)
             before = longest[begins]
@@ -172,13 +224,8 @@ def assemble(
             # beyond 1 rad or characteristic length the linear model of a turn is useless
             scale[begins] = np.where(double, 2.0, 1.0) / np.maximum(longest[begins], 1.0)
             size[begins] = np.linalg.norm(residual[begins], axis=1)
-        active, taken, step, longest, scale, size = (
-            part[~finished] for part in (active, taken, step, longest, scale, size)
-        )
-        if not len(active):
-            break
         tried = integrate(robot.model, q[active], step * scale[:, None])
-        residual, matrix, new = _linearise(system, tried, None if target is None else target[active], far)
+        residual, matrix = linearise(tried, active)
         decrease = np.linalg.norm(residual, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size
         decrease |= longest < SETTLED_STEP  # a step at rounding level is taken whole
         stalled = ~decrease & ((scale < shortest_step) | (size < _ROUNDED))
@@ -190,14 +237,9 @@ def assemble(
         begins = accepted & ~finished
         scale = np.where(accepted, scale, 0.5 * scale)
         if finished.any():
-            if (stalled & finished).any():  # the configuration before the step is where it ends
-                residual, _, new = _linearise(system, q[active], None if target is None else target[active], far)
-            state.overwrite(active[finished], new, finished)
-            end[active[finished]] = residual[finished]
-    worst = np.abs(end).max(axis=1, initial=0.0)
-    misaligned = system.misalignment(state)
-    worst = np.where(misaligned > TURNED_OVER, np.maximum(worst, misaligned), worst)
-    return Assembly(system, state, system.robot.characteristic_length * worst)
+            parts = (active, taken, residual, matrix, begins, step, longest, scale, size)
+            active, taken, residual, matrix, begins, step, longest, scale, size = (part[~finished] for part in parts)
+    return q
 
 
 def closed_configurations(robot: Robot, q: ArrayLike, name: str = "q") -> Assembly:
@@ -216,7 +258,7 @@ def closed_configurations(robot: Robot, q: ArrayLike, name: str = "q") -> Assemb
         >>> closed_configurations(robot, robot.q_reference).regular
         array([ True])
     """
-    given = assemble(constraint_system(robot), rows_of(q, name, ("N", robot.model.nq)), max_iterations=0)
+    given = evaluated(constraint_system(robot), rows_of(q, name, ("N", robot.model.nq)))
     bad = np.flatnonzero(~given.closed)
     if len(bad):
         k, residual = int(bad[0]), float(given.residual[bad[0]])
@@ -228,21 +270,6 @@ def closed_configurations(robot: Robot, q: ArrayLike, name: str = "q") -> Assemb
             residual=residual,
         )
     return given
-
-
-def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
-    """Invert K at evaluated configurations; where it has more rows than columns, which agree, by least squares."""
-    robot, columns, K = system.robot, system.pose_columns, system.relative(state.K)
-    overdetermined = K.shape[1] > len(columns)
-    inverse = np.asarray(np.linalg.pinv(K), dtype=np.float64) if overdetermined else inverses(K)
-    # 1 / σ_min is the 2-norm of the scaled inverse; the Frobenius norm bounds it within √p and needs no decomposition
-    with np.errstate(over="ignore"):  # next to a singularity, where the margin is zero all the same
-        size = np.sqrt(np.einsum("nij,nij->n", inverse, inverse))
-    margin = np.where(size < 1.0 / SINGULAR_MARGIN, 1.0 / np.where(size > 0.0, size, np.inf), 0.0)
-    gamma = np.zeros((len(inverse), robot.model.nv, robot.n))
-    gamma[:, columns] = inverse[:, :, len(system.rows) :] * (system.step_unit[:, None] / coordinate_unit(robot))
-    gamma[np.ix_(margin == 0.0, columns)] = np.nan
-    return Projection(gamma, margin)
 
 
 def integrate(model: pin.Model, q: Array, step: Array) -> Array:
@@ -259,34 +286,30 @@ def configuration_difference(model: pin.Model, q0: Array, q1: Array) -> Array:
     return np.array([pin.difference(model, a, b) for a, b in zip(q0, q1, strict=True)]).reshape(len(q0), model.nv)
 
 
-def _linearise(
-    system: ConstraintSystem, q: Array, target: Array | None, far: bool
-) -> tuple[Array, Array, ConstraintState]:
-    """Return what Newton's method solves at configurations (N, nq), and the configurations evaluated.
-
-    The residuals (N, e) are what is missing to the goal, the matrix (N, e, p) their negative derivatives by the pose
-    columns, both without units; ``far``: angles in place of sines, where frames are turned far away from each other.
-    """
-    state = system.evaluate(q)
+def _equations(system: ConstraintSystem, state: ConstraintState, target: Array | None) -> tuple[Array, Array]:
+    """Return what is missing to closed loops, and to a target (N, n), as ``newton`` takes it."""
     if target is not None:
         off = difference(system.robot, target, coordinates(system.robot, state))
         residual, rows = np.concatenate([-state.phi, off], axis=1), state.K
     else:
-        phi, jacobian = system.rotation_rows(state) if far else (state.phi, state.Jc)
+        phi, jacobian = system.rotation_rows(state)
         residual, rows = -phi, jacobian[:, :, system.pose_columns]
-    return residual / system.equation_unit[: residual.shape[1]], system.relative(rows), state
+    return residual / system.equation_unit[: residual.shape[1]], system.relative(rows)
 
 
 def _newton_step(system: ConstraintSystem, matrix: Array, residual: Array, rank_tolerance: float | None) -> Array:
-    """Return (N, nv) steps, rad and m; carriers stay. With a tolerance, smaller singular values count as zero."""
+    """Return (N, nv) steps, rad and m; carriers stay."""
+    solution = np.full((len(residual), len(system.pose_columns)), np.nan)
+    if rank_tolerance is None and matrix.shape[1] == matrix.shape[2]:
+        solution = _unless_singular(np.linalg.solve, matrix, residual[:, :, None])[:, :, 0]
+    rest = ~np.isfinite(solution).all(axis=1)
+    if rest.any():
+        left, values, right = np.linalg.svd(matrix[rest], full_matrices=False)
+        least = smallest_independent(values.max(axis=1, initial=0.0, keepdims=True), rank_tolerance or RANK_TOLERANCE)
+        count = values > least
+        parts = np.einsum("ner,ne->nr", left, residual[rest]) * count / np.where(count, values, 1.0)
+        solution[rest] = np.einsum("nrp,nr->np", right, parts)
     step = np.zeros((len(residual), system.robot.model.nv))
-    if rank_tolerance is None:
-        solution = _solve(matrix, residual)
-    else:
-        left, values, right = np.linalg.svd(matrix, full_matrices=False)
-        count = values > smallest_independent(values.max(axis=1, initial=0.0, keepdims=True), rank_tolerance)
-        parts = np.einsum("ner,ne->nr", left, residual) * count / np.where(count, values, 1.0)
-        solution = np.einsum("nrp,nr->np", right, parts)
     step[:, system.pose_columns] = solution * system.step_unit
     return step
 
@@ -300,17 +323,6 @@ def smallest_independent(largest: Array, tolerance: float) -> Array:
         tolerance: relative to the largest, where that is smaller than 1.
     """
     return np.where(largest > min(tolerance, FILE_TOLERANCE), tolerance * np.minimum(largest, 1.0), np.inf)
-
-
-def _solve(matrix: Array, rhs: Array) -> Array:
-    """Return (N, p) the solutions of square regular systems, and those of least norm of all others."""
-    solution = np.full((len(rhs), matrix.shape[2]), np.nan)
-    if matrix.shape[1] == matrix.shape[2]:
-        solution = _unless_singular(np.linalg.solve, matrix, rhs[:, :, None])[:, :, 0]
-    rest = ~np.isfinite(solution).all(axis=1)
-    if rest.any():
-        solution[rest] = np.einsum("nvr,nr->nv", np.linalg.pinv(matrix[rest], rcond=RANK_TOLERANCE), rhs[rest])
-    return solution
 
 
 def inverses(matrices: Array) -> Array:

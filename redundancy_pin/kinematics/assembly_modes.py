@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import AGREEMENT_TOLERANCE, Array, BoolArray, Frozen, IntArray, checked, positive, read_only
 from redundancy_pin.errors import UnreachablePoseError
-from redundancy_pin.kinematics.assembly import assemble, project
+from redundancy_pin.kinematics.assembly import assemble, evaluated
 from redundancy_pin.kinematics.branch import SAME_CONFIGURATION
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import coordinates, with_independent_joints
@@ -112,7 +112,7 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
     parts = (
         read_only(q),
         read_only(coordinates(robot, system.evaluate(q))),
-        project(motors, motors.evaluate(q)).margin,
+        evaluated(motors, q).margin,
         read_only(~out_of_range(robot, q, motion=False)),
         read_only(hits[order]),
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import overload
@@ -72,9 +73,14 @@ class BranchEnd(Frozen):
     reason: str = ""
 
     @property
+    def is_singular(self) -> bool:
+        """Whether ``q`` is closed at a singular K where the closure rows keep rank, so that no branch leads on."""
+        return self.status is SampleStatus.TYPE_I and not self.rank_lost
+
+    @property
     def is_final(self) -> bool:
         """Whether the coordinates themselves are at fault, so that shorter steps towards them do not help."""
-        return self.status is SampleStatus.UNREACHABLE or (self.status is SampleStatus.TYPE_I and not self.rank_lost)
+        return self.status is SampleStatus.UNREACHABLE or self.is_singular
 
 
 class Follower(LoopSolver):
@@ -200,15 +206,21 @@ class Follower(LoopSolver):
 
     def diagnose(self, last: ClosedState, x: Array) -> BranchEnd:
         """Return why a branch that was followed to its last state does not lead to coordinates x beyond it."""
-        solved = assemble(self.system, last.q[None], x[None])
-        residual = float(max(solved.residual[0], dependent_row_residual(self.robot, solved.q)[0]))
-        rank_lost = False
-        if not residual < closure_tolerance(self.robot):
-            status = SampleStatus.UNREACHABLE
-        else:
-            rank_lost = self.closure_margin(solved.q[0]) < self.near
-            status = SampleStatus.BRANCH_LOST if solved.regular[0] and not rank_lost else SampleStatus.TYPE_I
-        return BranchEnd(status, x, last, read_only(solved.q[0]), residual, rank_lost)
+        return self.diagnose_each([last], x[None])[0]
+
+    def diagnose_each(self, last: Sequence[ClosedState], x: Array) -> list[BranchEnd]:
+        """Return why branches that were followed to N last states do not lead to coordinates x (N, n) or (N, 4, 4)."""
+        solved = assemble(self.system, np.array([state.q for state in last]), x)
+        residual = np.maximum(solved.residual, dependent_row_residual(self.robot, solved.q))
+        closed, ends = residual < closure_tolerance(self.robot), []
+        for k, state in enumerate(last):
+            q = read_only(solved.q[k].copy())
+            rank_lost = bool(closed[k]) and self.closure_margin(q) < self.near
+            status = SampleStatus.BRANCH_LOST if solved.regular[k] and not rank_lost else SampleStatus.TYPE_I
+            if not closed[k]:
+                status = SampleStatus.UNREACHABLE
+            ends.append(BranchEnd(status, read_only(x[k].copy()), state, q, float(residual[k]), rank_lost))
+        return ends
 
     def step(self, here: ClosedState, x: Array) -> ClosedState | None:
         """Return the state at coordinates x nearby in one step, or None where it is not plainly on the branch.

@@ -73,8 +73,8 @@ class ClosedChain(TreePlacement):
 
     def full_bias(self) -> Array:
         """Return (r + n,) J̇_c v over J̇_x v."""
-        bias = self.system.all_rows.bias_at(self.placed, self.J, self.dJ, self.v)
-        return bias if self._unit_rows is None else np.concatenate([bias, np.zeros(len(self._unit_rows))])
+        bias: Array = self.full_rate().dot(self.v)
+        return bias
 
     def full_rate(self) -> Array:
         """Return (r + n, nv) J̇_c over J̇_x."""

@@ -14,7 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -24,7 +24,6 @@ from redundancy_pin.arrays import (
     FILE_TOLERANCE,
     SINGULAR_MARGIN,
     Array,
-    BoolArray,
     Frozen,
     IntArray,
     checked,
@@ -32,8 +31,9 @@ from redundancy_pin.arrays import (
     read_only,
 )
 from redundancy_pin.errors import SingularPoseError
-from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, Assembly, assemble, inverses
+from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, Assembly, evaluated, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
+from redundancy_pin.kinematics.closing import closed_neighbours
 from redundancy_pin.kinematics.closure import (
     ConstraintSystem,
     constraint_system,
@@ -42,7 +42,6 @@ from redundancy_pin.kinematics.closure import (
     with_all_rows,
 )
 from redundancy_pin.kinematics.coordinates import coordinates, difference
-from redundancy_pin.kinematics.mobility import free_motions
 from redundancy_pin.kinematics.multistart import SEED, draw_starts
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.checks import is_pose
@@ -51,10 +50,9 @@ from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
 NEAR_RANK_LOSS = 3e-3
 """Singularity margin below which rounding shows: velocities lose 1e-16 / margin², accelerations 1e-16 / margin³."""
 
-_SAMPLES, _SPREAD = 8, 0.4
-"""Random configurations around the reference that determine the typical margin, of each kind, and how far the joints
-are from it at most, before closing, rad or characteristic lengths."""
-
+_AROUND = 16, 0.4
+"""Number of configurations around the reference that determine the typical margin, and how far from it the joint is
+that moves farthest, before closing, rad or characteristic lengths."""
 
 CONTINUITY = 0.25
 """Acceptance threshold: relative error of the trapezoidal prediction (Γ₀ + Γ₁) Δx / 2. Halving a step reduces the error
@@ -166,8 +164,12 @@ class LoopSolver:
 
     @cached_property
     def near(self) -> float:
-        """The singularity margin below which a state counts as near a rank loss."""
-        return near_rank_loss(self.system)
+        """The singularity margin below which a state is near a rank loss: smaller for robots of small margins.
+
+        Short levers, gears and many joints make margins of 1e-3 and less everywhere (Cassie's leg), where no rank is
+        lost.
+        """
+        return min(NEAR_RANK_LOSS, 0.1 * typical_margin(self.system))
 
     @cached_property
     def _ample(self) -> float:
@@ -232,6 +234,8 @@ class LoopSolver:
 
     def close(self, guess: Array, x: Array, basis: Array | None = None) -> ClosedState | None:
         """Return the closed state at coordinates by Newton's method from a guess nearby; None where that fails.
+
+        The method is undamped; ``assembly.newton`` is the damped one, and says why there are two.
 
         Args:
             guess: (nq,) configuration.
@@ -311,14 +315,23 @@ class LoopSolver:
         new = self.close(self.integrate(here.q, here.gamma.dot(increment)), x, here.basis)
         if new is None or not new.margin > 0.0:
             return None
-        return new if self.is_continuous(here, new, increment) else None
+        step = self.tangent(here.q, new.q)
+        return new if self.is_continuous(step, here.gamma, new.gamma, increment) else None
 
     def is_continuous(
-        self, here: ClosedState, new: ClosedState, increment: Array, tolerance: float = CONTINUITY
+        self, step: Array, gamma0: Array, gamma1: Array, increment: Array, tolerance: float = CONTINUITY
     ) -> bool:
-        """Return whether the step between states is what the trapezoidal rule over Γ says of an increment (n,) of x."""
-        predicted = (0.5 * (here.gamma + new.gamma)).dot(increment)
-        return bool(_is_within(self.length(self.tangent(here.q, new.q) - predicted), self.length(predicted), tolerance))
+        """Return whether a tree displacement is what the trapezoidal rule over Γ predicts, or rounding.
+
+        Args:
+            step: (nv,) the displacement.
+            gamma0: (nv, n) Γ at its start.
+            gamma1: (nv, n) Γ at its end.
+            increment: (n,) of the coordinates.
+            tolerance: largest error relative to the prediction.
+        """
+        predicted = (0.5 * (gamma0 + gamma1)).dot(increment)
+        return self.length(step - predicted) <= tolerance * self.length(predicted) + ROUNDING
 
     def rates(self, state: ClosedState, xd: Array, xdd: Array) -> Rates:
         """Return v = Γ ẋ and a (nv,): K a = (−J̇_c v, ẍ − J̇_x v).
@@ -346,7 +359,7 @@ class LoopSolver:
         bias = chain.full_bias() / self.system.equation_unit
         if state.basis is not None:
             every = self._every.all_rows
-            every_bias = every.bias_at(every.place(chain.vectors, state.q), chain.J, chain.dJ, v)
+            every_bias = every.place(chain.vectors, state.q).jacobian_rate(chain.J, chain.dJ, v).dot(v)
             bias[: self.rank] = (every_bias[: len(self._every.rows)] / self._every.closure_unit).dot(state.basis)
         rest = -bias
         rest[self.rank :] += xdd / self.unit
@@ -388,27 +401,6 @@ class LoopSolver:
         return result
 
 
-def are_continuous(robot: Robot, step: Array, gamma0: Array, gamma1: Array, increment: Array) -> BoolArray:
-    """Return (N,) what ``LoopSolver.is_continuous`` says of N steps at once.
-
-    Args:
-        robot: the robot.
-        step: (N, nv) tree displacements.
-        gamma0: (N, nv, n) Γ at their starts.
-        gamma1: (N, nv, n) Γ at their ends.
-        increment: (N, n) of the coordinates.
-    """
-    unit = velocity_unit(robot)
-    predicted = np.einsum("nvi,ni->nv", 0.5 * (gamma0 + gamma1), increment) / unit
-    error, size = (np.abs(part).max(axis=1, initial=0.0) for part in (step / unit - predicted, predicted))
-    return np.asarray(_is_within(error, size, CONTINUITY))
-
-
-def _is_within(error: Any, predicted: Any, tolerance: float) -> Any:
-    """Return the acceptance test of a step, or of (N,): its error is small relative to the prediction, or rounding."""
-    return error <= tolerance * predicted + ROUNDING
-
-
 def _kept(array: Array) -> Array:
     """Return a read-only array that nobody else changes: itself if it is read-only, otherwise a copy."""
     return read_only(array.copy()) if array.flags.writeable else array
@@ -422,32 +414,15 @@ def largest(values: Array) -> float:
 
 @lru_cache(maxsize=64)
 def closed_around(system: ConstraintSystem) -> Assembly:
-    """Return the reference configuration and some around it, the chains closed again where Newton's method can.
-
-    Half of them are displaced in any direction, half along the branch: near a pose where several loops are flat,
-    Newton's method closes the former to flat poses again.
-    """
-    q, rng = np.array(system.robot.q_reference), np.random.default_rng(SEED)
-    around = [
-        draw_starts(system, q, _SAMPLES, rng, turn=_SPREAD, slide=_SPREAD, along=along)
-        for along in (None, free_motions(system, q))
-    ]
-    return assemble(system, np.concatenate([q[None], *around]))
+    """Return the reference configuration and some around it on its branch, as far as they close."""
+    return evaluated(system, closed_neighbours(system, np.array(system.robot.q_reference), *_AROUND))
 
 
 @lru_cache(maxsize=64)
 def typical_margin(system: ConstraintSystem) -> float:
     """Return the largest singularity margin at the reference and some configurations around it; 1 where all are 0."""
     around = closed_around(system)
-    return float(around.projection.margin.max(where=around.closed, initial=0.0)) or 1.0
-
-
-def near_rank_loss(system: ConstraintSystem) -> float:
-    """Return the singularity margin below which a state is near a rank loss: smaller for robots of small margins.
-
-    Short levers, gears and many joints make margins of 1e-3 and less everywhere (Cassie's leg), where no rank is lost.
-    """
-    return min(NEAR_RANK_LOSS, 0.1 * typical_margin(system))
+    return float(around.margin.max(where=around.closed, initial=0.0)) or 1.0
 
 
 @lru_cache(maxsize=64)
@@ -459,7 +434,7 @@ def loop_blocks(system: ConstraintSystem) -> tuple[tuple[IntArray, IntArray], ..
     from j to k and back. Entries below 1e-9 of the largest, with open chains, are zero by the structure of the robot.
     """
     q, rng = np.array(system.robot.q_reference), np.random.default_rng(SEED)
-    rows = system.relative(system.evaluate(draw_starts(system, q, 2, rng, turn=_SPREAD, slide=_SPREAD)).K)
+    rows = system.relative(system.evaluate(draw_starts(system, q, 2, rng, spread=_AROUND[1])).K)
     solves, has = (
         (np.abs(part) > 1e-9 * np.abs(part).max(axis=(1, 2), keepdims=True)).any(axis=0)
         for part in (inverses(rows), rows)

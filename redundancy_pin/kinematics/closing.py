@@ -42,10 +42,12 @@ def closed_near(
     """
     system, rng = ConstraintSystem(robot), np.random.default_rng(SEED)
     best = np.inf
-    starts = (q, *(draw_starts(system, q, 1, rng, turn=spread, slide=spread)[0] for spread in _SPREADS))
+    starts = (q, *(draw_starts(system, q, 1, rng, spread=spread)[0] for spread in _SPREADS))
     for start in starts:
-        closed, residual = close(system, start, rank_tolerance)
+        reached = assemble(system, start[None], rank_tolerance=rank_tolerance, max_iterations=_ITERATIONS)
+        residual = float(reached.residual[0])
         if residual < tolerance * robot.characteristic_length:
+            closed: Array = reached.q[0]
             return closed
         best = min(best, residual)
         if start is q and residual < _CONTRADICTION * tolerance * robot.characteristic_length:
@@ -55,16 +57,6 @@ def closed_near(
         remedy="Name a reference that is nearer to a closed configuration, or correct the closures.",
         residual=best,
     )
-
-
-def close(system: ConstraintSystem, q: Array, rank_tolerance: float = RANK_TOLERANCE) -> tuple[Array, float]:
-    """Return what Newton's method reaches from q (nq,) where rows may be redundant, and the closure residual, m.
-
-    ``rank_tolerance``: as of ``assemble``.
-    """
-    reached = assemble(system, q[None], rank_tolerance=rank_tolerance, max_iterations=_ITERATIONS)
-    closed: Array = reached.q[0]
-    return closed, float(reached.residual[0])
 
 
 def closed_neighbours(
@@ -78,7 +70,7 @@ def closed_neighbours(
     """Return closed configurations (N, nq) around a closed one, the first of them that one itself.
 
     They are displaced along the motions that the rows leave free: from anywhere else Newton's method may turn a short
-    lever over. Those that it does not close are left out.
+    lever over, or close loops to a flat pose nearby. Those that it does not close are left out.
 
     Args:
         system: closure rows, which may be redundant.
@@ -89,9 +81,8 @@ def closed_neighbours(
         rank_tolerance: as of ``assemble``.
     """
     rng, free = np.random.default_rng(SEED), free_motions(system, q, rank_tolerance)
-    starts = draw_starts(system, q, count, rng, turn=spread, slide=spread, along=free)
-    reached = assemble(
-        system, np.concatenate([q[None], starts]), rank_tolerance=rank_tolerance, max_iterations=_ITERATIONS
-    )
+    starts = draw_starts(system, q, count, rng, spread=spread, along=free)
+    starts = np.concatenate([q[None], starts])
+    reached = assemble(system, starts, rank_tolerance=rank_tolerance, max_iterations=_ITERATIONS)
     closed = reached.residual < tolerance * system.robot.characteristic_length
     return reached.q[closed] if closed.any() else q[None]

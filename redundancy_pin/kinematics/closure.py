@@ -47,7 +47,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, IntArray, blocks
+from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array, IntArray, blocks
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics import angles
 from redundancy_pin.kinematics.coupling import CouplingRows
@@ -67,9 +67,6 @@ _ORIGIN = 3
 
 _BLOCK = 128
 """Configurations evaluated at once: their rows stay in the cache."""
-
-_PAIRED = np.array([0, 1, 1, 0])
-"""Of axis and partner, what ȧ, ċ, Δω × c and a × Δω are made with."""
 
 _NEXT, _AFTER = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])
 """Components of both factors of the six products of a cross product."""
@@ -141,8 +138,6 @@ class RowSet:
         self._taken_signs = np.where(np.isin(np.arange(21), [0, 2, 4, *range(12, 18)])[:, None], signs, 1.0)
         first, second = np.array([row[2:4] for row in rows], dtype=np.intp).reshape(size, 2).T
         self.mask = support[second] - support[first]
-        self._moved = np.concatenate([self._carried, self.mask, -self.mask])
-        self._slides = np.stack([*moving, moving[1], np.zeros(size)])
 
     def place(self, vectors: Array, q: Array, order: IntArray | None = None) -> PlacedRows:
         """Return the rows at one configuration, or at N.
@@ -189,27 +184,6 @@ class RowSet:
         """Return mask ∘ (w · J), (R, nv) or (N, R, nv), for joint columns J (6, nv) or (N, 6, nv); no couplings."""
         rows: Array = self.mask * (wrench.T @ J)
         return rows
-
-    def bias_at(self, placed: PlacedRows, J: Array, dJ: Array, v: Array) -> Array:
-        """Return J̇ v (R,) at one state.
-
-        With Δ = V_B − V_A,  ẇ · Δ = ȧ · (σ Δv + Δω × c) + ċ · (a × Δω): four cross products, all at once.
-        """
-        moved = (self._moved * v).T
-        twists = J.dot(moved).reshape(6, 4, self.size)
-        parts = _cross(twists[3:], placed.pairs.take(_PAIRED, 1)) + twists[:3] * self._slides
-        if self.rods:
-            parts[:, 0, self.rods] += self.per_length(parts[:, 2, self.rods])
-        products = (parts[:, :2] * parts[:, 2:]).reshape(6, self.size)
-        if self._at_angles:
-            products[:, self._at_angles] = 0.0
-            self.set_angles(products, 1, placed.pairs[:, 0], parts[:, 0])
-            products[3:, self._at_angles] *= twists[3:, 2, self._at_angles]
-        rest = placed.wrench * dJ.dot(moved[:, 2 * self.size : 3 * self.size])
-        bias: Array = np.add.reduce(products + rest)
-        if self.couplings is not None:
-            bias[self.couplings.at] = self.couplings.bias(placed.q, v)
-        return bias
 
     def twists(self, J: Array, v: Array) -> Array:
         """Return (6, 2, R) the sums of J v over the joints that carry each axis, and each partner."""
@@ -272,9 +246,12 @@ class PlacedRows(NamedTuple):
         return first, rate
 
     def jacobian_rate(self, J: Array, dJ: Array, v: Array) -> Array:
-        """Return (R, nv) the rate of the rows at one state."""
+        """Return (R, nv) the rate of the rows at one state; times v it is J̇_c v."""
+        return self._rate_of(self.rates(self.rows.twists(J, v))[1], J, dJ, v)
+
+    def _rate_of(self, wrench_rate: Array, J: Array, dJ: Array, v: Array) -> Array:
         rows = self.rows
-        rate: Array = rows.mask * (self.rates(rows.twists(J, v))[1].T.dot(J) + self.wrench.T.dot(dJ))
+        rate: Array = rows.mask * (wrench_rate.T.dot(J) + self.wrench.T.dot(dJ))
         if rows.couplings is not None:
             rate[rows.couplings.at] = rows.couplings.jacobian_rate(self.q, v)
         return rate
@@ -294,12 +271,10 @@ class PlacedRows(NamedTuple):
         curve = _cross(ddc, axis) + 2.0 * _cross(dc, da) + _cross(partner, dda)
         bend = np.concatenate((dda * self.moving[1], curve))
         rows.set_angles(bend, 2, axis, da, dda)
-        first_rate = rows.times(rate, J) + rows.times(self.wrench, dJ)
         second_rate = rows.times(bend, J) + 2.0 * rows.times(rate, dJ) + rows.times(self.wrench, ddJ)
         if rows.couplings is not None:
-            first_rate[rows.couplings.at] = rows.couplings.jacobian_rate(self.q, v)
             second_rate[rows.couplings.at] = rows.couplings.jacobian_second_rate(self.q, v, a)
-        return self.jacobian(J), first_rate, second_rate
+        return self.jacobian(J), self._rate_of(rate, J, dJ, v), second_rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,12 +304,6 @@ class ConstraintState:
     def placement(self, frame: str) -> tuple[Array, Array]:
         """Return rotation (3, 3, N) and origin (3, N), m, of a frame of a closure or the platform, by its name."""
         return frame_placement(self.vectors, self.frames[frame])
-
-    def overwrite(self, at: IntArray, other: ConstraintState, chosen: BoolArray) -> None:
-        """Replace the configurations ``at`` by chosen ones of another evaluation of the same system."""
-        self.vectors[:, at] = other.vectors[:, chosen]
-        for name in ("q", "columns", "phi", "Jc", "Jx", "K"):
-            getattr(self, name)[at] = getattr(other, name)[chosen]
 
 
 class ConstraintSystem:

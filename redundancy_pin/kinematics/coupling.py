@@ -2,7 +2,7 @@
 
 With Φ = q_j − p(q_i), m or rad, as one more row of the constraints,
 
-    Φ̇ = v_j − p' v_i,    J̇ v = −p'' v_i²,    J̇ = −p'' v_i e_i,    J̈ = −(p''' v_i² + p'' v̇_i) e_i.
+    Φ̇ = v_j − p' v_i,    J̇ = −p'' v_i e_i,    J̈ = −(p''' v_i² + p'' v̇_i) e_i.
 
 The multiplier is the effort that the coupling exerts in joint j; in joint i it exerts −p' times that. Further
 joints may be added by constant factors, q_j = p(q_i) + Σ f_k q_k: they change Φ and its Jacobian alone.
@@ -72,11 +72,6 @@ class CouplingRows:
         rows = self._in_column(-self._value(1, q)) - self._more_v
         rows[..., self._rows, self._v] += 1.0
         return rows
-
-    def bias(self, q: Array, v: Array) -> Array:
-        """Return (C,) J̇ v at one state."""
-        bias: Array = -self._value(2, q) * v[self._of_v] ** 2
-        return bias
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
         """Return (C, nv) J̇ at one state."""

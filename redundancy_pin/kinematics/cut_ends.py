@@ -37,7 +37,7 @@ def about_several_axes(robot: Robot, ends: Sequence[tuple[str, str]]) -> tuple[t
         ()
     """
     motions = list(_motions(robot)) if ends else []
-    return tuple(pair for pair in ends if not _is_one_axis(robot, motions, pair))
+    return tuple(pair for pair in ends if not _is_single(_relative_turns(robot, motions, pair)[0]))
 
 
 def common_axis(robot: Robot, ends: tuple[str, str]) -> Array | None:
@@ -45,12 +45,9 @@ def common_axis(robot: Robot, ends: tuple[str, str]) -> Array | None:
 
     It is in the axes of the first frame, where it stays fixed. Motions are those of ``about_several_axes``.
     """
-    turns = np.concatenate([_relative_turns(robot, q, each, ends) for q, each in _motions(robot)])
-    _, values, axes = np.linalg.svd(turns)
-    if values[0] <= FILE_TOLERANCE or not _is_single(values):
-        return None
+    values, axes = _relative_turns(robot, list(_motions(robot)), ends)
     axis: Array = axes[0]
-    return axis
+    return axis if values[0] > FILE_TOLERANCE and _is_single(values) else None
 
 
 def branches_meet(robot: Robot, q: Array) -> bool:
@@ -62,11 +59,6 @@ def branches_meet(robot: Robot, q: Array) -> bool:
     """
     rows = ConstraintSystem(robot).closure_rows(q)
     return len(independent_columns(rows.T, EXACT)) < len(rows)
-
-
-def _is_one_axis(robot: Robot, motions: Sequence[tuple[Array, Array]], frames: tuple[str, str]) -> bool:
-    turns = np.concatenate([_relative_turns(robot, q, each, frames) for q, each in motions])
-    return _is_single(np.linalg.svd(turns, compute_uv=False))
 
 
 def _is_single(values: Array) -> bool:
@@ -84,14 +76,19 @@ def _motions(robot: Robot) -> Iterator[tuple[Array, Array]]:
         yield q, velocities
 
 
-def _relative_turns(robot: Robot, q: Array, velocities: Array, frames: tuple[str, str]) -> Array:
-    """Return the angular velocities (f, 3) of the second frame against the first, in axes of the first, rad/s."""
-    model, data = robot.model, robot.model.createData()
-    indices = [find_link_index(model, name) for name in frames]
-    pin.computeJointJacobians(model, data, q)
-    pin.updateFramePlacements(model, data)
-    first, second = (
-        pin.getFrameJacobian(model, data, index, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[3:] for index in indices
-    )
-    turns: Array = velocities @ (second - first).T @ data.oMf[indices[0]].rotation
-    return turns
+def _relative_turns(robot: Robot, motions: Sequence[tuple[Array, Array]], ends: tuple[str, str]) -> tuple[Array, Array]:
+    """Return singular values (3,) and right singular vectors (3, 3) of the second frame's turns against the first.
+
+    The turns are the relative angular velocities of all motions, in axes of the first frame, rad/s.
+    """
+    model, data, turns = robot.model, robot.model.createData(), []
+    indices = [find_link_index(model, name) for name in ends]
+    for q, velocities in motions:
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        first, second = (
+            pin.getFrameJacobian(model, data, index, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[3:] for index in indices
+        )
+        turns.append(velocities @ (second - first).T @ data.oMf[indices[0]].rotation)
+    values, axes = np.linalg.svd(np.concatenate(turns))[1:]
+    return values, axes

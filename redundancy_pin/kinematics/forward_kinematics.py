@@ -11,6 +11,7 @@ With rates u̇ of the motors and v = Γ' u̇
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,7 +29,6 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.errors import InputError, SingularPoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import (
-    assemble,
     closed_configurations,
     configuration_difference,
     integrate,
@@ -37,15 +37,16 @@ from redundancy_pin.kinematics.branch import ClosedState, follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, joint_position, with_independent_joints
-from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.kinematics.inverse_kinematics import MotionSolution
 from redundancy_pin.kinematics.mobility import independent_columns
+from redundancy_pin.kinematics.whole_turns import are_too_many_turns_away
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.joint_ranges import range_excess, range_slack
 from redundancy_pin.robot.scales import turning_velocities, velocity_unit
-from redundancy_pin.robot.whole_turns import FARTHEST, TURN, are_too_many_turns_away, counted_turns
+from redundancy_pin.robot.whole_turns import FARTHEST, TURN, counted_turns
 from redundancy_pin.status import SampleStatus, solved_status
 
 _WEAKENED = 0.5
@@ -176,29 +177,39 @@ def _follow(
     """Return where motors at ``given`` positions, rates and accelerations (N, m) take the platform from q0 (nq,)."""
     robot, u = system.robot, given[0]
     driven = with_independent_joints(robot, tuple(robot.actuated[j] for j in followed))
-    first = _start(driven, q0)
-    still = np.zeros(driven.n)  # the motors come from the start
+    own, first = follower(driven), _start(driven, q0)
+    still = np.zeros(driven.n)  # the motors come from the start, which is the first sample
     before = first.x, still, still
     path = [np.concatenate([start[None], part[:, followed]]) for start, part in zip(before, given, strict=True)]
     _require_few_turns(driven, path[0])
-    motion = PlatformMotion(np.arange(len(path[0])), *path, check_rates=False)
-    tree = inverse_kinematics(driven, motion, mark_unreachable=True, start=first)
-    # what inverse_kinematics takes up again behind a sample without a state is on any branch
-    end = int(np.logical_and.accumulate(tree.reachable).sum()) - 1
+    solution = MotionSolution(own, PlatformMotion(np.arange(len(path[0])), *path, check_rates=False))
+    end, last, _ = solution.follow(range(1, len(path[0])), first)
+    tree, positions = solution.trajectory(), path[0][1:]
     q, v, a, gamma, residual, margin = (
         np.array(part[1:]) for part in (tree.q, tree.v, tree.a, tree.gamma, tree.residual, tree.serial_margin_bound)
     )
     status: IntArray = np.full(len(u), int(SampleStatus.OK))
-    for part in (q, v, a, gamma):
-        part[end:] = np.nan
+    solved = end
     if end < len(u):
-        rest = q[end:], status[end:], residual[end:], margin[end:]
-        _mark_rest(constraint_system(driven), path[0][end:], tree.q[end], rest)
-    x = _platform_at(system, q)
+        ends = own.diagnose_each([last] * (len(u) - end), positions[end:])
+        for one in takewhile(lambda one: one.is_singular, ends):  # behind another sample the branch is unknown
+            q[solved] = one.q
+            solved += 1
+        far = are_too_many_turns_away(driven, last.x, positions[end:])
+        unreachable = ~far & [one.status is SampleStatus.UNREACHABLE for one in ends]
+        status[end:] = np.where(unreachable, SampleStatus.UNREACHABLE, SampleStatus.BRANCH_LOST)
+        status[end:solved] = SampleStatus.TYPE_II
+        residual[end:] = np.where(far, np.nan, [one.residual for one in ends])
+        margin[end:] = np.where([one.is_singular for one in ends], 0.0, np.nan)
+    placed = system.evaluate(q[:solved])
+    x = np.full((len(u), 4, 4) if is_pose(robot) else (len(u), robot.n), np.nan)
+    x[:solved] = coordinates(robot, placed)
+    if not is_pose(robot):
+        x[:solved] += _turns(system, q[:solved])
     xd, xdd = platform_rates(robot, q, v, a)
     J = np.full((len(u), robot.n, robot.m), np.nan)
     J[:end] = 0.0
-    J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
+    J[:end, :, followed] = placed.Jx[:end] @ gamma[:end]
     residual = np.where(np.isnan(residual), np.nan, np.fmax(residual, motor_mismatch(system, followed, u, q)))
     contradicted = (status == SampleStatus.OK) & (residual > AGREEMENT_TOLERANCE * robot.characteristic_length)
     status[contradicted] = SampleStatus.UNREACHABLE
@@ -250,18 +261,6 @@ def motor_mismatch(system: ConstraintSystem, followed: IntArray, u: Array, q: Ar
     return worst * robot.characteristic_length
 
 
-def _mark_rest(motors: ConstraintSystem, u: Array, last: Array, rest: tuple[Array, IntArray, Array, Array]) -> None:
-    """Write q, status, residual and margin of samples beyond the end of the branch, ``last`` (nq,), at u[0]."""
-    far = are_too_many_turns_away(motors.robot, u[0], u[1:])
-    solved = assemble(motors, np.repeat(last[None], len(far), axis=0), u[1:])
-    passed = int(np.argmin(np.append(solved.singular, False)))  # only until another sample is met the branch is known
-    q, status, residual, margin = rest
-    status[:] = np.where(solved.closed | far, SampleStatus.BRANCH_LOST, SampleStatus.UNREACHABLE)
-    status[:passed] = SampleStatus.TYPE_II
-    residual[:], margin[:] = np.where(far, np.nan, solved.residual), np.where(solved.singular, 0.0, np.nan)
-    q[:passed] = solved.q[:passed]
-
-
 def _require_few_turns(driven: Robot, u: Array) -> None:
     """Check that positions of motors (N, n) do not turn too often.
 
@@ -286,16 +285,6 @@ def _require_few_turns(driven: Robot, u: Array) -> None:
             remedy="Pass samples in between, or take whole turns off.",
             turns=turns,
         )
-
-
-def _platform_at(system: ConstraintSystem, q: Array) -> Array:
-    """Return (N, n) coordinates or (N, 4, 4) poses of the platform at configurations, NaN where these are."""
-    robot, known = system.robot, np.isfinite(q).all(axis=1)
-    x = np.full((len(q), 4, 4) if is_pose(robot) else (len(q), robot.n), np.nan)
-    x[known] = coordinates(robot, system.evaluate(q[known]))
-    if not is_pose(robot) and known.any():
-        x[known] += _turns(system, q[known])
-    return x
 
 
 def platform_rates(robot: Robot, q: Array, v: Array, a: Array) -> tuple[Array, Array]:

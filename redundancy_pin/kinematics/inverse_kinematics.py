@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from redundancy_pin.arrays import ROUNDED_SHARE, Array, BoolArray, Frozen, IntArray, frozen, read_only
+from redundancy_pin.arrays import ROUNDED_SHARE, Array, BoolArray, Frozen, IntArray, read_only
 from redundancy_pin.errors import (
     RedundancyPinError,
     SingularPoseError,
@@ -18,7 +17,7 @@ from redundancy_pin.errors import (
     WorkingModeError,
     millimetres,
 )
-from redundancy_pin.kinematics.assembly import assemble, project
+from redundancy_pin.kinematics.assembly import assemble, evaluated
 from redundancy_pin.kinematics.branch import (
     SAME_CONFIGURATION,
     BranchEnd,
@@ -31,13 +30,13 @@ from redundancy_pin.kinematics.closure import ConstraintSystem, dependent_row_re
 from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator, mode_name, working_modes
 from redundancy_pin.kinematics.mobility import worst_dependent_row
 from redundancy_pin.kinematics.multistart import multistart
+from redundancy_pin.kinematics.whole_turns import advance_turns, are_too_many_turns_away
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.checks import require_matching
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, velocity_unit
-from redundancy_pin.robot.whole_turns import are_too_many_turns_away, follow_whole_turns
 from redundancy_pin.status import SampleStatus
 
 _FAR_STARTS = 5
@@ -137,26 +136,36 @@ def inverse_kinematics(
     """
     robot = as_robot(robot)
     require_matching(robot, motion)
-    solution = _Solution(follower(robot), motion, positions_only, progress)
+    solution = MotionSolution(follower(robot), motion, positions_only, progress)
     if mark_unreachable:
         solution.solve_what_is_reachable(start)
     else:
-        first = solution.first(0, start)
-        solution.follow(range(len(motion)), first)
+        here = point_on_branch(solution.system, motion.x[0]) if start is None else start
+        count, _, end = solution.follow(range(len(motion)), here)
+        if end is not None:
+            raise _error(end, motion, count, start)
     return solution.trajectory()
 
 
-class _Solution:
-    """The samples of a motion in progress, NaN where there is no configuration."""
+class MotionSolution:
+    """The samples of a motion in progress, NaN where there is no configuration.
+
+    Args:
+        follower: of the robot.
+        motion: N samples of the independent coordinates.
+        positions_only: as of ``inverse_kinematics``.
+        progress: as of ``inverse_kinematics``.
+    """
 
     def __init__(
         self,
         follower: Follower,
         motion: PlatformMotion,
-        positions_only: bool,
-        progress: Callable[[int, int], None] | None,
+        positions_only: bool = False,
+        progress: Callable[[int, int], None] | None = None,
     ) -> None:
         self._follower, self._motion, self._positions_only = follower, motion, positions_only
+        self.system = follower.system
         self._progress, self._done = progress, 0
         self._near = 0.0  # the margin at which the samples came near a rank loss
         robot, samples = follower.robot, len(motion)
@@ -165,94 +174,70 @@ class _Solution:
         self.gamma = np.full((samples, robot.model.nv, robot.n), np.nan)
         self.residual, self.margin = np.full((2, samples), np.nan)
 
-    def first(self, sample: int, start: ClosedState | None) -> ClosedState:
-        """Return a state from which the branch leads to a sample: of the branch of the reference, or ``start``."""
-        x = self._motion.x[sample]
-        if start is None:
-            return point_on_branch(self._follower.system, x, sample)
-        end = self._solved(start, sample)
-        if isinstance(end, Rates):
-            return start
-        if end.status in _ALONE:
-            raise _error(end, self._motion, sample)
-        raise WorkingModeError(
-            f"The pose of sample {sample}, x = {np.round(x, 6).tolist()}, cannot be reached continuously from the "
-            f"start at x = {np.round(start.x, 6).tolist()}: the straight line leaves the workspace or passes a type I "
-            "singularity.",
-            remedy="Start nearer to it, or leave the start out.",
-            sample=sample,
-        )
+    def follow(self, order: Sequence[int], here: ClosedState) -> tuple[int, ClosedState, BranchEnd | None]:
+        """Solve samples one after the other from a state of the branch.
 
-    def follow(self, order: Sequence[int], here: ClosedState) -> None:
-        """Solve samples one after the other from a state of the branch; raises where it ends."""
-        for k in order:
+        Returns:
+            How many have a state, the last of the states, and why the branch ends there; None where all have one.
+        """
+        for count, k in enumerate(order):
             reached = self._solved(here, k)
             if isinstance(reached, BranchEnd):
-                raise _error(reached, self._motion, k)
+                return count, here, reached
             here = self._keep(k, reached)
+        return len(order), here, None
 
     def solve_what_is_reachable(self, start: ClosedState | None) -> None:
         """Solve samples from the first reachable one on, then from there back; others stay NaN."""
         found = self._first_reachable(start)
         if found is None:
-            self._measure(range(len(self._motion)), np.array(self._follower.robot.q_reference))
+            self._mark(range(len(self._motion)), self._follower.home)
             return
         first, state = found
         self._follow_marked(range(first, len(self._motion)), state)
-        if first:
-            self._follow_marked(range(first - 1, -1, -1), state)
+        self._follow_marked(range(first - 1, -1, -1), state)
 
     def _first_reachable(self, start: ClosedState | None) -> tuple[int, ClosedState] | None:
         lost = UnreachablePoseError, SingularPoseError, WorkingModeError
-        with contextlib.suppress(*lost):
-            return 0, self.first(0, start)
         follower, x = self._follower, self._motion.x
+        if start is not None and isinstance(self._solved(start, 0), Rates):
+            return 0, start
+        if start is None:
+            with contextlib.suppress(*lost):
+                return 0, point_on_branch(self.system, x[0])
         near = _reacquire(follower, x, np.array(follower.robot.q_reference))
         if near is not None:
             return near
         for sample in _spread(np.arange(len(x)))[1:]:
             with contextlib.suppress(*lost):
-                return sample, point_on_branch(follower.system, x[sample], sample)
+                return sample, point_on_branch(self.system, x[sample])
         return None
 
     def _follow_marked(self, order: range, here: ClosedState) -> None:
         """Follow samples; behind those without a state the motion is reacquired, and followed back where it goes on."""
-        k = 0
-        while k < len(order):
-            reached = self._solved(here, order[k])
-            if isinstance(reached, Rates):
-                here = self._keep(order[k], reached)
-                k += 1
-                continue
-            if reached.reason:  # nothing is known there; the samples behind it may be near again
-                self._measure(order[k : k + 1], here.q)
-                k += 1
+        while order:
+            count, here, end = self.follow(order, here)
+            order = order[count:]
+            if end is None:
+                return
+            if end.reason:  # nothing is known there; the samples behind it may be near again
+                self._mark(order[:1], here)
+                order = order[1:]
                 continue
             # the chains may close on another branch at once: the sample is marked all the same
-            near = _reacquire(self._follower, self._motion.x[order[k:]], here.q)
-            found = len(order) if near is None else max(k + near[0], k + 1)
-            joined = 0 if near is None else self._follow_back(order[k + 1 : found], near[1])
-            self._measure(order[k : found - joined], here.q)
+            near = _reacquire(self._follower, self._motion.x[order], here.q)
+            skipped = len(order) if near is None else max(near[0], 1)
+            joined = 0 if near is None else self.follow(order[1:skipped][::-1], near[1])[0]
+            self._mark(order[: skipped - joined], here)
             if near is None:
                 return
-            here, k = near[1], found
+            here, order = near[1], order[skipped:]
 
-    def _follow_back(self, order: range, here: ClosedState) -> int:
-        """Follow samples from the last one towards the first; return how many are on the branch of a state."""
-        for count, sample in enumerate(reversed(order)):
-            reached = self._solved(here, sample)
-            if isinstance(reached, BranchEnd):
-                return count
-            here = self._keep(sample, reached)
-        return len(order)
-
-    def _measure(self, samples: Sequence[int], q: Array) -> None:
-        """Note the closure residual that is left at samples without a state."""
-        if len(samples):
-            at = np.array(samples)
-            self.residual[at] = assemble(
-                self._follower.system, np.repeat(q[None], len(at), axis=0), self._motion.x[at]
-            ).residual
+    def _mark(self, samples: range, last: ClosedState) -> None:
+        """Note the closure residual at samples that the branch of a state does not lead to."""
+        if samples:
+            ends = self._follower.diagnose_each([last] * len(samples), self._motion.x[samples])
+            self.residual[samples] = [end.residual for end in ends]
 
     def _solved(self, here: ClosedState, k: int) -> Rates | BranchEnd:
         """Return a sample on the branch of a state, or why it is not there."""
@@ -320,30 +305,7 @@ def is_rounded(follower: Follower, solved: Rates) -> bool:
     return False
 
 
-def advance_turns(own: Follower, here: ClosedState, x: Array) -> ClosedState | BranchEnd:
-    """Return the state at coordinates x on the branch of a state, as ``Follower.advance``.
-
-    Whole turns of independent joints are followed one joint after the other, and only until they repeat
-    (``robot.whole_turns``).
-    """
-    end: ClosedState | BranchEnd | None = None
-
-    def follow(q: Array, start: Array, target: Array) -> Array | None:
-        nonlocal end
-        # q is that of the last state but for whole turns, which Γ does not see
-        last = end if isinstance(end, ClosedState) and q is not here.q else here
-        state = here if q is here.q else replace(last, q=frozen(q), x=frozen(start))
-        end = own.follow(state, frozen(target))
-        return end.q if isinstance(end, ClosedState) else None
-
-    try:
-        follow_whole_turns(own.robot, here.q, here.x, x, follow)
-    except UnreachablePoseError as error:
-        return BranchEnd(SampleStatus.UNREACHABLE, x, here, here.q, math.nan, reason=error.message)
-    return own.diagnose(here, x) if end is None else end
-
-
-def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0, *, time: float | None = None) -> ClosedState:
+def point_on_branch(system: ConstraintSystem, x: Array, time: float | None = None) -> ClosedState:
     """Return a closed state at coordinates, in the robot's working mode.
 
     First the straight line from the reference configuration is followed; where that leaves the workspace, multistart
@@ -352,8 +314,7 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0, *, time
     Args:
         system: closures and platform rows; the robot's ``q_reference`` must be closed.
         x: (n,) coordinates or a pose (4, 4), base frame.
-        sample: index to name in the error.
-        time: s, to name in place of the sample.
+        time: s, to name in errors; otherwise they name sample 0.
 
     Raises:
         UnreachablePoseError: no start leads to a closed configuration; carries the smallest residual.
@@ -362,9 +323,8 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0, *, time
     """
     robot, own = system.robot, follower(system.robot)
     home = own.home
-    where, details = f"of sample {sample}", dict[str, float](sample=sample)
-    if time is not None:
-        where, details = f"at t = {time:.9g} s", {"time": time}
+    where = "of sample 0" if time is None else f"at t = {time:.9g} s"
+    details: dict[str, float] = {"sample": 0} if time is None else {"time": time}
     reached = advance_turns(own, home, x) if np.isfinite(home.gamma).all() else None
     if isinstance(reached, BranchEnd) and reached.reason:
         raise UnreachablePoseError(reached.reason, remedy=_FEWER_TURNS, **details)
@@ -375,7 +335,7 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0, *, time
             return reached
     q, residual, in_mode = multistart(system, home.q, x)
     closed, pose = residual < closure_tolerance(robot), f"The pose {where}, x = {np.round(x, 6).tolist()},"
-    if closed and project(system, system.evaluate(q[None])).margin[0] == 0.0:
+    if closed and evaluated(system, q[None]).margin[0] == 0.0:
         raise SingularPoseError(
             f"{pose} is a type I singularity: the platform velocity does not determine the joint velocities.",
             remedy=_STAY_AWAY,
@@ -439,12 +399,8 @@ def _spread(samples: IntArray) -> list[int]:
     return [int(samples[place]) for place in places]
 
 
-_ALONE = SampleStatus.UNREACHABLE, SampleStatus.TYPE_I
-"""Statuses that a pose has by itself, whatever leads there."""
-
-
-def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError:
-    """Return the error of sample k, which a branch does not lead to."""
+def _error(end: BranchEnd, motion: PlatformMotion, k: int, start: ClosedState | None) -> RedundancyPinError:
+    """Return the error of sample k, which a branch does not lead to; ``start``: as of ``inverse_kinematics``."""
     robot, t, x = end.last.robot, float(motion.t[k]), motion.x[k]
     place = f"sample {k} (t = {t:.6g} s, x = {np.round(x, 6).tolist()})"
     if end.reason:
@@ -473,8 +429,24 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError
             remedy=_STAY_AWAY,
             sample=k,
         )
+    if start is not None and k == 0:
+        return WorkingModeError(
+            f"The pose of sample 0, x = {np.round(x, 6).tolist()}, cannot be reached continuously from the start at "
+            f"x = {np.round(start.x, 6).tolist()}: the straight line leaves the workspace or passes a type I "
+            "singularity.",
+            remedy="Start nearer to it, or leave the start out.",
+            sample=0,
+        )
     if not in_working_mode(robot, end.q[None])[0]:
-        return _leaves_mode(motion, robot, k, end.q)
+        leg = int(np.argmax(mode_indicator(robot, end.q[None])[0] * np.array(robot.working_mode) <= 0.0))
+        name = robot.working_modes.joints[leg] if robot.working_modes else ""
+        return WorkingModeError(
+            f"The motion leaves the working mode {mode_name(robot.working_mode)} at sample {k} (t = {t:.6g} s): leg "
+            f"{leg + 1} ({name}) changes over.",
+            remedy="Plan a path that keeps every leg on its side, or load the robot in another working_mode.",
+            sample=k,
+            leg=leg + 1,
+        )
     before = max(k - 1, 0)
     return WorkingModeError(
         f"The motion cannot be followed continuously from sample {before} to {k} (t = {motion.t[before]:.6g} to "
@@ -483,16 +455,4 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError
         "smooth branch is known to lead across.",
         remedy="Keep every leg away from the end of its reach, or sample the motion more finely.",
         sample=k,
-    )
-
-
-def _leaves_mode(motion: PlatformMotion, robot: Robot, k: int, q: Array) -> WorkingModeError:
-    leg = int(np.argmax(mode_indicator(robot, q[None])[0] * np.array(robot.working_mode) <= 0.0))
-    name = robot.working_modes.joints[leg] if robot.working_modes else ""
-    return WorkingModeError(
-        f"The motion leaves the working mode {mode_name(robot.working_mode)} at sample {k} "
-        f"(t = {motion.t[k]:.6g} s): leg {leg + 1} ({name}) changes over.",
-        remedy="Plan a path that keeps every leg on its side, or load the robot in another working_mode.",
-        sample=k,
-        leg=leg + 1,
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.assembly import assemble, project, smallest_independent
+from redundancy_pin.kinematics.assembly import Assembly, assemble, evaluated, smallest_independent
 from redundancy_pin.kinematics.closure import ConstraintSystem, dependent_row_residual, with_all_rows
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.build import with_pointer
@@ -48,7 +48,7 @@ def check_mobility(system: ConstraintSystem, *, dropped: bool = False) -> None:
             "all the same, say `redundant_rows: true`; or declare fewer independent velocities."
         )
     else:
-        kind, only, where = "under", "only ", _left_free(system)
+        kind, only, where = "under", "only ", _left_free(reference)
         remedy = "Add the missing closure axes, declare more independent velocities, or list carriers as carriers."
     if not redundant and freedoms > 0:
         remedy += _fitting(replace(robot, q_reference=reference.q[0]), freedoms)
@@ -62,13 +62,10 @@ def check_mobility(system: ConstraintSystem, *, dropped: bool = False) -> None:
     )
 
 
-def _left_free(system: ConstraintSystem) -> str:
-    """Return which joints still move when the independent velocities are held, near the reference."""
-    robot = system.robot
-    state = assemble(system, np.array(robot.q_reference)[None]).state
-    columns = system.pose_columns
-    rows = system.relative(state.K)[0]
-    values, basis = np.linalg.svd(rows)[1:]
+def _left_free(near: Assembly) -> str:
+    """Return which joints still move when the independent velocities are held at a configuration."""
+    robot, columns = near.system.robot, near.system.pose_columns
+    values, basis = np.linalg.svd(near.system.relative(near.state.K)[0])[1:]
     free = np.abs(basis[int((values > RANK_TOLERANCE * max(values.max(initial=0.0), 1e-300)).sum()) :])
     moving = {int(columns[k]) for k in np.flatnonzero(free.max(axis=0, initial=0.0) > RANK_TOLERANCE)}
     names = [
@@ -123,35 +120,31 @@ def check_reference_rank(system: ConstraintSystem, *, dropped: bool = False) -> 
 
 def _margin(system: ConstraintSystem) -> float:
     """Return how far the reference is from a type I singularity, 0 at one."""
-    return float(project(system, system.evaluate(np.array(system.robot.q_reference)[None])).margin[0])
+    return float(evaluated(system, np.array(system.robot.q_reference)[None]).margin[0])
 
 
-def fitting_axes(robot: Robot, count: int) -> tuple[str, ...] | None:
-    """Return the platform axes, so many, that determine the reference best; None where none do, or for joints."""
+def _fitting(robot: Robot, count: int) -> str:
+    """Return a remedy that names the platform axes, so many, that determine the reference best, empty where none do."""
     platform = robot.platform
     if platform is None:
-        return None
+        return ""
     q, margins = np.array(robot.q_reference)[None], {}
     for axes in combinations(AXES, count):
         other = replace(platform, axes=axes)
         system = ConstraintSystem(replace(robot, platform=with_pointer(other, robot.model, q[0])))
         if len(system.rows) + count == len(system.pose_columns):
-            margins[axes] = float(project(system, system.evaluate(q)).margin[0])
+            margins[axes] = float(evaluated(system, q).margin[0])
     best = max(margins, key=lambda axes: round(margins[axes], 9), default=())
-    return best if margins.get(best, 0.0) > RANK_TOLERANCE else None
-
-
-def _fitting(robot: Robot, count: int) -> str:
-    """Return a remedy that names axes that fit, empty where none do."""
-    axes = fitting_axes(robot, count)
-    return f" These axes of {robot.platform.frame!r} fit: [{', '.join(axes)}]." if robot.platform and axes else ""
+    if not margins.get(best, 0.0) > RANK_TOLERANCE:
+        return ""
+    return f" These axes of {platform.frame!r} fit: [{', '.join(best)}]."
 
 
 def other_axes(robot: Robot) -> str:
     """Return a remedy where the platform's axes do not determine the configuration near the guess, else nothing."""
     system = ConstraintSystem(robot)
     near = assemble(system, np.array(robot.q_reference)[None])
-    if robot.platform is None or not near.closed[0] or near.projection.margin[0] > RANK_TOLERANCE:
+    if robot.platform is None or not near.closed[0] or near.margin[0] > RANK_TOLERANCE:
         return ""
     return _fitting(replace(robot, q_reference=near.q[0]), robot.n).strip()
 

@@ -55,8 +55,7 @@ def draw_starts(
     count: int,
     rng: np.random.Generator,
     *,
-    turn: float = np.pi,
-    slide: float = 1.0,
+    spread: float | None = None,
     along: Array | None = None,
 ) -> Array:
     """Return configurations (count, nq), evenly distributed about q (nq,); carriers stay.
@@ -66,13 +65,12 @@ def draw_starts(
         q: (nq,) the middle.
         count: how many.
         rng: the source of random numbers.
-        turn: half-width for turning velocities, rad.
-        slide: half-width for sliding velocities, characteristic lengths.
+        spread: half-width of each velocity, rad or characteristic lengths; if left out, half a turn or one length.
         along: (f, p) orthonormal displacements without units: starts are displaced along these alone, the joint that
             moves farthest by its half-width.
     """
     model, columns = system.robot.model, system.pose_columns
-    width = np.where(turning_velocities(system.robot)[columns], turn, slide)
+    width = np.where(turning_velocities(system.robot)[columns], np.pi, 1.0) if spread is None else spread
     around = rng.uniform(-1.0, 1.0, (count, len(columns))) * width
     if along is not None:
         around = around @ along.T @ along

@@ -151,9 +151,9 @@ def find_passage(
     last = solver.close(solver.integrate(first.q, first.gamma.dot(whole)), place(_NODES[-1]), first.basis)
     if last is None or not last.margin > 0.0:
         return None
-    if not solver.is_continuous(first, last, whole, SAME_TANGENT):
-        return None
     span = solver.tangent(first.q, last.q)
+    if not solver.is_continuous(span, first.gamma, last.gamma, whole, SAME_TANGENT):
+        return None
     lost = first.determinants[0] * last.determinants[0] < 0.0
     if recentre and lost.any():
         # where the determinants, nearly linear between the two, vanish: the nodes keep away from there

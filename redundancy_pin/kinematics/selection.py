@@ -138,14 +138,12 @@ def _without_redundant_rows(
         rank_tolerance: as of ``assemble``, when the loops are closed.
     """
     system = ConstraintSystem(robot)
-    q = closed_near(robot, start, tolerance, rank_tolerance)
-    keep = _independent_rows(system, closed_neighbours(system, q, *_AROUND, tolerance, rank_tolerance), tolerance)
+    q, keep = _independent_rows(robot, start, tolerance, rank_tolerance, tolerance)
     if keep.all():
         return robot, (), 0.0, closed_near(robot, q)
     fewer, left_out = _with_rows(robot, keep)
     # with these rows alone, do the others stay closed, and stay redundant, which shows earlier?
-    around = closed_neighbours(ConstraintSystem(fewer), q, *_AROUND)
-    opened = _opened(system, around)
+    around, opened = _opened(robot, fewer, q)
     ranks = [len(independent_columns(system.closure_rows(each).T, tolerance)) for each in around]
     if opened.max() <= tolerance and max(ranks) == keep.sum():
         return fewer, left_out, float(opened.max()), q
@@ -167,12 +165,11 @@ def _refuse_wrong_placements(robot: Robot, start: Array, declared: int | None) -
     there, leave the number of degrees of freedom that is declared, or lock no joint of a machine with another number of
     motors.
     """
-    system, near = ConstraintSystem(robot), 10.0 * _DOUBTFUL
+    system = ConstraintSystem(robot)
     try:
-        q = closed_near(robot, start, near, _DOUBTFUL)
+        q, keep = _independent_rows(robot, start, 10.0 * _DOUBTFUL, _DOUBTFUL, _DOUBTFUL)
     except DeclarationError:
         return
-    keep = _independent_rows(system, closed_neighbours(system, q, *_AROUND, near, _DOUBTFUL), _DOUBTFUL)
     rank, velocities = int(keep.sum()), len(system.pose_columns)
     if rank == min(len(keep), velocities) or declared not in (None, velocities - rank):
         return
@@ -182,8 +179,8 @@ def _refuse_wrong_placements(robot: Robot, start: Array, declared: int | None) -
     )
     if robot.m != velocities - rank and not ((free > FILE_TOLERANCE) & (held < FILE_TOLERANCE)).any():
         return
-    around = closed_neighbours(ConstraintSystem(fewer), q, *_AROUND)
-    opened = float(_opened(system, around).max())
+    around, gaps = _opened(robot, fewer, q)
+    opened = float(gaps.max())
     least = [float(np.linalg.svd(system.closure_rows(each), compute_uv=False)[rank]) for each in around]
     residual = max(opened, least[0])
     wrong = max(least) <= _DOUBTFUL if opened > FILE_TOLERANCE else FILE_TOLERANCE < max(least) <= 2.0 * least[0]
@@ -197,21 +194,29 @@ def _refuse_wrong_placements(robot: Robot, start: Array, declared: int | None) -
         )
 
 
-def _independent_rows(system: ConstraintSystem, around: Array, tolerance: float) -> BoolArray:
-    """Return (r,) which rows are independent at the one of configurations (N, nq) where most are.
+def _independent_rows(
+    robot: Robot, start: Array, tolerance: float, rank_tolerance: float, apart: float
+) -> tuple[Array, BoolArray]:
+    """Return a closed configuration (nq,) and (r,) which rows are independent around it, at the place where most are.
 
-    At a singular reference the rank is lower than around it.
+    At a singular reference the rank is lower than around it. The first tolerances are those of ``closed_near``,
+    ``apart`` is that of ``independent_columns``.
     """
-    rows = (system.closure_rows(each) for each in around)
+    system, q = ConstraintSystem(robot), closed_near(robot, start, tolerance, rank_tolerance)
+    around = closed_neighbours(system, q, *_AROUND, tolerance, rank_tolerance)
     keep = np.zeros(len(system.rows), dtype=bool)
-    keep[max((independent_columns(each.T, tolerance) for each in rows), key=len)] = True
-    return keep
+    keep[max((independent_columns(system.closure_rows(each).T, apart) for each in around), key=len)] = True
+    return q, keep
 
 
-def _opened(system: ConstraintSystem, around: Array) -> Array:
-    """Return (r,) the largest residual of each row at configurations (N, nq), characteristic lengths or rad."""
+def _opened(robot: Robot, fewer: Robot, q: Array) -> tuple[Array, Array]:
+    """Return configurations (N, nq) closed in fewer rows around q (nq,), and (r,) the largest residual of each row.
+
+    Residuals are in characteristic lengths or rad.
+    """
+    system, around = ConstraintSystem(robot), closed_neighbours(ConstraintSystem(fewer), q, *_AROUND)
     opened: Array = np.abs(system.evaluate(around).phi / system.closure_unit).max(axis=0)
-    return opened
+    return around, opened
 
 
 def _with_rows(robot: Robot, keep: BoolArray) -> tuple[Robot, tuple[str, ...]]:

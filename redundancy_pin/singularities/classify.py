@@ -51,34 +51,22 @@ from redundancy_pin.robot.scales import column_scale, row_scale
 from redundancy_pin.spectrum import left_singular, oriented, spectrum_of
 
 
-def serial_matrix(system: ConstraintSystem, state: ConstraintState) -> Array:
-    """Return (N, p, p) the matrix K without units; its last n rows are the platform's."""
-    return _below_closures(system, state, system.relative(state.K)[:, len(system.rows) :])
-
-
-def locked_matrix(system: ConstraintSystem, state: ConstraintState) -> Array:
-    """Return (N, r + m, p) the matrix T without units; its last m rows are the actuators'."""
-    selection = system.selection[:, system.pose_columns]
-    return _below_closures(system, state, np.broadcast_to(selection, (len(state.q), *selection.shape)))
-
-
-def _below_closures(system: ConstraintSystem, state: ConstraintState, rows: Array) -> Array:
-    """Return the closure rows, without units, above rows (N, b, p).
+def serial_and_locked(system: ConstraintSystem, state: ConstraintState) -> tuple[Array, Array]:
+    """Return K (N, p, p) and T (N, r + m, p) without units; their first r rows are those of the closures.
 
     If dependent closure rows were dropped, a basis of all rows replaces the independent ones: which rows are
     independent may change along a motion. Where all of them lose rank, to the rounding of a file, the independent ones
     stay.
     """
-    r = len(system.rows)
-    closures = system.relative(state.K[:, :r])
+    r, K = len(system.rows), system.relative(state.K)
     if system.robot.all_closures:
         whole = constraint_system(with_all_rows(system.robot))
         every = whole.relative(whole.evaluate(state.q).Jc[:, :, system.pose_columns])
         basis, least = row_basis(every, r)
         full = least > FILE_TOLERANCE
-        closures[full] = basis[full].transpose(0, 2, 1) @ every[full]
-    stacked: Array = np.concatenate([closures, rows], axis=1)
-    return stacked
+        K[full, :r] = basis[full].transpose(0, 2, 1) @ every[full]
+    selection = system.selection[:, system.pose_columns]
+    return K, np.concatenate([K[:, :r], np.broadcast_to(selection, (len(K), *selection.shape))], axis=1)
 
 
 def actuation_matrix(system: ConstraintSystem, serial: Array) -> Array:
@@ -118,7 +106,7 @@ class Margins(NamedTuple):
 
 def margins_of(system: ConstraintSystem, state: ConstraintState) -> Margins:
     """Return the margins of evaluated configurations."""
-    K = serial_matrix(system, state)
+    K, _ = serial_and_locked(system, state)
     return Margins(signed_margin(actuation_matrix(system, K)), np.asarray(np.linalg.svd(K, compute_uv=False)[:, -1]))
 
 
@@ -216,7 +204,7 @@ def classify(robot: RobotLike, q: ArrayLike, *, tolerance: float = RANK_TOLERANC
     given = closed_configurations(robot, q)
     system, state = given.system, given.state
     rows = row_scale(system.robot)
-    K, T = serial_matrix(system, state), locked_matrix(system, state)
+    K, T = serial_and_locked(system, state)
     serial, locked = np.linalg.svd(K), np.linalg.svd(T)
     type_i = _lacks_rank(serial.S, tolerance)
     W = actuation_matrix(system, K)

@@ -7,7 +7,7 @@ that reaches zero: a motion in one working mode can touch it, not cross it.
 
 from __future__ import annotations
 
-from bisect import bisect
+from bisect import bisect, insort
 from dataclasses import dataclass
 from typing import NoReturn
 
@@ -207,10 +207,11 @@ class FollowedPath:
         first = 0
         if start is None:
             try:
-                start = point_on_branch(system, x[0], time=float(self.t[0]))
+                start = point_on_branch(system, x[0], float(self.t[0]))
             except SingularPoseError:  # a motion may start on a type I singularity; the next sample is regular
-                first, start = 1, point_on_branch(system, x[1], time=float(self.t[1]))
-        self._known, self._states, self._q = [float(self.t[first])], [start], dict[float, Array]()
+                first, start = 1, point_on_branch(system, x[1], float(self.t[1]))
+        self._states, self._q = {float(self.t[first]): start}, dict[float, Array]()
+        self._known = [*self._states]  # their times in order
         self.configurations(self.t)
 
     def configurations(self, times: Array) -> Array:
@@ -226,10 +227,10 @@ class FollowedPath:
         beyond = [k for k, t in enumerate(new) if not self._keep(t, self._follower.step(self._nearest(t), x[k]))]
         if beyond:
             # many instants next to a touch at once; all else is for the follower, one after the other
-            ends = assemble(self.system, np.array([self._nearest(new[k]).q for k in beyond]), x[beyond])
-            for k, q, is_singular in zip(beyond, ends.q, ends.singular, strict=True):
-                if is_singular:
-                    self._q[new[k]] = q
+            ends = self._follower.diagnose_each([self._nearest(new[k]) for k in beyond], x[beyond])
+            for k, end in zip(beyond, ends, strict=True):
+                if end.is_singular:
+                    self._q[new[k]] = end.q
                 else:
                     self._advance(new[k], x[k])
         return np.array([self._q[t] for t in times.tolist()])
@@ -237,17 +238,15 @@ class FollowedPath:
     def _nearest(self, t: float) -> ClosedState:
         """Return the state on the branch that is nearest in time."""
         after = bisect(self._known, t)
-        around = range(max(after - 1, 0), min(after + 1, len(self._known)))
-        return self._states[min(around, key=lambda k: abs(self._known[k] - t))]
+        return self._states[min(self._known[max(after - 1, 0) : after + 1], key=lambda known: abs(known - t))]
 
     def _keep(self, t: float, reached: ClosedState | None) -> bool:
         """Note a state on the branch, if there is one; return whether there is."""
         if reached is None:
             return False
-        after = bisect(self._known, t)
-        self._known.insert(after, t)
-        self._states.insert(after, reached)
-        self._q[t] = reached.q
+        if t not in self._states:
+            insort(self._known, t)
+        self._states[t], self._q[t] = reached, reached.q
         return True
 
     def _advance(self, t: float, x: Array) -> None:

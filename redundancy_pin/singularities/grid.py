@@ -2,7 +2,7 @@
 
 The grid is flooded from one closed configuration: every solved node is where Newton's method starts for its neighbours.
 The closing is that of ``assemble``, which solves all nodes of a wave at once, and the acceptance test that of the
-follower (``closed_state.are_continuous``).
+follower (``LoopSolver.is_continuous``).
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from scipy.ndimage import label
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, IntArray, blocks, checked, frozen, read_only, whole
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.assembly import assemble, configuration_difference, project
-from redundancy_pin.kinematics.closed_state import are_continuous
+from redundancy_pin.kinematics.assembly import assemble, configuration_difference, evaluated
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, moved
 from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
@@ -241,14 +241,14 @@ class _Flood:
 
     def __init__(self, place: Slice, nodes: Array, shape: tuple[int, ...]) -> None:
         self.place, self.system, self.robot = place, place.system, place.system.robot
-        self.nodes, self.shape = nodes, shape
+        self._own, self.nodes, self.shape = follower(self.robot), nodes, shape
         self.q = np.full((len(nodes), self.robot.model.nq), np.nan)
         self.gamma = np.zeros((len(nodes), self.robot.model.nv, self.robot.n))
         self.solved = np.zeros(len(nodes), dtype=bool)
         x, q = place.x[None], place.q[None]
         away = np.abs(difference(self.robot, nodes, np.repeat(x, len(nodes), axis=0))).max(axis=1)
         nearest = np.argsort(away, kind="stable")[: 4 ** len(shape)]
-        gamma = project(self.system, self.system.evaluate(q)).gamma
+        gamma = evaluated(self.system, q).gamma
         self._spread(self._step(nearest, *(part.repeat(len(nearest), axis=0) for part in (x, q, gamma))))
         self.start = int(nearest[self.solved[nearest].argmax()])
 
@@ -283,7 +283,8 @@ class _Flood:
                 good = solution.usable
             else:
                 change = configuration_difference(self.robot.model, q, solution.q)
-                good = solution.regular & are_continuous(self.robot, change, gamma, solution.gamma, whole / count)
+                steps = zip(change, gamma, solution.gamma, whole / count, strict=True)
+                good = solution.regular & np.array([self._own.is_continuous(*step) for step in steps], dtype=bool)
             q, gamma = solution.q[good], solution.gamma[good]
             targets, goals, x, whole = targets[good], goals[good], x[good], whole[good]
         self.q[targets], self.gamma[targets], self.solved[targets] = q, gamma, True

@@ -8,9 +8,7 @@ Newton's method. In joint coordinates a singularity is a simple root, also where
 (at the border of the workspace). The unknowns are all p joint displacements. The equations are the closure rows, the
 fixed platform coordinates and σ = 0, the smallest singular value of the scaled K (type I) or T (type II). With
 σ = uᵀ M v and the symmetry of second derivatives, Ṁ(δ) v = Ṁ(v) δ, the gradient of σ is uᵀ Ṁ(v): one rate of a Jacobian
-instead of p differences. It is a method of its own: the equations have no closed configuration as their goal, and where
-they leave a curve free, the point of it that is found depends on the steps. Those of ``assemble``, which a line search
-shortens, end elsewhere on the curve.
+instead of p differences.
 """
 
 from __future__ import annotations
@@ -24,11 +22,19 @@ from typing import NamedTuple
 import numpy as np
 from contourpy import contour_generator
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, Frozen, read_only, require_type
+from redundancy_pin.arrays import (
+    CLOSURE_TOLERANCE,
+    RANK_TOLERANCE,
+    Array,
+    BoolArray,
+    Frozen,
+    IntArray,
+    read_only,
+    require_type,
+)
 from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.kinematics.assembly import SETTLED_STEP, configuration_difference, integrate
+from redundancy_pin.kinematics.assembly import configuration_difference, newton
 from redundancy_pin.kinematics.branch import follower
-from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.robot import Robot
@@ -43,9 +49,6 @@ from redundancy_pin.singularities.grid import (
     slice_through,
     solve_grid,
 )
-
-_ITERATIONS = 20
-"""Newton iterations per point: most points take four."""
 
 _LONGEST_TURN = 2.0
 """Largest change of a joint between neighbouring points of a curve, rad: on the two sides of a leg of zero length it is
@@ -270,7 +273,7 @@ class _SingularPoints:
     def __init__(self, place: Slice) -> None:
         self.robot = robot = place.system.robot
         self.follower = follower(robot)
-        self.chain = ClosedChain(robot)
+        self.chain = self.follower.chain
         self.columns = columns = self.chain.pose_columns
         self.fixed = [k for k in range(robot.n) if k not in place.free]
         self.unit, self.step_unit = coordinate_unit(robot), self.chain.system.step_unit
@@ -289,17 +292,13 @@ class _SingularPoints:
         Returns:
             The point; None where Newton's method does not converge, or ends in another working mode.
         """
-        for _ in range(_ITERATIONS):
-            residual, rows = self._equations(q, x, fixed, singular)
-            # least norm: the equations leave a curve free, and depend on one another where two curves meet
-            step = np.linalg.lstsq(rows, -residual, rcond=1e-12)[0]
-            size = float(np.abs(step).max())
-            full = np.zeros((1, self.robot.model.nv))
-            # the linear model of a turn holds to a radian
-            full[0, self.columns] = step * self.step_unit / max(size, 1.0)
-            q = integrate(self.robot.model, q[None], full)[0]
-            if size < SETTLED_STEP:
-                break
+
+        def linearise(q: Array, _: IntArray) -> tuple[Array, Array]:
+            residual, rows = self._equations(q[0], x, fixed, singular)
+            return -residual[None], rows[None]
+
+        # steps are of least norm: the equations leave a curve free, and depend on one another where two curves meet
+        q = newton(self.chain.system, linearise, q[None])[0]
         residual = self._equations(q, x, fixed, (SingularityKind.TYPE_I, SingularityKind.TYPE_II))[0]
         serial, locked = residual[-2:].tolist()
         least = {SingularityKind.TYPE_I: serial, SingularityKind.TYPE_II: locked}
@@ -356,7 +355,8 @@ def _curves(
     """Return the curves through the points of a contour, cut where neighbours are far apart or a joint jumps."""
     cell, points, type_ii = _cell(grid), list[_Point](), kind == SingularityKind.TYPE_II
     for point in found[:-1] if closed else found:
-        if point is not None and not (points and np.linalg.norm(point.x - points[-1].x) < _SPACING * cell):
+        # at a corner the edges on both sides may lead to one point, with the tip between
+        if point is not None and all(np.linalg.norm(point.x - one.x) >= _SPACING * cell for one in points[-2:]):
             points.append(point)
     closed = closed and len(points) > 2
     if closed:

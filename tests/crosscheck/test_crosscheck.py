@@ -27,8 +27,8 @@ from redundancy_pin.dynamics import rnea as rnea_module
 from redundancy_pin.dynamics import virtual_work
 from redundancy_pin.dynamics.rnea import RneaAlongMotion, RneaDynamics
 from redundancy_pin.errors import InputError, ModelFileError, UnreachablePoseError
-from redundancy_pin.kinematics.branch import Follower
-from redundancy_pin.kinematics.closed_state import NEAR_RANK_LOSS, closed_around, near_rank_loss
+from redundancy_pin.kinematics.branch import Follower, follower
+from redundancy_pin.kinematics.closed_state import NEAR_RANK_LOSS, closed_around
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.loading import load_robot
 from redundancy_pin.robot import Closure, JointForces, Spring, Wrench
@@ -146,14 +146,14 @@ def test_small_margins_throughout_are_no_rank_loss():
     """Cassie's margin is 3.6e-4 everywhere, an order below that of a rank loss."""
     path = CASSIE / "cassie_reduced.sdf"
     system = constraint_system(load_robot(path, actuated=cassie.drives(path)))
-    margin = closed_around(system).projection.margin
+    margin = closed_around(system).margin
     assert margin.max() < 0.2 * NEAR_RANK_LOSS
-    assert near_rank_loss(system) < 0.2 * margin.min()
+    assert follower(system.robot).near < 0.2 * margin.min()
     five_bar = load_robot("five_bar")
-    assert near_rank_loss(constraint_system(five_bar)) == NEAR_RANK_LOSS
+    assert follower(five_bar).near == NEAR_RANK_LOSS
     # a reference at a rank loss does not make a rank loss usual
     flat = replace(five_bar, q_reference=np.zeros(five_bar.model.nq))
-    assert near_rank_loss(constraint_system(flat)) == NEAR_RANK_LOSS
+    assert follower(flat).near == NEAR_RANK_LOSS
 
 
 @needs_cassie

@@ -26,8 +26,7 @@ from redundancy_pin.kinematics.branch import (
     Follower,
     follower,
 )
-from redundancy_pin.kinematics.closed_state import NEAR_RANK_LOSS, are_continuous, near_rank_loss
-from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.closed_state import NEAR_RANK_LOSS
 from redundancy_pin.kinematics.coordinates import mode_indicator, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
@@ -342,7 +341,7 @@ def test_a_reference_beside_a_pose_where_three_loops_are_flat_costs_no_digits(be
     robot = row_of_four_bars(3)
     turn = np.array([1.0 if name.startswith("crank") else -1.0 for name in list(robot.model.names)[1:]])
     robot = replace(robot, q_reference=beside * turn)
-    assert near_rank_loss(constraint_system(robot)) == NEAR_RANK_LOSS
+    assert follower(robot).near == NEAR_RANK_LOSS
     crank = np.linspace(beside, -1.02 * beside, 41)[:, None]
     rate = np.ones_like(crank)
     tree = inverse_kinematics(robot, PlatformMotion(np.arange(41.0), crank, 2.0 * rate, 3.0 * rate, check_rates=False))
@@ -462,6 +461,6 @@ def test_a_step_follows_if_it_is_what_the_trapezoidal_rule_predicts() -> None:
     """q̇ = Γ ẋ with Γ = 1 and then 3: an increment of 0.1 moves q by 0.2, not back, by nothing, or thrice as far."""
     robot = zoo.robot_of("five_bar")
     nv = robot.model.nv
-    gamma0, gamma1 = np.full((4, nv, 1), 1.0), np.full((4, nv, 1), 3.0)
-    step = np.array([0.2, -0.2, 0.0, 0.6])[:, None] * np.ones(nv)
-    assert are_continuous(robot, step, gamma0, gamma1, np.full((4, 1), 0.1)).tolist() == [True, False, False, False]
+    gamma0, gamma1, increment = np.full((nv, 1), 1.0), np.full((nv, 1), 3.0), np.full(1, 0.1)
+    for step, follows in ((0.2, True), (-0.2, False), (0.0, False), (0.6, False)):
+        assert follower(robot).is_continuous(np.full(nv, step), gamma0, gamma1, increment) == follows

@@ -16,10 +16,10 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, SINGULAR_MARGIN
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import (
     assemble,
-    project,
+    evaluated,
 )
 from redundancy_pin.kinematics.branch import follower
-from redundancy_pin.kinematics.closing import close, closed_near
+from redundancy_pin.kinematics.closing import closed_near
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, working_modes
 from redundancy_pin.kinematics.multistart import multistart, wrapped
@@ -83,7 +83,8 @@ def test_frames_far_away_are_turned_together(tmp_path: Path, kind: str, size: fl
     robot = arm(tmp_path, kind, size)
     system, rng = ConstraintSystem(robot), np.random.default_rng(4)
     for _ in range(12):
-        reached, gap = close(system, rng.uniform(-1.2, 1.2, robot.model.nq) * position_unit(robot))
+        one = assemble(system, rng.uniform(-1.2, 1.2, (1, robot.model.nq)) * position_unit(robot))
+        reached, gap = one.q[0], one.residual[0]
         assert gap < CLOSED
         assert max(apart(robot, reached, kind)) < CLOSED
 
@@ -96,7 +97,7 @@ def test_hinges_that_are_opposite_turn_over(tmp_path: Path, kind: str) -> None:
     over = next(name for name in ("turn_z", "turn_y") if name[-1] != kind[-1])
     q[zoo.index(robot, over)] = np.pi
     assert apart(robot, q, kind)[1] == pytest.approx(np.pi)
-    assert max(apart(robot, close(ConstraintSystem(robot), q)[0], kind)) < CLOSED
+    assert max(apart(robot, assemble(ConstraintSystem(robot), q[None]).q[0], kind)) < CLOSED
     own = follower(robot)
     assert own.close(own.home.q, own.home.x) is not None
     assert own.close(q, own.home.x) is None
@@ -277,9 +278,8 @@ def test_gamma_obeys_the_closures_and_the_margin_is_a_lower_bound(shipped: Robot
     """Of the smallest singular value of K with velocities in m/s on both sides, within the root of its size."""
     system = zoo.system_of(shipped)
     assert not any(row.rotation for row in system.rows)  # closure rows are in m/s already
-    state = system.evaluate(zoo.random_closed(shipped, 11, 8))
-    projection = project(system, state)
-    gamma = projection.gamma
+    closed = evaluated(system, zoo.random_closed(shipped, 11, 8))
+    state, gamma = closed.state, closed.gamma
     np.testing.assert_allclose(state.Jc @ gamma, 0.0, atol=INVERSION)
     np.testing.assert_allclose(
         state.Jx @ gamma, np.broadcast_to(np.eye(shipped.n), (8, shipped.n, shipped.n)), atol=INVERSION
@@ -287,8 +287,8 @@ def test_gamma_obeys_the_closures_and_the_margin_is_a_lower_bound(shipped: Robot
     assert np.all(gamma[:, shipped.carrier_velocity] == 0.0)
     k = np.concatenate([state.Jc, state.Jx * row_scale(shipped)[:, None]], axis=1) / velocity_scale(shipped)
     smallest = np.linalg.svd(k[:, :, system.pose_columns], compute_uv=False).min(axis=1)
-    assert np.all(projection.margin <= smallest * (1 + INVERSION))
-    assert np.all(projection.margin >= smallest / np.sqrt(len(system.pose_columns)) * (1 - INVERSION))
+    assert np.all(closed.margin <= smallest * (1 + INVERSION))
+    assert np.all(closed.margin >= smallest / np.sqrt(len(system.pose_columns)) * (1 - INVERSION))
 
 
 def five_bar_at(height: float) -> np.ndarray:
@@ -312,13 +312,13 @@ def test_margin_is_zero_and_gamma_nan_at_a_type_i_singularity(name: str) -> None
         singular[0, slides], singular[0, swivel] = (0.0, 0.5), np.pi
     assert np.abs(system.evaluate(singular).phi).max() < 1e-11
     both = np.concatenate([singular, robot.q_reference[None]])
-    projection = project(system, system.evaluate(both))
-    assert projection.margin[0] == 0.0
-    assert np.isnan(projection.gamma[0, system.pose_columns]).all()
+    known = evaluated(system, both)
+    assert known.margin[0] == 0.0
+    assert np.isnan(known.gamma[0, system.pose_columns]).all()
     # the regular neighbour in the same stack is untouched
-    alone = project(system, system.evaluate(robot.q_reference[None]))
-    np.testing.assert_allclose(projection.gamma[1], alone.gamma[0], rtol=1e-12)
-    assert projection.margin[1] == pytest.approx(alone.margin[0])
+    alone = evaluated(system, robot.q_reference[None])
+    np.testing.assert_allclose(known.gamma[1], alone.gamma[0], rtol=1e-12)
+    assert known.margin[1] == pytest.approx(alone.margin[0])
 
 
 @pytest.mark.parametrize("exponent", [-9.0, -6.5, -3.0])
@@ -327,8 +327,8 @@ def test_margin_falls_with_the_square_root_of_the_way_to_full_stretch(exponent: 
     robot = zoo.robot_of("five_bar")
     system = zoo.system_of(robot)
     height = 10.0**exponent
-    margin = project(system, system.evaluate(five_bar_at(height))).margin[0]
-    unit = project(system, system.evaluate(five_bar_at(1e-4))).margin[0] / 1e-2
+    margin = evaluated(system, five_bar_at(height)).margin[0]
+    unit = evaluated(system, five_bar_at(1e-4)).margin[0] / 1e-2
     # the next term of the expansion is of the relative order √height; Newton leaves the elbow off by 1e-11 / √height
     assert margin == pytest.approx(unit * np.sqrt(height), rel=0.1)
     assert margin > SINGULAR_MARGIN

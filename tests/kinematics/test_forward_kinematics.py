@@ -74,6 +74,12 @@ def test_start_chooses_the_branch(five_bar: rp.Robot) -> None:
     assert np.abs(other.x - two_circles(u, -1.0)).max() < TOLERANCE
 
 
+def test_no_samples_are_no_poses(five_bar: rp.Robot) -> None:
+    nothing = rp.forward_kinematics(five_bar, np.zeros((0, 2)))
+    assert nothing.x.shape == (0, 2)
+    assert len(nothing) == 0
+
+
 def test_motors_out_of_reach_end_the_branch(five_bar: rp.Robot) -> None:
     home = motors(five_bar, five_bar.q_reference)
     out = np.concatenate([np.linspace(0.0, 1.0, 11), np.linspace(0.9, 0.0, 10)])

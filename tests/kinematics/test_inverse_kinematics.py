@@ -264,6 +264,7 @@ def test_a_leg_through_its_base_hinge_is_named_or_marked_and_taken_up_in_the_mod
     length = np.linalg.norm(motion.x, axis=1)
     away = length > 1e-9
     assert np.count_nonzero(tree.reachable != away) <= 1  # the change over itself may be marked too
+    assert not tree.reachable.all()  # no branch is changed without a marked sample in between
     slide = zoo.index(robot, "slide_1")
     np.testing.assert_allclose(tree.q[tree.reachable, slide], length[tree.reachable], atol=1e-10)
 

@@ -17,7 +17,7 @@ from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.dynamics.compiled.build import Library
 from redundancy_pin.dynamics.compiled.parameters import trig_at, turning_joints
 from redundancy_pin.errors import SingularPoseError, WorkingModeError
-from redundancy_pin.kinematics.assembly import assemble
+from redundancy_pin.kinematics.assembly import evaluated
 from redundancy_pin.kinematics.branch import LONGEST_STEP, BranchEnd, ClosedState, follower
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import coordinates, difference, with_independent_joints
@@ -95,7 +95,7 @@ def _state_of(robot: Robot, start: Start | None) -> ClosedState | None:
     closed, remedy = follower(robot).state_at(start), "Start from a closed configuration away from singularities."
     if closed is not None and closed.margin > 0.0:
         return closed
-    if assemble(constraint_system(robot), start[None], max_iterations=0).singular[0]:
+    if evaluated(constraint_system(robot), start[None]).singular[0]:
         raise SingularPoseError(f"The start of {robot.name} is singular: no branch goes on from it.", remedy=remedy)
     raise WorkingModeError(f"The chains of {robot.name} do not close at the start.", remedy=remedy)
 
