@@ -311,7 +311,7 @@ def _other_limits(plan: Plan, again: Plan) -> list[Deviation]:
     """Return where a plan reports limits as exceeded that are not, or not as much, or leaves one out."""
     deviations = []
     reported, found = (
-        {(event.carrier, event.quantity): event for event in worst_events(one.limits.violated)} for one in (plan, again)
+        {(event.joint, event.quantity): event for event in worst_events(one.limits.violated)} for one in (plan, again)
     )
     for key in sorted({*reported, *found}):
         event = found[key] if key in found else reported[key]
@@ -319,7 +319,7 @@ def _other_limits(plan: Plan, again: Plan) -> list[Deviation]:
         same = stated == true or abs(stated - true) <= SAME_PEAK * max(abs(event.value), abs(event.limit))
         if not same or (key in found and key not in reported):
             exceeds = f"exceeds its limit by {true:.4g}" if key in found else "keeps its limit"
-            message = f"The {event.quantity} of {event.carrier} {exceeds} at t = {event.worst:.6g} s"
+            message = f"The {event.quantity} of {event.joint} {exceeds} at t = {event.worst:.6g} s"
             by = f", not by {stated:.4g}." if key in reported else "."
             deviations.append(Deviation("limits", event.worst, abs(true - stated), message + by))
     return deviations

@@ -109,7 +109,7 @@ def test_a_jump_of_the_acceleration_is_a_jerk_over_the_shorter_piece() -> None:
     for limit, amount in ((3.9, 0.1), (4.1, None), (2.9, 1.1)):
         violated, touched = limit_events(jerks(position, limit))
         assert touched == ()
-        assert {(event.carrier, event.quantity) for event in violated} <= {(robot.carriers[0], "jerk")}
+        assert {(event.joint, event.quantity) for event in violated} <= {(robot.carriers[0], "jerk")}
         assert [event.value < 0.0 for event in violated] == {3.9: [False], 4.1: [], 2.9: [False, True]}[limit]
         for event in violated[:1]:
             assert event.worst == 1.0

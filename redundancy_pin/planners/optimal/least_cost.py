@@ -235,7 +235,7 @@ def follow(task: Task) -> FollowedCost:
         raise _without_efforts(at, "has efforts that grow without bound")
     for event in plan.limits.violated:
         raise InfeasiblePlanError(
-            f"{event.carrier} exceeds its {event.quantity} limit of {event.limit:.6g}: {event.value:.6g} at "
+            f"{event.joint} exceeds its {event.quantity} limit of {event.limit:.6g}: {event.value:.6g} at "
             f"t = {event.worst:.6g} s.",
             remedy="Move more slowly, widen the limit, or begin with another robot.",
             constraint=event.quantity,

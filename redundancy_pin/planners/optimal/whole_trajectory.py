@@ -109,7 +109,7 @@ def plan_whole_trajectory(
     Raises:
         InputError: a setting out of its domain, or one that does not apply.
         UnsupportedRobotError: no carriers; or a carrier carries another, and the backend has f as no expression.
-        InfeasiblePlanError: no motion of the carriers keeps every limit; carries constraint, carrier, time, amount and
+        InfeasiblePlanError: no motion of the carriers keeps every limit; carries constraint, joint, time, amount and
             the limit that would suffice. Or the motion touches a type II singularity, rests in it or stays in it
             (constraint "singular_touch"), where no finite efforts are determined.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.

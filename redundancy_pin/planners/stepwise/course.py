@@ -259,7 +259,7 @@ def _require_time(settings: StepwiseSettings, course: Course, first: int, durati
         f"{carrier} still has {course.sd[first, j]:.6g} m/s at t = {course.t[first]:.6g} s and must be stopped, {why}.",
         remedy='Use a motion that ends at rest, stop="after", or a shorter return_time.',
         constraint="rest",
-        carrier=carrier,
+        joint=carrier,
         time=float(course.t[-1]),
         amount=late,
     )

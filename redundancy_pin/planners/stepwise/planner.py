@@ -126,7 +126,7 @@ def plan_stepwise(
         InputError: a setting out of its domain, one that does not apply, or a baseline that does not fit.
         UnsupportedRobotError: no carriers, curved tracks, or too few main actuators.
         InfeasiblePlanError: the box of a step is empty; a carrier has no time to stop before the motion ends; no return
-            keeps the limits; the motion comes too close to a type II singularity. Carries constraint, carrier, time and
+            keeps the limits; the motion comes too close to a type II singularity. Carries constraint, joint, time and
             amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
     """
