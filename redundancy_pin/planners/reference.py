@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, positive, read_only
 from redundancy_pin.dynamics.base import ReducedDynamics
-from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort
+from redundancy_pin.dynamics.default import rnea_along
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.loading import RobotLike, as_robot
@@ -26,8 +26,6 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion, parked_place
 from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunctions, apart
 from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.loads import wrench_values
-from redundancy_pin.robot.scales import column_scale, force_sizes, row_scale
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import SHIFT, PiecewisePolynomial, chebyshev_times
 
@@ -40,33 +38,10 @@ def inverse_dynamics(
 ) -> tuple[JointTrajectory, ReducedDynamics]:
     """Return N samples of the tree, carriers included, and W τ = f; raises like ``inverse_kinematics``.
 
-    It forms f without a backend on purpose: the simulation judges the plans that a backend made.
+    It is always RNEA: the simulation judges plans that generated code made.
     """
-    tree = inverse_kinematics(robot, motion).with_carriers(carriers)
-    data, effort = robot.model.createData(), np.empty(tree.v.shape)
-    wrenches = wrench_values(robot.loads, motion.t, motion.x, motion.xd)
-    for i, state in enumerate(zip(tree.q, tree.v, tree.a, strict=True)):
-        effort[i] = tree_effort(robot, data, TreeState(*state, [value[i] for value in wrenches]))
-    reduced = ReducedDynamics(
-        t=motion.t,
-        f=read_only(np.einsum("nvi,nv->ni", tree.gamma, effort)),
-        W=tree.W,
-        carrier_force=read_only(effort[:, robot.carrier_velocity]),
-        reachable=tree.reachable,
-        residual=tree.residual,
-        row_scale=row_scale(robot),
-        column_scale=column_scale(robot),
-        out_of_range=tree.out_of_range,
-        force_size=force_sizes(
-            robot,
-            motion.xd,
-            motion.xdd,
-            carriers.sd,
-            carriers.sdd,
-            wrench_values(robot.loads, motion.t, motion.x, motion.xd),
-        ),
-    )
-    return tree, reduced
+    tree = inverse_kinematics(robot, motion)
+    return tree.with_carriers(carriers), rnea_along(tree).reduce(carriers)
 
 
 @dataclass(frozen=True, eq=False)
