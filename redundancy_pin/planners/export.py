@@ -190,20 +190,7 @@ class PlanTable(Frozen):
 def plan_table(
     plan: Plan, rate: float | None = None, *, two_sided: bool | None = None, robot: RobotLike | None = None
 ) -> PlanTable:
-    """Return a plan as a table.
-
-    Args:
-        plan: the plan.
-        rate: rows a second, Hz, and one at the end; the samples of the plan when left out.
-        two_sided: whether an instant at which something jumps has two rows, before and after it; when left out, only
-            those that the plan itself has twice.
-        robot: its robot; loaded from the plan when left out.
-
-    Raises:
-        InputError: a rate that is not positive, or makes too many rows.
-        InfeasiblePlanError: rows between the samples of a plan that has no finite efforts.
-        PlanFileError: the robot cannot be loaded, or is no longer what it was.
-    """
+    """Return a plan as a table, see ``Plan.table``."""
     machine = robot_of_record(plan.robot, robot)
     if rate is None:
         parts = _at_samples(plan, machine)

@@ -140,15 +140,6 @@ class MotionReference:
         return x, xd, s, sd, flat[b:]
 
     @cached_property
-    def states(self) -> PiecewisePolynomial:
-        """(x, s, ẋ, ṡ, ẍ, s̈) as polynomials on the pieces of the efforts."""
-        n, k, x = self.robot.n, self.robot.k, self._platform.coefficients.shape[2] - 2 * self.robot.n
-        both = self._platform.beside(self._carriers)
-        starts = (0, x), (x + 2 * n, k), (x, n), (x + 2 * n + k, k), (x + n, n), (x + 2 * n + 2 * k, k)
-        columns = np.concatenate([np.arange(first, first + size) for first, size in starts])
-        return PiecewisePolynomial(self.edges, read_only(both.coefficients[:, :, columns]))
-
-    @cached_property
     def _course(self) -> PiecewisePolynomial:
         return self._platform.beside(self._carriers).beside(self.efforts)
 

@@ -155,12 +155,6 @@ class PiecewisePolynomial(Frozen):
         # scipy reports a piece that stands still as its left end and NaN
         return [np.asarray(times)[np.isfinite(np.asarray(times, dtype=float))] for times in roots]
 
-    def until(self, end: float) -> PiecewisePolynomial:
-        """Return the function up to a time, s, inside the pieces."""
-        last = int(np.searchsorted(self.edges, end, side="left"))
-        edges = np.append(self.edges[:last], min(end, self.end))
-        return PiecewisePolynomial(read_only(edges), self.coefficients[:, : len(edges) - 1])
-
     def between(self, start: float, end: float) -> PiecewisePolynomial:
         """Return the function between two times, s, of which the first may lie inside a piece, but not before all."""
         pieces = slice(self._piece(start), self._piece(end, "left") + 1)
@@ -226,14 +220,6 @@ class PiecewisePolynomial(Frozen):
         step, change = np.diff(t)[:, None], np.diff(derivatives[-1], axis=0)
         slope = np.divide(change, step, out=np.zeros_like(change), where=step > 0.0)
         return PiecewisePolynomial.taylor(t, *derivatives, np.append(slope, slope[-1:], axis=0))
-
-    @staticmethod
-    def constant_acceleration(t: Array, s: Array, sd: Array, sdd: Array) -> PiecewisePolynomial:
-        """Return the parabolas of steps whose s̈ is that at their end, from s and ṡ where they begin, each (M, C).
-
-        Of backward differences the parabola ends short of the value at the end of its step.
-        """
-        return PiecewisePolynomial.taylor(t, s, sd, np.append(sdd[1:], sdd[-1:], axis=0))
 
     @staticmethod
     def joined(parts: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:

@@ -18,7 +18,7 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import IntersampleCheck
-from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, widened, with_nodes
+from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, steps_around, with_nodes
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
 from redundancy_pin.planners.optimal.path_problem import read_path_problem
 from redundancy_pin.planners.optimal.problem import Problem, Task, required
@@ -41,9 +41,6 @@ NEIGHBOURS = 2
 
 LONGEST_STEP = 0.05
 """Of the whole time, that a step may last when others are refined: where the platform nearly stands still."""
-
-LEAST_DISTANCE = 0.02
-"""Of a step, from a node to a new one inside at least."""
 
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
@@ -252,13 +249,9 @@ def finer_nodes(grid: Grid, times: Array, law: Callable[[Array], Array], exceedi
     """
     h = np.diff(times)
     is_long = h > LONGEST_STEP * times[-1]
-    steps = np.zeros(len(h), dtype=bool)
-    steps[np.clip(np.searchsorted(times, exceeding, side="right") - 1, 0, len(h) - 1)] = True
-    marked = np.flatnonzero((widened(steps, NEIGHBOURS) | is_long) & (h > 0.0))
+    marked = np.flatnonzero((steps_around(times, exceeding, NEIGHBOURS) | is_long) & (h > 0.0))
+    # ṗ is quadratic in a step with Bézier points of at least zero: an eighth of the step, or more, is on either side
     places = law(0.5 * (times[marked] + times[marked + 1]))[:, 0]
-    left, right = grid.t[marked], grid.t[marked + 1]
-    # a law that stands still in a step, or runs back, has no place of its own halfway
-    places = np.clip(places, left + LEAST_DISTANCE * (right - left), right - LEAST_DISTANCE * (right - left))
     return with_nodes(grid, marked, places, ~is_long[marked])
 
 

@@ -146,7 +146,7 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
         # on the first mesh the carriers still use what they find between the nodes, and most of it goes by itself
         nodes = problem.grid
         for least in (0.0,) if first else (0.0, TWICE):
-            nodes = with_middles(nodes, steps_around(nodes, found.middle[marked & (found.worst > least)], NEIGHBOURS))
+            nodes = with_middles(nodes, steps_around(nodes.t, found.middle[marked & (found.worst > least)], NEIGHBOURS))
         return read_problem(task, nodes, read, problem.scales)[0]
 
     planning = Planning("whole_trajectory", task, partial(_solve, task), lambda *_: task.source, finer)

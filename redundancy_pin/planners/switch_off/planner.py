@@ -261,7 +261,7 @@ def _position(source: Motion, crossings: list[Returned], settings: SwitchOffSett
     for (crossing, back), following in zip(crossings, starts[1:], strict=True):
         if crossing.start > free:
             parts.append(PiecewisePolynomial.constant(settings.datum, free, crossing.start))
-        parts += [crossing.position, back.until(min(back.end, following))]
+        parts += [crossing.position, back.between(back.start, min(back.end, following))]
         free = parts[-1].end
     if source.end > free:
         parts.append(PiecewisePolynomial.constant(settings.datum, free, source.end))
