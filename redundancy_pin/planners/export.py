@@ -25,10 +25,10 @@ from redundancy_pin.loading import RobotLike
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.functions import ROUNDED, apart
 from redundancy_pin.planners.reference import plan_reference
-from redundancy_pin.planners.robot_record import RobotRecord, robot_of_record
+from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint
-from redundancy_pin.trajectory.csv_file import csv_rows, motion_columns
+from redundancy_pin.trajectory.csv_file import csv_rows, effort_unit, motion_columns, unit_of
 from redundancy_pin.trajectory.trajectory import sample_times
 
 if TYPE_CHECKING:
@@ -206,13 +206,12 @@ def plan_table(
         "least_cost": plan.least_cost,
         "samples_per_second": None if rate is None else float(rate),
     }
-    table = table_of_states(machine, plan.robot, parts, about)
+    table = table_of_states(machine, parts, about)
     return table.after_jumps() if two_sided is False else table
 
 
 def table_of_states(
     machine: Robot,
-    record: RobotRecord,
     parts: _States,
     about: Mapping[str, Any],
 ) -> PlanTable:
@@ -220,7 +219,6 @@ def table_of_states(
 
     Args:
         machine: the robot.
-        record: the same, in plain data.
         parts: of the states.
         about: what it is, in plain data.
     """
@@ -232,7 +230,7 @@ def table_of_states(
         t=read_only(t),
         joints=names,
         main=machine.m,
-        joint_units=_units(record, names),
+        joint_units=_units(machine, names),
         position=read_only(np.stack([_position(machine, name, q) for name in names], axis=1)),
         rate=read_only(v[:, columns]),
         acceleration=read_only(a[:, columns]),
@@ -293,13 +291,13 @@ def _position(robot: Robot, name: str, q: Array) -> Array:
     return np.unwrap(position) if continuous else position
 
 
-def _units(record: RobotRecord, names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """Return the units of the joints, in ASCII: spreadsheets guess at everything else."""
-    rate = {"position": "track", "rate": "speed", "acceleration": "acceleration", "effort": "effort"}
-    return {
-        quantity: tuple(record.limit_unit(limit, name).replace("²", "^2").replace("·", "*") for name in names)
-        for quantity, limit in rate.items()
+def _units(robot: Robot, names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """Return the units of the joints, as in CSV files."""
+    motion = {
+        quantity: tuple(unit_of(robot, f"q:{name}", order) for name in names)
+        for order, quantity in enumerate(QUANTITIES[:3])
     }
+    return {**motion, "effort": tuple(effort_unit(robot, name) for name in names)}
 
 
 def joint_trajectory(table: PlanTable) -> dict[str, Any]:

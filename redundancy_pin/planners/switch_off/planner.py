@@ -20,7 +20,7 @@ from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import Findings, PlannedMotion
 from redundancy_pin.planners.limits import ResolvedLimits
-from redundancy_pin.planners.options import Limits, group_of, require_motion, return_duration
+from redundancy_pin.planners.options import Limits, group_of, return_duration
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off.crossing import Crossing, cross
 from redundancy_pin.singularities.roots import Interval
@@ -103,8 +103,7 @@ def plan_switch_off(
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
     dynamics = as_dynamics(dynamics)
-    require_motion(motion, "duration", "breaks", "sample_at")
-    robot = dynamics.robot
+    robot, source = dynamics.robot, as_motion(motion)
     if robot.k < robot.n:
         raise UnsupportedRobotError(
             f"{robot.name} has k = {robot.k} carriers for n = {robot.n} coordinates: they cannot take over from the "
@@ -124,7 +123,6 @@ def plan_switch_off(
         datum=resolved.on_track(datum, "datum"),
         dt=positive(dt, "dt", "s"),
     )
-    source = as_motion(motion)
     samples = (source.end - source.start) / settings.dt
     require_few(samples, MOST_SAMPLES, f"dt = {settings.dt:g} s makes {{}} samples", "Use a larger dt.", dt=settings.dt)
     actuation = Actuation.along(dynamics, source)
