@@ -116,7 +116,7 @@ def least_cost(
     objective = replace(Objective.of(rest.pop("objective", "effort")), calm=0.0)
     if objective.weights == TIME:
         timed = path_task(dynamics, motion, **rest)  # type: ignore[arg-type]  # which refuses samples
-        return PlannedCost(timed.task, rest.get("limits"), *optimise_timing(timed))
+        return PlannedCost(timed, rest.get("limits"), *optimise_timing(timed))
     source = as_motion(motion)  # type: ignore[arg-type]  # which refuses paths
     task = Task(dynamics, source, checked_settings(dynamics.robot, objective, **rest))
     if not dynamics.robot.k:

@@ -88,11 +88,10 @@ FAR = 100.0
 """Limit of an effort over the size of efforts, from which it is not the size of efforts: the rates limit the time."""
 
 
-def read_path_problem(task: Task, nodes: Grid, begin: str, lap: bool, before: Problem | None = None) -> Problem:
+def read_path_problem(task: Task, nodes: Grid, before: Problem | None = None) -> Problem:
     """Read the coefficients at nodes on a path, and choose sizes by the speed that the parked robot may take.
 
-    ``task``: its source is the path at unit speed; ``begin``, ``lap``: as ``PathTiming``; ``before``: the same problem
-    on other nodes, whose sizes are kept.
+    ``task``: its source is the path at unit speed; ``before``: the same problem on other nodes, whose sizes are kept.
     """
     dynamics, unit, settings = task.dynamics, task.source, task.settings
     motion = unit.sample_at(nodes.t)
@@ -116,7 +115,7 @@ def read_path_problem(task: Task, nodes: Grid, begin: str, lap: bool, before: Pr
         target=np.zeros_like(rate),
         settings=settings,
         scales=scales,
-        timing=PathTiming(begin, lap, speed, acceleration, steps, fastest),
+        timing=PathTiming(speed, acceleration, steps, fastest),
     )
 
 

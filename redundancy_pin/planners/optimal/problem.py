@@ -87,13 +87,10 @@ class SingularNode:
 class PathTiming:
     """The data that a least-time problem adds: its nodes are places on a path, m, and their times are unknown.
 
-    ``begin``: how the carriers begin: "datum", "rest" or "free"; ``lap``: the platform goes on at the end as it began;
     ``speed``, ``acceleration``: sizes of ṗ and p̈, m/s and m/s²; ``h`` (M − 1,) of the durations of the steps, s;
     ``fastest`` (M,) largest ṗ that limits of the actuators' rates allow, m/s.
     """
 
-    begin: str
-    lap: bool
     speed: float
     acceleration: float
     h: Array

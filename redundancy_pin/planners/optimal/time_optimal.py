@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,7 @@ from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
 from redundancy_pin.planners.optimal.path_problem import read_path_problem
 from redundancy_pin.planners.optimal.problem import Problem, Task, required
 from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
-from redundancy_pin.planners.optimal.settings import End, Settings
+from redundancy_pin.planners.optimal.settings import Begin, End, Settings
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, multistart
 from redundancy_pin.planners.options import FEWEST_STEPS, Limits, Mesh, Solver, group_of, refuse_fields
 from redundancy_pin.planners.plan import Plan
@@ -32,9 +32,6 @@ from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Path
 from redundancy_pin.trajectory.timing import TimingLaw, uniform_law
 from redundancy_pin.trajectory.trajectory import Trajectory
-
-Begin = Literal["datum", "rest", "free"]
-"""How the carriers begin: at rest where they park; at rest anywhere; or anyhow."""
 
 NEIGHBOURS = 2
 """Steps on both sides of one whose efforts exceed their limits inside it that get a middle node as well."""
@@ -89,29 +86,19 @@ def plan_time_optimal(
         InfeasiblePlanError: no timing keeps the limits (constraint "effort"); or a singularity is touched.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
-    options = {"limits": limits, "mesh": mesh, "solver": solver, "begin": begin, "end": end, "datum": datum, "lap": lap}
-    return optimise_timing(path_task(as_dynamics(dynamics), path, **options))[0]  # type: ignore[arg-type]
+    return optimise_timing(path_task(as_dynamics(dynamics), path, limits, mesh, solver, begin, end, datum, lap))[0]
 
 
 @dataclass(frozen=True, eq=False)
-class PathTask:
-    """A path whose timing is planned.
-
-    ``path``: the path; ``task``: robot, motion along the path at unit speed, and settings; ``begin``, ``lap``,
-    ``steps``: as of ``plan_time_optimal``.
-    """
+class PathTask(Task):
+    """A path whose timing is planned; the motion of the task runs along it at unit speed."""
 
     path: Path
-    task: Task
-    begin: Begin
-    lap: bool
-    steps: int
 
 
 def path_task(
     dynamics: Dynamics,
     path: Path | Trajectory,
-    *,
     limits: Limits | None = None,
     mesh: Mesh | None = None,
     solver: Solver | None = None,
@@ -152,11 +139,6 @@ def path_task(
     if lap:
         _require_closed(unit)
     settings = Settings(
-        objective={},
-        lam=0.0,
-        baseline=None,
-        base_point=np.zeros(3),
-        calm=0.0,
         limits=resolved,
         start=park,
         start_speed=np.zeros(robot.k),
@@ -165,30 +147,32 @@ def path_task(
         dt=path.length / count,
         refinements=mesh.refinements,
         solver=solver,
+        begin=begin,
+        lap=lap,
     )
-    return PathTask(path, Task(dynamics, unit, settings), begin, lap, count)
+    return PathTask(dynamics, unit, settings, path)
 
 
-def optimise_timing(timed: PathTask) -> tuple[Plan, Outcome, Motion]:
+def optimise_timing(task: PathTask) -> tuple[Plan, Outcome, Motion]:
     """Return the plan of a task, the programme and solution of least time, and the motion of the platform.
 
     Raises:
         InfeasiblePlanError, UnsupportedRobotError: as ``plan_time_optimal``.
     """
     began = time.perf_counter()
-    task, settings = timed.task, timed.task.settings
-    nodes = first_mesh(task.dynamics, task.source, settings.dt, ends=not timed.lap)
-    problem = read_path_problem(task, nodes, timed.begin, timed.lap)
-    platform = partial(platform_of, timed.path)
+    settings = task.settings
+    nodes = first_mesh(task.dynamics, task.source, settings.dt, ends=not settings.lap)
+    problem = read_path_problem(task, nodes)
+    platform = partial(platform_of, task.path)
     planned = plan_and_refine(
         Planning("time_optimal", task, partial(_solve, task), platform, partial(_finer, task)), problem
     )
     parameters = {
-        "begin": timed.begin,
+        "begin": settings.begin,
         "end": settings.end,
-        "lap": timed.lap,
+        "lap": settings.lap,
         "datum": settings.datum.tolist(),
-        "steps": timed.steps,
+        "steps": round(task.path.length / settings.dt),
         "seconds": settings.solver.seconds,
         "refinements": settings.refinements,
     }
@@ -228,9 +212,9 @@ def platform_of(path: Path, problem: Problem, solution: Solution) -> Motion:
 def _finer(
     task: Task, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
 ) -> Problem:
-    t, timing = problem.times(solution.values), required(problem.timing)
+    t = problem.times(solution.values)
     nodes = finer_nodes(problem.grid, t, law_of(problem, solution), found.middle[marked])
-    return read_path_problem(task, nodes, timing.begin, timing.lap, problem)
+    return read_path_problem(task, nodes, problem)
 
 
 def law_of(problem: Problem, solution: Solution) -> PiecewisePolynomial:
