@@ -176,15 +176,9 @@ class PlanTable(Frozen):
     def after_jumps(self) -> PlanTable:
         """Return the table with one row for each instant: of two rows, before and after a jump, the second."""
         kept = ~_before(self.t)
-        return replace(
-            self,
-            t=read_only(self.t[kept]),
-            position=read_only(self.position[kept]),
-            rate=read_only(self.rate[kept]),
-            acceleration=read_only(self.acceleration[kept]),
-            effort=read_only(self.effort[kept]),
-            platform={name: (unit, read_only(values[kept])) for name, (unit, values) in self.platform.items()},
-        )
+        rows: dict[str, Any] = {name: read_only(getattr(self, name)[kept]) for name in ("t", *QUANTITIES)}
+        platform = {name: (unit, read_only(values[kept])) for name, (unit, values) in self.platform.items()}
+        return replace(self, platform=platform, **rows)
 
 
 def plan_table(

@@ -21,7 +21,6 @@ from redundancy_pin.planners.carrier_model import (
     OTHER_TERMS,
     CarrierModel,
     carrier_model,
-    turning_model,
     turns,
 )
 from redundancy_pin.planners.limits import ResolvedLimits
@@ -53,7 +52,7 @@ def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
     def at(speed: float, acceleration: float, later: float = 0.0) -> CarrierModel:
         xdd = motion.xdd * speed**2 + motion.xd * acceleration
         there = dynamics.along(PlatformMotion(motion.t + later, motion.x, motion.xd * speed, xdd, check_rates=False))
-        return turning_model(there) if turns(robot) else carrier_model(there, check=bool(robot.k))
+        return carrier_model(there, turning=turns(robot), check=bool(robot.k))
 
     rest, ahead, back, push, other = at(0.0, 0.0), at(1.0, 0.0), at(-1.0, 0.0), at(0.0, 1.0), at(0.7, -1.3, 0.37)
     names = [field.name for field in fields(CarrierModel)][2:]

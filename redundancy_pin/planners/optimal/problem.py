@@ -39,7 +39,6 @@ from redundancy_pin.planners.carrier_model import (
     carrier_model,
     has_other_terms,
     target_effort,
-    turning_model,
     turns,
 )
 from redundancy_pin.planners.optimal.mesh import Grid, resample
@@ -218,11 +217,12 @@ def reader_of(task: Task) -> Reader:
     Carriers that slide, and those that turn, have terms of their own. Where f has others at some instants of the
     motion, as with carriers on carriers, it is the backend's expression.
     """
-    if not task.dynamics.robot.k:
-        return partial(carrier_model, check=False)
-    read = turning_model if turns(task.dynamics.robot) else carrier_model
-    few = np.linspace(task.source.start, task.source.end, INSTANTS)
-    return linear_model if has_other_terms(task.dynamics.along(task.source.sample_at(few))) else read
+    robot, few = task.dynamics.robot, np.linspace(task.source.start, task.source.end, INSTANTS)
+    if robot.k and has_other_terms(task.dynamics.along(task.source.sample_at(few))):
+        return linear_model
+    if turns(robot):
+        return partial(carrier_model, turning=True)
+    return carrier_model if robot.k else partial(carrier_model, check=False)
 
 
 def read_problem(
@@ -259,7 +259,7 @@ def _read(task: Task, grid: Grid, read: Reader, scales: Scales | None) -> Proble
                 remedy="Balancing needs carriers that slide or turn, each on a link of its own.",
             )
         rest = load_at_rest(task.dynamics, motion, settings.start, settings.base_point)
-        base = base_wrench(along, rest, settings.base_point, turning=read is turning_model)
+        base = base_wrench(along, rest, settings.base_point, turning=turns(task.dynamics.robot))
         if scales is None:
             sizes = replace(sizes, base=base.sizes(sizes.sdd), length=task.dynamics.robot.characteristic_length)
     exact = along if read is linear_model and has_expressions(along) else None
