@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
@@ -31,9 +30,9 @@ from redundancy_pin.planners.optimal.problem import (
     Problem,
     Task,
     at_pace,
-    powers_of,
     scales_of,
     singular_nodes,
+    stacked_powers,
 )
 from redundancy_pin.planners.optimal.settings import Settings
 
@@ -135,7 +134,7 @@ def _first_speed(
     def use(speed: float) -> float:
         """Return the largest share of the limits that harmonic motion of a mean speed has of them."""
         pd, pdd = speed * np.sqrt(4.0 * place * (1.0 - place)), 2.0 * speed**2 / length * (1.0 - 2.0 * place)
-        tau = np.einsum("nmi,ni->nm", inverse, at_pace(model, _powers(pd, pdd)).f0[regular])
+        tau = np.einsum("nmi,ni->nm", inverse, at_pace(model, stacked_powers(pd, pdd)).f0[regular])
         return max(float(np.abs(tau / limit).max(initial=0.0)), float((pd / fastest).max()))
 
     speeds = length * SPEEDS
@@ -148,13 +147,9 @@ def _scales(
     model: CarrierModel, settings: Settings, parked: ReducedDynamics, length: float, speed: float, acceleration: float
 ) -> Scales:
     """Return sizes from the limits, and from the parked robot at a speed and acceleration along the path."""
-    at_speed = at_pace(model, _powers(np.full(len(model.t), speed), acceleration))
+    at_speed = at_pace(model, stacked_powers(np.full(len(model.t), speed), acceleration))
     duration = 0.5 * np.pi * length / speed
     scales = scales_of(at_speed, settings, parked.row_scale, duration, np.ones((1, 1)))
     near = settings.limits.effort[settings.limits.effort < FAR * scales.tau]
     tau = float(near.min()) if len(near) else scales.tau
     return replace(scales, tau=tau, row=scales.row * max(1.0, tau / scales.tau))
-
-
-def _powers(pd: Array, pdd: ArrayLike) -> Array:
-    return np.stack(np.broadcast_arrays(*powers_of(pd, pdd)), axis=-1)

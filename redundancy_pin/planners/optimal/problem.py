@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.dynamics.base import (
@@ -97,8 +98,7 @@ class PathTiming:
 
     def powers(self, values: Mapping[str, Array]) -> Array:
         """Return (M, 4) 1, ṗ, ṗ² and p̈ of scaled variables."""
-        pd, pdd = values["pd"][:, 0] * self.speed, values["pdd"][:, 0] * self.acceleration
-        return np.stack(np.broadcast_arrays(*powers_of(pd, pdd)), axis=-1)
+        return stacked_powers(values["pd"][:, 0] * self.speed, values["pdd"][:, 0] * self.acceleration)
 
 
 def required(timing: PathTiming | None) -> PathTiming:
@@ -114,6 +114,11 @@ def powers_of(*pace: Expression) -> tuple[Expression, ...]:
         return (1.0,)
     pd, pdd = pace
     return (1.0, pd, pd**2, pdd)
+
+
+def stacked_powers(pd: Array, pdd: ArrayLike) -> Array:
+    """Return (M, 4) 1, ṗ, ṗ² and p̈ of (M,) speeds and accelerations along a path."""
+    return np.stack(np.broadcast_arrays(*powers_of(pd, pdd)), axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,15 +242,9 @@ def read_problem(
         The problem, and what read it.
     """
     read = reader_of(task) if read is None else read
-    return _read(task, grid, read, scales), read
-
-
-def _read(task: Task, grid: Grid, read: Reader, scales: Scales | None) -> Problem:
     settings, motion = task.settings, task.source.sample_at(grid.t)
     along = task.dynamics.along(motion)
-    model = read(along)
-
-    singular = singular_nodes(task, grid, read)
+    model, singular = read(along), singular_nodes(task, grid, read)
     used = {*settings.objective, *settings.at_most}
     lam = settings.lam if "tracking" in used else 0.0
     target, _ = target_effort(task.dynamics.robot, motion, lam, settings.baseline if lam else None)
@@ -263,7 +262,7 @@ def _read(task: Task, grid: Grid, read: Reader, scales: Scales | None) -> Proble
         if scales is None:
             sizes = replace(sizes, base=base.sizes(sizes.sdd), length=task.dynamics.robot.characteristic_length)
     exact = along if read is linear_model and has_expressions(along) else None
-    return Problem(grid, model, singular, read_only(rate), read_only(target), settings, sizes, exact, base)
+    return Problem(grid, model, singular, read_only(rate), read_only(target), settings, sizes, exact, base), read
 
 
 def scales_of(model: CarrierModel, settings: Settings, row_scale: Array, duration: float, rate: Array) -> Scales:
@@ -289,31 +288,14 @@ def scales_of(model: CarrierModel, settings: Settings, row_scale: Array, duratio
 
 
 def singular_nodes(task: Task, grid: Grid, read: Reader) -> tuple[SingularNode, ...]:
-    """Read the derivatives of the model at all singular nodes off the backend."""
-
-    def node(i: int) -> SingularNode:
-        # of a jump, which has two nodes, the first one has its derivatives from the left
-        side: Side = "left" if i < len(grid.h) and grid.h[i] == 0.0 else "right"
-        return singular_node(task.dynamics, task.source, i, float(grid.t[i]), read, side, dt=task.settings.dt)
-
-    return tuple(node(i) for i in grid.singular.tolist())
+    """Read the derivatives of the model at all singular nodes off the backend, by what reads the model."""
+    return tuple(_singular_node(task, grid, i, read) for i in grid.singular.tolist())
 
 
-def singular_node(
-    dynamics: Dynamics,
-    source: Motion,
-    index: int,
-    t: float,
-    read: Reader = carrier_model,
-    side: Side = "right",
-    *,
-    dt: float = 0.005,
-) -> SingularNode:
-    """Read the derivatives of the model at a singular instant off the backend.
-
-    ``t``: the instant, s; ``read``: what reads the model off; ``side``: from which the derivatives are taken; "left"
-    for the node before a jump of the reference acceleration; ``dt``: largest step between nodes, s.
-    """
+def _singular_node(task: Task, grid: Grid, index: int, read: Reader) -> SingularNode:
+    dynamics, source, dt, t = task.dynamics, task.source, task.settings.dt, float(grid.t[index])
+    # of a jump, which has two nodes, the first one has its derivatives from the left
+    side: Side = "left" if index < len(grid.h) and grid.h[index] == 0.0 else "right"
     if read is carrier_model:
         model = TimedModel.of(dynamics, source, max(source.start, t - dt), min(source.end, t + dt))
         rate = replace(model, interpolant=model.interpolant.derivative()).at(np.array([t]), side)
