@@ -13,7 +13,7 @@ combination of 1, cos s, sin s, cos 2s and sin 2s, of the same with แนก, with แน
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Literal, TypeGuard, cast, get_args
 
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, checked, read_only
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics, terms_along
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, terms_along
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -30,7 +30,6 @@ from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.robot.scales import turning_velocities
 from redundancy_pin.singularities.roots import Interval, below_zero, minima, zeros
 from redundancy_pin.spectrum import scaled, spectrum_of
-from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import Motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -377,27 +376,12 @@ def effort_model(along: DynamicsAlongMotion, least_margin: float) -> EffortModel
         )
         remedy = "This planner needs at least as many main actuators as freedoms and as carriers."
         raise UnsupportedRobotError(message, remedy=remedy, n=robot.n, m=robot.m, k=robot.k)
-    model = carrier_model(along)
-    inverse, margin = _inverse(along.reduce())
-    _require_regular(model, margin, least_margin)
+    model, parked = carrier_model(along), along.reduce()
+    W = scaled(parked.W, parked.row_scale, parked.column_scale)
+    _require_regular(model, spectrum_of(W).singular_values[:, -1], least_margin)
+    inverse = parked.column_scale[:, None] * np.linalg.pinv(W) / parked.row_scale
     tau0, tau_terms = np.einsum("nmi,ni->nm", inverse, model.f0), np.einsum("nmi,nikj->nmkj", inverse, model.f_terms)
     return EffortModel(model.t, read_only(tau0), read_only(tau_terms))
-
-
-def _inverse(reduced: ReducedDynamics) -> tuple[Array, Array]:
-    """Return (N, m, n) the map from f to the efforts, and (N,) the margin of W.
-
-    The map is what ``distribute`` makes of each unit vector; NaN where W lacks rank.
-    """
-    samples, n = reduced.f.shape
-    unit = np.tile(np.eye(n), (samples, 1))
-    each = {
-        name: np.repeat(getattr(reduced, name), n, axis=0)
-        for name in ("t", "W", "carrier_force", "reachable", "residual")
-    }
-    solved = distribute(replace(reduced, f=unit, out_of_range=None, force_size=None, **each))
-    efforts = np.where((solved.status > SampleStatus.NEAR_SINGULAR)[:, None], np.nan, solved.tau)
-    return efforts.reshape(samples, n, -1).swapaxes(1, 2), read_only(np.array(solved.margin[::n]))
 
 
 def _require_regular(model: CarrierModel, margin: Array, least_margin: float) -> None:
