@@ -71,12 +71,9 @@ class PlanFunctions(Frozen):
 
     def efforts(self, reduced: ReducedDynamics) -> Array:
         """Return main efforts (N, m), N or N·m, of the dynamics along these motions; NaN where none are finite."""
-        if self.preferred is not None and reduced.W.shape[2] > reduced.W.shape[1]:
-            wanted = self.preferred(reduced.t)
-            left = reduced.f - np.einsum("nij,nj->ni", reduced.W, wanted)
-            tau: Array = wanted + np.einsum("nji,ni->nj", np.linalg.pinv(reduced.W), left)
-        else:
-            tau = np.array(distribute(reduced).tau)
+        has_choice = reduced.W.shape[2] > reduced.W.shape[1]
+        wanted = self.preferred(reduced.t) if self.preferred is not None and has_choice else None
+        tau = np.array(distribute(reduced, preferred=wanted).tau)
         for part in self.prescribed:
             inside = (reduced.t >= part.start) & (reduced.t <= part.end)
             tau[inside] = part(reduced.t[inside])
