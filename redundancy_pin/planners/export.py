@@ -23,7 +23,7 @@ from redundancy_pin.kinematics.coordinates import joint_position
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.loading import RobotLike
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.planners.functions import ROUNDED, apart
+from redundancy_pin.planners.functions import ROUNDED, unique_times
 from redundancy_pin.planners.reference import plan_reference
 from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot
@@ -252,7 +252,7 @@ def _at_rate(plan: Plan, robot: Robot, rate: float, two_sided: bool) -> _States:
     slack = ROUNDED * (end - start)  # jumps of one instant, from different functions, differ by rounding
     breaks = [functions.platform.breaks, functions.carriers.derivative(2).jumps(), reference.jumps]
     inner = np.concatenate(breaks)
-    jumps = apart(np.concatenate([[start], inner[(inner > start + slack) & (inner < end - slack)], [end]]))[1:-1]
+    jumps = unique_times(np.concatenate([[start], inner[(inner > start + slack) & (inner < end - slack)], [end]]))[1:-1]
     times = start + sample_times(end - start, jumps - start if two_sided else jumps[:0], 1.0 / rate, None, two_sided)
     times[-1] = end
     sides = _clear_of(jumps, times, slack)

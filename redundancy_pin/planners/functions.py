@@ -83,7 +83,7 @@ class PlanFunctions(Frozen):
         """Return (P + 1,) times, s, between which everything is smooth, with the (N,) samples of a plan."""
         platform, decided = self.platform, [part.edges for part in self.prescribed]
         edges = np.concatenate([samples, self.carriers.edges, platform.breaks, platform.knots, *decided])
-        return apart(edges[(edges >= samples[0]) & (edges <= samples[-1])])
+        return unique_times(edges[(edges >= samples[0]) & (edges <= samples[-1])])
 
     def effort_polynomials(
         self, edges: Array, reduced: ReducedDynamics, limits: Mapping[float, Array]
@@ -154,7 +154,7 @@ def _singular_instant(tau: Array, ends: Array, reduced: ReducedDynamics, piece: 
     return float(times[np.abs(tau).max(axis=1).argmax()])
 
 
-def apart(times: Array) -> Array:
+def unique_times(times: Array) -> Array:
     """Return times in order, those that differ from the one before by rounding left out, the first and last kept."""
     edges = np.unique(times)
     kept: Array = edges[np.append(True, np.diff(edges) > ROUNDED * (edges[-1] - edges[0]))]

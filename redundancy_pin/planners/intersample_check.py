@@ -29,7 +29,7 @@ from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.functions import SINGULAR_SAMPLE, PlanFunctions, apart
+from redundancy_pin.planners.functions import SINGULAR_SAMPLE, PlanFunctions, unique_times
 from redundancy_pin.planners.limits import (
     LIMIT_TOLERANCE,
     LimitedQuantity,
@@ -493,7 +493,7 @@ def _edges(functions: PlanFunctions, start: float, end: float, singular: Array) 
     times = np.concatenate([[start, end], inner[(inner > start) & (inner < end)]])
     if len(np.unique(times)) <= FEWEST_PIECES:
         times = np.concatenate([times, even])
-    edges = apart(times)
+    edges = unique_times(times)
     # an edge that differs from a singular instant by rounding only is moved onto it
     near = np.abs(edges[:, None] - singular).argmin(axis=0) if len(singular) else np.empty(0, dtype=int)
     edges[near] = singular

@@ -23,7 +23,7 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, parked_place
-from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunctions, apart
+from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunctions, unique_times
 from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
@@ -141,12 +141,12 @@ class MotionReference:
 
     @cached_property
     def _course(self) -> PiecewisePolynomial:
-        return self._platform.beside(self._carriers).beside(self.efforts)
+        return self._platform.hstack(self._carriers).hstack(self.efforts)
 
     @cached_property
     def _motion(self) -> PiecewisePolynomial:
         """Platform, carriers and tree side by side: one look-up in place of three."""
-        return self._platform.beside(self._carriers).beside(self._tree)
+        return self._platform.hstack(self._carriers).hstack(self._tree)
 
     def _carriers_of(self, flat: Array) -> tuple[Array, Array, Array]:
         k = self.robot.k
@@ -219,7 +219,7 @@ def motion_reference(
         position = PiecewisePolynomial.constant(place, source.start, source.end)
     own = np.unique(np.concatenate([[source.start], source.breaks, source.knots, [source.end]]))
     parts = [np.linspace(a, b, max(2, int(np.ceil((b - a) / step)) + 1)) for a, b in itertools.pairwise(own)]
-    return reference_of(robot, PlanFunctions(source, position), apart(np.concatenate([*parts, position.edges])))
+    return reference_of(robot, PlanFunctions(source, position), unique_times(np.concatenate([*parts, position.edges])))
 
 
 def _between_samples(
@@ -256,7 +256,7 @@ def reference_of(robot: Robot, functions: PlanFunctions, edges: Array, plan: Pla
         lag = np.abs(functions.carriers(plan.t) - plan.carriers.s).max(axis=0, initial=0.0)
     tau = functions.effort_polynomials(edges, reduced, limits)
     series = {
-        "loads": tau.beside(polynomials(reduced.carrier_force)),
+        "loads": tau.hstack(polynomials(reduced.carrier_force)),
         "carriers": polynomials(along.s, along.sd, along.sdd),
         "platform": polynomials(motion.x, motion.xd, motion.xdd),
         "tree": polynomials(tree.q, tree.v, tree.a),

@@ -202,7 +202,7 @@ def _from_samples(motion: PlatformMotion) -> Motion:
     largest = max(np.abs(motion.xdd).max(), np.abs(position.derivative(2).ranges()).max())
     if rounding > DENSE * largest:
         velocity = PiecewisePolynomial.through(motion.t, *values[1:])
-    polynomials = position.beside(velocity).beside(velocity.derivative())
+    polynomials = position.hstack(velocity).hstack(velocity.derivative())
     breaks = frozen(motion.t[motion.jumps])
     knots = frozen(np.setdiff1d(edges[1:-1], breaks))
     source = _PosesBetween(polynomials, breaks) if motion.is_pose else polynomials

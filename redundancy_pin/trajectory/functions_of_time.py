@@ -108,7 +108,7 @@ class PiecewisePolynomial(Frozen):
             return self
         return PiecewisePolynomial(self.edges, read_only(self.ppoly.derivative(order).c))
 
-    def beside(self, other: PiecewisePolynomial) -> PiecewisePolynomial:
+    def hstack(self, other: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return a function on the same pieces with the values of this one and then those of the other."""
         parts = _padded([self.coefficients, other.coefficients])
         return PiecewisePolynomial(self.edges, read_only(np.concatenate(parts, axis=2)))
@@ -228,7 +228,7 @@ class PiecewisePolynomial(Frozen):
         edges = np.concatenate([parts[0].edges, *(part.edges[1:] for part in parts[1:])])
         return PiecewisePolynomial(read_only(edges), read_only(np.concatenate(padded, axis=1)))
 
-    def made_continuous(self) -> PiecewisePolynomial:
+    def remove_offsets(self) -> PiecewisePolynomial:
         """Return the function with its pieces shifted so that each begins with the value the one before it ends with.
 
         What differs by rounding only is left as it is.

@@ -64,7 +64,7 @@ def test_a_spike_a_thousandth_of_a_piece_wide_is_resolved() -> None:
     edges = np.array([0.0, 0.5 - width, 0.5, 0.5 + width, 1.0])
     zero, bump = np.zeros((1, 4, 3)), np.zeros((1, 4, 3))
     bump[0, 1:3, 0] = [0.5 * size, -0.5 * size]
-    pulse = PiecewisePolynomial(edges, np.concatenate([bump, zero, zero])).made_continuous()
+    pulse = PiecewisePolynomial(edges, np.concatenate([bump, zero, zero])).remove_offsets()
     peaks = extremes_between(rp.VirtualWork(robot), PlanFunctions(as_motion(still), pulse), 0.0, 1.0)
     mass = float(robot.model.inertias[robot.model.getJointId(robot.carriers[0])].mass)
     change = np.abs(peaks.value[:, 3]).max() - np.abs(at_rest.value[:, 3]).max()

@@ -30,7 +30,7 @@ from redundancy_pin.loading import with_parameters
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.functions import PlanFunctions, apart
+from redundancy_pin.planners.functions import PlanFunctions, unique_times
 from redundancy_pin.planners.intersample_check import PlannedMotion, intersample_check
 from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, with_nodes
 from redundancy_pin.planners.optimal.nlp import Expression
@@ -266,7 +266,7 @@ def _without_efforts(t: float, why: str) -> InfeasiblePlanError:
 
 def _with_times(grid: Grid, times: Array) -> tuple[Grid, IntArray]:
     """Return a grid with nodes at more times, s, except where it has one, and the indices of the nodes it had."""
-    merged = apart(np.concatenate([grid.t, times]))
+    merged = unique_times(np.concatenate([grid.t, times]))
     added = merged[~np.isin(merged, grid.t)]
     finer = with_nodes(grid, np.searchsorted(grid.t, added, side="right") - 1, added, False)
     return finer, np.flatnonzero(~np.isin(finer.t, added))

@@ -164,7 +164,7 @@ def plan_stepwise(
     course = plan_course(robot, settings, box, missing, accelerating | (active == "always"), ~moving)
     carriers, phase = _samples(motion, course, len(instants))
     added = course.t[len(instants) :]
-    position = PiecewisePolynomial.joined(course.position).made_continuous()
+    position = PiecewisePolynomial.joined(course.position).remove_offsets()
     aimed_at = None
     if baseline is not None:
         aimed_at = repr(baseline.robot) if is_dynamics(baseline) else "efforts"

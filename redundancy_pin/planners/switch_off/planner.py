@@ -233,7 +233,7 @@ def _assemble_plan(
     singular = actuation.singular_instants
     planned = PlannedMotion(
         dynamics,
-        PlanFunctions(source, position.made_continuous(), tuple(off)),
+        PlanFunctions(source, position.remove_offsets(), tuple(off)),
         dynamics.along(source.sample_at(times)),
         CarrierMotion(after.s, after.sd, sdd, check_rates=False),
         settings.limits,
