@@ -18,7 +18,7 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import IntersampleCheck
-from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, steps_around, with_nodes
+from redundancy_pin.planners.optimal.mesh import first_mesh, steps_around, with_nodes
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
 from redundancy_pin.planners.optimal.path_problem import read_path_problem
 from redundancy_pin.planners.optimal.problem import Problem, Task, required
@@ -164,9 +164,8 @@ def optimise_timing(task: PathTask) -> tuple[Plan, Outcome, Motion]:
     nodes = first_mesh(task.dynamics, task.source, settings.dt, ends=not settings.lap)
     problem = read_path_problem(task, nodes)
     platform = partial(platform_of, task.path)
-    planned = plan_and_refine(
-        Planning("time_optimal", task, partial(_solve, task), platform, partial(_finer, task)), problem
-    )
+    planning = Planning("time_optimal", task, partial(_solve, task), platform, partial(_finer, task))
+    planned = plan_and_refine(planning, problem)
     parameters = {
         "begin": settings.begin,
         "end": settings.end,
@@ -178,8 +177,7 @@ def optimise_timing(task: PathTask) -> tuple[Plan, Outcome, Motion]:
     }
     found = {**planned.diagnostics, "seconds": time.perf_counter() - began}
     motion = replace(planned.motion, parameters=parameters, findings=planned.findings, diagnostics=found)
-    best = planned.best
-    return finish_plan(motion, planned.check), best, platform(best.problem, best.solution)
+    return finish_plan(motion, planned.check), planned.best, motion.functions.platform
 
 
 def _solve(
@@ -212,9 +210,17 @@ def platform_of(path: Path, problem: Problem, solution: Solution) -> Motion:
 def _finer(
     task: Task, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
 ) -> Problem:
-    t = problem.times(solution.values)
-    nodes = finer_nodes(problem.grid, t, law_of(problem, solution), found.middle[marked])
-    return read_path_problem(task, nodes, problem)
+    """Return the problem with a node halfway in time in each step around the times that exceed, and in long ones.
+
+    Around those that exceed the jerk is continuous there: the efforts are seen, and no more is free.
+    """
+    grid, times = problem.grid, problem.times(solution.values)
+    h = np.diff(times)
+    is_long = h > LONGEST_STEP * times[-1]
+    steps = np.flatnonzero((steps_around(times, found.middle[marked], NEIGHBOURS) | is_long) & (h > 0.0))
+    # ṗ is quadratic in a step with Bézier points of at least zero: an eighth of the step, or more, is on either side
+    places = law_of(problem, solution)(0.5 * (times[steps] + times[steps + 1]))[:, 0]
+    return read_path_problem(task, with_nodes(grid, steps, places, ~is_long[steps]), problem)
 
 
 def law_of(problem: Problem, solution: Solution) -> PiecewisePolynomial:
@@ -222,21 +228,6 @@ def law_of(problem: Problem, solution: Solution) -> PiecewisePolynomial:
     timing, values = required(problem.timing), solution.values
     pd, pdd = values["pd"] * timing.speed, values["pdd"] * timing.acceleration
     return PiecewisePolynomial.linear(problem.times(values), problem.grid.t[:, None], pd, pdd)
-
-
-def finer_nodes(grid: Grid, times: Array, law: Callable[[Array], Array], exceeding: Array) -> Grid:
-    """Return a grid with a node halfway in time in each step around the times that exceed, s, and in long ones.
-
-    Around those that exceed the jerk is continuous there: the efforts are seen, and no more is free.
-
-    ``grid``: places on the path; ``times`` (M,) at these, s; ``law``: places (N, 1) at times.
-    """
-    h = np.diff(times)
-    is_long = h > LONGEST_STEP * times[-1]
-    marked = np.flatnonzero((steps_around(times, exceeding, NEIGHBOURS) | is_long) & (h > 0.0))
-    # ṗ is quadratic in a step with Bézier points of at least zero: an eighth of the step, or more, is on either side
-    places = law(0.5 * (times[marked] + times[marked + 1]))[:, 0]
-    return with_nodes(grid, marked, places, ~is_long[marked])
 
 
 def _require_closed(unit: Motion) -> None:
