@@ -343,8 +343,9 @@ def _spread(source: Motion) -> Array:
     return np.linspace(source.start, source.end, 101)
 
 
-RATE_SPAN = 2e-3
-"""Distance of the times from which derivatives are formed, s, where the motion is smooth for so long."""
+RATE_SPAN = 1e-3
+"""Distance of the times from which derivatives are formed, as a fraction of the motion, where it is smooth for so long:
+a motion that changes within a twentieth of its time leaves 1e-9."""
 
 RATE_DEGREE = 5
 """Of the polynomials in time whose derivatives they are."""
@@ -365,11 +366,11 @@ def _rate_of_model(dynamics: Dynamics, source: Motion, t: float, read: Reader, s
 
 def times_beside(source: Motion, t: float, side: Side) -> tuple[Array, Array]:
     """Return (2,) ends of a smooth stretch that holds an instant, s, and times in it for a polynomial."""
-    kinks = source.kinks
+    kinks, span = source.kinks, RATE_SPAN * (source.end - source.start)
     ahead = t == source.start or (side == "right" and t < source.end)
     # beyond a kink, or the end, the motion is another
     on_kink = bool((kinks == t).any())
-    start = t if on_kink and ahead else max(t - RATE_SPAN, float(kinks[kinks < t].max()))
-    end = t if on_kink and not ahead else min(t + RATE_SPAN, float(kinks[kinks > t].min()))
+    start = t if on_kink and ahead else max(t - span, float(kinks[kinks < t].max()))
+    end = t if on_kink and not ahead else min(t + span, float(kinks[kinks > t].min()))
     edges = np.array([start, end])
     return edges, chebyshev_times(edges, RATE_DEGREE)
