@@ -37,7 +37,7 @@ from redundancy_pin.studies.trade import TradeOff
 from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.time_scaling import ScaledMotion, TimeScaling
-from redundancy_pin.trajectory.timing import FastestLaw, RestToRest
+from redundancy_pin.trajectory.timing import RestToRest, TimingLaw
 
 ELSEWHERE = {"Riccati", "LinearModel", "SampledModel", "LqrWeights", "ReferencePoint", "ConstantAppended"}
 """Inner types of controllers and paths, whose owners are copied whole."""
@@ -93,7 +93,7 @@ def objects() -> dict[str, Any]:
         "legs": three_rrr.inverse_displacement(three_rrr.ThreeRrrGeometry.from_parameters(robot.parameters), motion.x),
         "two legs": two_rpr.inverse_displacement(small.parameters["base_distance"], circle.sample(dt=0.1).x),
         "reduced": reduced,
-        "fastest law": FastestLaw(RestToRest(0.1, 1.0), 0.9),
+        "fastest law": TimingLaw(RestToRest(0.1, 1.0).curve, 0.1, 0.9),
         "singular instant": SingularInstant(0.1, *[np.ones((1, 1))] * 3, three, three, 1.0, three, 1.0),
         "derivatives": along.carrier_derivatives(carriers),
         "one sample": dynamics.sample(motion.x[0], motion.xd[0], motion.xdd[0]),

@@ -189,10 +189,10 @@ def _events(plan: Plan, events: tuple[LimitEvent, ...], between: str = "\n", *, 
 
 
 def _event(plan: Plan, event: LimitEvent, *, broken: bool) -> str:
-    unit = plan.robot.limit_unit(event.quantity, event.carrier)
+    unit = plan.robot.limit_unit(event.quantity, event.joint)
     limit = event.limit if event.quantity in ("track", "range") else abs(event.limit)  # the others are of a size
     much = f"by {event.amount:.3g} {unit}" if broken else f"at its limit {limit:.3g} {unit}"
-    return f"{event.quantity} of {event.carrier} {much} at t = {event.worst:.4g} s"
+    return f"{event.quantity} of {event.joint} {much} at t = {event.worst:.4g} s"
 
 
 def _output_options(command: Callable[..., Any]) -> Callable[..., Any]:

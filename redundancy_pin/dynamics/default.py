@@ -11,10 +11,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.dynamics.compiled import CompiledDynamics, MotionDerivatives
-from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.dynamics.rnea import RneaAlongMotion, RneaDynamics
 from redundancy_pin.errors import CompilerError, InputError, UnsupportedRobotError
+from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
@@ -57,6 +58,11 @@ def as_dynamics(dynamics: DynamicsLike) -> Dynamics:
             stacklevel=1,
         )
         return RneaDynamics(robot)
+
+
+def rnea_along(tree: JointTrajectory) -> DynamicsAlongMotion:
+    """Return RNEA along a motion of the tree, carriers at zero: the reading copy, whatever backend made a plan."""
+    return RneaAlongMotion(tree)
 
 
 def design_derivatives(

@@ -13,7 +13,7 @@ combination of 1, cos s, sin s, cos 2s and sin 2s, of the same with ṡ, with �
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Literal, TypeGuard, cast, get_args
 
@@ -31,7 +31,6 @@ from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.robot.scales import turning_velocities
 from redundancy_pin.singularities.roots import Interval, below_zero, minima, zeros
 from redundancy_pin.spectrum import scaled, spectrum_of
-from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import Motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -261,33 +260,36 @@ def require_carriers(robot: Robot) -> None:
         )
 
 
-def carrier_model(along: DynamicsAlongMotion, *, check: bool = True) -> CarrierModel:
-    """Read the coefficients off a backend along a platform motion (``terms_along``).
+def carrier_model(along: DynamicsAlongMotion, *, turning: bool = False, check: bool = True) -> CarrierModel:
+    """Read the coefficients off a backend along a platform motion.
 
-    Without ``check`` nobody looks whether there are carriers, and whether f has other terms too: of a robot without
-    carriers the model is W and f.
+    Args:
+        along: the dynamics along the motion.
+        turning: some carriers turn: f has all terms of ``TERM_NAMES``; else those of straight tracks.
+        check: whether to look that there are carriers, and that f has no other terms. Of a robot without carriers the
+            model is W and f.
+
+    Raises:
+        UnsupportedRobotError: no carriers; f has other terms, as where a carrier carries another.
     """
     robot = along.robot
     if check:
         require_carriers(robot)
-    W, constant, by_carrier = terms_along(along)
-    n, own = robot.n, np.arange(robot.k)
-    f_terms, force_terms = by_carrier[..., :n].transpose(0, 3, 1, 2), by_carrier[:, own, :, n + own].transpose(1, 0, 2)
-    parts = (constant[:, :n], f_terms, constant[:, n:], force_terms)
+    if turning:
+        W, *parts = _turning_terms(along)
+    else:
+        W, constant, by_carrier = terms_along(along)
+        n, own = robot.n, np.arange(robot.k)
+        f_terms, force_terms = by_carrier[..., :n].transpose(0, 3, 1, 2), by_carrier[:, own, :, n + own]
+        parts = [constant[:, :n], f_terms, constant[:, n:], force_terms.transpose(1, 0, 2)]
     model = CarrierModel(along.motion.t, W, *(read_only(np.ascontiguousarray(part)) for part in parts))
     if check:
         _require_no_other_terms(along, model)
     return model
 
 
-def turning_model(along: DynamicsAlongMotion, *, check: bool = True) -> CarrierModel:
-    """Read the coefficients off a backend where some carriers turn, from its exact derivatives at ten motions.
-
-    Without ``check`` nobody looks whether f has other terms too.
-
-    Raises:
-        UnsupportedRobotError: f has other terms too, as where a carrier carries another.
-    """
+def _turning_terms(along: DynamicsAlongMotion) -> tuple[Array, Array, Array, Array, Array]:
+    """Return W and the coefficients where some carriers turn, from exact derivatives at ten motions of the carriers."""
     robot, samples, count = along.robot, len(along.motion), len(TERM_NAMES)
     parked = along.reduce(CarrierMotion.parked(samples, robot.k))
     # five angles tell the waves apart, and two rates the terms with ṡ from those with ṡ²
@@ -306,11 +308,7 @@ def turning_model(along: DynamicsAlongMotion, *, check: bool = True) -> CarrierM
         inverse = np.linalg.pinv(slopes[:, places])
         f_terms[:, :, i, places] = np.einsum("jr,rni->nij", inverse, by_f[..., i])
         force_terms[:, i, places] = np.einsum("jr,rn->nj", inverse, by_force[..., i, i])
-    parts = (parked.f, f_terms, parked.carrier_force, force_terms)
-    model = CarrierModel(along.motion.t, parked.W, *(read_only(np.asarray(part)) for part in parts))
-    if check:
-        _require_no_other_terms(along, model)
-    return model
+    return parked.W, parked.f, f_terms, parked.carrier_force, force_terms
 
 
 def turns(robot: Robot) -> bool:
@@ -320,7 +318,7 @@ def turns(robot: Robot) -> bool:
 
 def has_other_terms(along: DynamicsAlongMotion) -> bool:
     """Return whether f has other terms than those of carriers that slide or turn, each on a link of its own."""
-    model = (turning_model if turns(along.robot) else carrier_model)(along, check=False)
+    model = carrier_model(along, turning=turns(along.robot), check=False)
     return _deviation(along, model) > OTHER_TERMS
 
 
@@ -379,27 +377,12 @@ def effort_model(along: DynamicsAlongMotion, least_margin: float) -> EffortModel
         )
         remedy = "This planner needs at least as many main actuators as freedoms and as carriers."
         raise UnsupportedRobotError(message, remedy=remedy, n=robot.n, m=robot.m, k=robot.k)
-    model = carrier_model(along)
-    inverse, margin = _inverse(along.reduce())
-    _require_regular(model, margin, least_margin)
+    model, parked = carrier_model(along), along.reduce()
+    W = scaled(parked.W, parked.row_scale, parked.column_scale)
+    _require_regular(model, spectrum_of(W).singular_values[:, -1], least_margin)
+    inverse = parked.column_scale[:, None] * np.linalg.pinv(W) / parked.row_scale
     tau0, tau_terms = np.einsum("nmi,ni->nm", inverse, model.f0), np.einsum("nmi,nikj->nmkj", inverse, model.f_terms)
     return EffortModel(model.t, read_only(tau0), read_only(tau_terms))
-
-
-def _inverse(reduced: ReducedDynamics) -> tuple[Array, Array]:
-    """Return (N, m, n) the map from f to the efforts, and (N,) the margin of W.
-
-    The map is what ``distribute`` makes of each unit vector; NaN where W lacks rank.
-    """
-    samples, n = reduced.f.shape
-    unit = np.tile(np.eye(n), (samples, 1))
-    each = {
-        name: np.repeat(getattr(reduced, name), n, axis=0)
-        for name in ("t", "W", "carrier_force", "reachable", "residual")
-    }
-    solved = distribute(replace(reduced, f=unit, out_of_range=None, force_size=None, **each))
-    efforts = np.where((solved.status > SampleStatus.NEAR_SINGULAR)[:, None], np.nan, solved.tau)
-    return efforts.reshape(samples, n, -1).swapaxes(1, 2), read_only(np.array(solved.margin[::n]))
 
 
 def _require_regular(model: CarrierModel, margin: Array, least_margin: float) -> None:

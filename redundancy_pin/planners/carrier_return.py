@@ -168,11 +168,11 @@ def _no_return(use: LimitEvent, start: float, available: float, remedy: str) -> 
     """Return the error that says that no return keeps the limits, which one stands in the way, and by how much."""
     return InfeasiblePlanError(
         f"No return of the carriers of at most {available:.6g} s from t = {start:.6g} s keeps their limits: the best "
-        f"one breaks the {use.quantity} limit {use.limit:g} of {use.carrier} by {use.amount:.4g} at "
+        f"one breaks the {use.quantity} limit {use.limit:g} of {use.joint} by {use.amount:.4g} at "
         f"t = {use.worst:.6g} s.",
         remedy=remedy,
         constraint=use.quantity,
-        carrier=use.carrier,
+        joint=use.joint,
         time=use.worst,
         amount=use.amount,
     )

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, frozen, read_only, require_type
+from redundancy_pin.arrays import Array, read_only, require_type
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.intersample_check import (
@@ -47,7 +47,7 @@ def finish_plan(planned: PlannedMotion, check: IntersampleCheck | None = None) -
         The plan, with the status that follows. An imbalance of prescribed efforts is reported, never corrected.
     """
     robot, along, samples, limits = planned.dynamics.robot, planned.along, planned.samples, planned.limits
-    motion, carriers, reduced = planned.motion, planned.carriers, samples.reduced
+    motion, carriers, reduced = planned.motion, planned.carriers, planned.reduced
     check = intersample_check(planned) if check is None else check
     status = ResultStatus.OK if check.peaks.passed else ResultStatus.UNRESOLVED
     if not planned.findings.optimal:
@@ -61,11 +61,11 @@ def finish_plan(planned: PlannedMotion, check: IntersampleCheck | None = None) -
     return Plan(
         motion=motion,
         carriers=carriers,
-        tau=frozen(samples.tau),
+        tau=samples.tau,
         carrier_force=reduced.carrier_force,
         actuated_rate=read_only(np.einsum("nim,ni->nm", reduced.W, motion.xd)),
-        sample_status=read_only(samples.status),
-        residual=read_only(samples.residual),
+        sample_status=samples.status,
+        residual=samples.residual,
         margin=samples.margin,
         condition=samples.condition,
         phase=read_only(np.array(phase, dtype=np.intp)),
@@ -311,7 +311,7 @@ def _other_limits(plan: Plan, again: Plan) -> list[Deviation]:
     """Return where a plan reports limits as exceeded that are not, or not as much, or leaves one out."""
     deviations = []
     reported, found = (
-        {(event.carrier, event.quantity): event for event in worst_events(one.limits.violated)} for one in (plan, again)
+        {(event.joint, event.quantity): event for event in worst_events(one.limits.violated)} for one in (plan, again)
     )
     for key in sorted({*reported, *found}):
         event = found[key] if key in found else reported[key]
@@ -319,7 +319,7 @@ def _other_limits(plan: Plan, again: Plan) -> list[Deviation]:
         same = stated == true or abs(stated - true) <= SAME_PEAK * max(abs(event.value), abs(event.limit))
         if not same or (key in found and key not in reported):
             exceeds = f"exceeds its limit by {true:.4g}" if key in found else "keeps its limit"
-            message = f"The {event.quantity} of {event.carrier} {exceeds} at t = {event.worst:.6g} s"
+            message = f"The {event.quantity} of {event.joint} {exceeds} at t = {event.worst:.6g} s"
             by = f", not by {stated:.4g}." if key in reported else "."
             deviations.append(Deviation("limits", event.worst, abs(true - stated), message + by))
     return deviations

@@ -23,12 +23,12 @@ from redundancy_pin.kinematics.coordinates import joint_position
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.loading import RobotLike
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.planners.functions import ROUNDED, apart
+from redundancy_pin.planners.functions import ROUNDED, unique_times
 from redundancy_pin.planners.reference import plan_reference
-from redundancy_pin.planners.robot_record import RobotRecord, robot_of_record
+from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint
-from redundancy_pin.trajectory.csv_file import csv_rows, motion_columns
+from redundancy_pin.trajectory.csv_file import csv_rows, effort_unit, motion_columns, unit_of
 from redundancy_pin.trajectory.trajectory import sample_times
 
 if TYPE_CHECKING:
@@ -176,34 +176,15 @@ class PlanTable(Frozen):
     def after_jumps(self) -> PlanTable:
         """Return the table with one row for each instant: of two rows, before and after a jump, the second."""
         kept = ~_before(self.t)
-        return replace(
-            self,
-            t=read_only(self.t[kept]),
-            position=read_only(self.position[kept]),
-            rate=read_only(self.rate[kept]),
-            acceleration=read_only(self.acceleration[kept]),
-            effort=read_only(self.effort[kept]),
-            platform={name: (unit, read_only(values[kept])) for name, (unit, values) in self.platform.items()},
-        )
+        rows: dict[str, Any] = {name: read_only(getattr(self, name)[kept]) for name in ("t", *QUANTITIES)}
+        platform = {name: (unit, read_only(values[kept])) for name, (unit, values) in self.platform.items()}
+        return replace(self, platform=platform, **rows)
 
 
 def plan_table(
     plan: Plan, rate: float | None = None, *, two_sided: bool | None = None, robot: RobotLike | None = None
 ) -> PlanTable:
-    """Return a plan as a table.
-
-    Args:
-        plan: the plan.
-        rate: rows a second, Hz, and one at the end; the samples of the plan when left out.
-        two_sided: whether an instant at which something jumps has two rows, before and after it; when left out, only
-            those that the plan itself has twice.
-        robot: its robot; loaded from the plan when left out.
-
-    Raises:
-        InputError: a rate that is not positive, or makes too many rows.
-        InfeasiblePlanError: rows between the samples of a plan that has no finite efforts.
-        PlanFileError: the robot cannot be loaded, or is no longer what it was.
-    """
+    """Return a plan as a table, see ``Plan.table``."""
     machine = robot_of_record(plan.robot, robot)
     if rate is None:
         parts = _at_samples(plan, machine)
@@ -219,13 +200,12 @@ def plan_table(
         "least_cost": plan.least_cost,
         "samples_per_second": None if rate is None else float(rate),
     }
-    table = table_of_states(machine, plan.robot, parts, about)
+    table = table_of_states(machine, parts, about)
     return table.after_jumps() if two_sided is False else table
 
 
 def table_of_states(
     machine: Robot,
-    record: RobotRecord,
     parts: _States,
     about: Mapping[str, Any],
 ) -> PlanTable:
@@ -233,7 +213,6 @@ def table_of_states(
 
     Args:
         machine: the robot.
-        record: the same, in plain data.
         parts: of the states.
         about: what it is, in plain data.
     """
@@ -245,7 +224,7 @@ def table_of_states(
         t=read_only(t),
         joints=names,
         main=machine.m,
-        joint_units=_units(record, names),
+        joint_units=_units(machine, names),
         position=read_only(np.stack([_position(machine, name, q) for name in names], axis=1)),
         rate=read_only(v[:, columns]),
         acceleration=read_only(a[:, columns]),
@@ -273,7 +252,7 @@ def _at_rate(plan: Plan, robot: Robot, rate: float, two_sided: bool) -> _States:
     slack = ROUNDED * (end - start)  # jumps of one instant, from different functions, differ by rounding
     breaks = [functions.platform.breaks, functions.carriers.derivative(2).jumps(), reference.jumps]
     inner = np.concatenate(breaks)
-    jumps = apart(np.concatenate([[start], inner[(inner > start + slack) & (inner < end - slack)], [end]]))[1:-1]
+    jumps = unique_times(np.concatenate([[start], inner[(inner > start + slack) & (inner < end - slack)], [end]]))[1:-1]
     times = start + sample_times(end - start, jumps - start if two_sided else jumps[:0], 1.0 / rate, None, two_sided)
     times[-1] = end
     sides = _clear_of(jumps, times, slack)
@@ -306,13 +285,13 @@ def _position(robot: Robot, name: str, q: Array) -> Array:
     return np.unwrap(position) if continuous else position
 
 
-def _units(record: RobotRecord, names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """Return the units of the joints, in ASCII: spreadsheets guess at everything else."""
-    rate = {"position": "track", "rate": "speed", "acceleration": "acceleration", "effort": "effort"}
-    return {
-        quantity: tuple(record.limit_unit(limit, name).replace("²", "^2").replace("·", "*") for name in names)
-        for quantity, limit in rate.items()
+def _units(robot: Robot, names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """Return the units of the joints, as in CSV files."""
+    motion = {
+        quantity: tuple(unit_of(robot, f"q:{name}", order) for name in names)
+        for order, quantity in enumerate(QUANTITIES[:3])
     }
+    return {**motion, "effort": tuple(effort_unit(robot, name) for name in names)}
 
 
 def joint_trajectory(table: PlanTable) -> dict[str, Any]:

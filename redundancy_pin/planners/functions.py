@@ -71,12 +71,9 @@ class PlanFunctions(Frozen):
 
     def efforts(self, reduced: ReducedDynamics) -> Array:
         """Return main efforts (N, m), N or N·m, of the dynamics along these motions; NaN where none are finite."""
-        if self.preferred is not None and reduced.W.shape[2] > reduced.W.shape[1]:
-            wanted = self.preferred(reduced.t)
-            left = reduced.f - np.einsum("nij,nj->ni", reduced.W, wanted)
-            tau: Array = wanted + np.einsum("nji,ni->nj", np.linalg.pinv(reduced.W), left)
-        else:
-            tau = np.array(distribute(reduced).tau)
+        has_choice = reduced.W.shape[2] > reduced.W.shape[1]
+        wanted = self.preferred(reduced.t) if self.preferred is not None and has_choice else None
+        tau = np.array(distribute(reduced, preferred=wanted).tau)
         for part in self.prescribed:
             inside = (reduced.t >= part.start) & (reduced.t <= part.end)
             tau[inside] = part(reduced.t[inside])
@@ -86,7 +83,7 @@ class PlanFunctions(Frozen):
         """Return (P + 1,) times, s, between which everything is smooth, with the (N,) samples of a plan."""
         platform, decided = self.platform, [part.edges for part in self.prescribed]
         edges = np.concatenate([samples, self.carriers.edges, platform.breaks, platform.knots, *decided])
-        return apart(edges[(edges >= samples[0]) & (edges <= samples[-1])])
+        return unique_times(edges[(edges >= samples[0]) & (edges <= samples[-1])])
 
     def effort_polynomials(
         self, edges: Array, reduced: ReducedDynamics, limits: Mapping[float, Array]
@@ -157,7 +154,7 @@ def _singular_instant(tau: Array, ends: Array, reduced: ReducedDynamics, piece: 
     return float(times[np.abs(tau).max(axis=1).argmax()])
 
 
-def apart(times: Array) -> Array:
+def unique_times(times: Array) -> Array:
     """Return times in order, those that differ from the one before by rounding left out, the first and last kept."""
     edges = np.unique(times)
     kept: Array = edges[np.append(True, np.diff(edges) > ROUNDED * (edges[-1] - edges[0]))]

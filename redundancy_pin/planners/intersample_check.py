@@ -16,21 +16,21 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, frozen
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, frozen, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.dynamics.default import as_dynamics
-from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.functions import SINGULAR_SAMPLE, PlanFunctions, apart
+from redundancy_pin.planners.functions import SINGULAR_SAMPLE, PlanFunctions, unique_times
 from redundancy_pin.planners.limits import (
     LIMIT_TOLERANCE,
     LimitedQuantity,
@@ -105,27 +105,6 @@ _FINE = np.cos(np.linspace(np.pi, 0.0, 65))
 """Places in a piece, from −1 to 1, among which the extreme of its polynomial is sought first."""
 
 
-@dataclass(frozen=True, eq=False)
-class EvaluatedSamples:
-    """The dynamics at the samples of a planned motion.
-
-    Attributes:
-        reduced: W and f, N samples.
-        tau: (N, m) main efforts, prescribed or from W τ = f, N or N·m.
-        status: (N,) a ``SampleStatus`` each.
-        residual: (N,) scaled norm of W τ − f, N.
-        margin: (N,) smallest singular value of the scaled W.
-        condition: (N,) condition number of the scaled W.
-    """
-
-    reduced: ReducedDynamics
-    tau: Array
-    status: IntArray
-    residual: Array
-    margin: Array
-    condition: Array
-
-
 @dataclass(frozen=True)
 class Findings:
     """What a planner found and others read: ``Plan.status``, figures and the command line.
@@ -191,9 +170,14 @@ class PlannedMotion:
         return self.along.motion
 
     @cached_property
-    def samples(self) -> EvaluatedSamples:
-        """The dynamics at the samples, evaluated once."""
-        reduced = self.along.reduce(self.carriers)
+    def reduced(self) -> ReducedDynamics:
+        """W and f at the samples, evaluated once."""
+        return self.along.reduce(self.carriers)
+
+    @cached_property
+    def samples(self) -> Distribution:
+        """The main efforts at the samples, prescribed or from W τ = f, with status and residual; evaluated once."""
+        reduced = self.reduced
         solved = distribute(reduced)
         tau, status, residual = np.array(solved.tau), np.array(solved.status), np.array(solved.residual)
         prescribed = np.full(tau.shape, np.nan) if self.prescribed is None else np.array(self.prescribed)
@@ -211,7 +195,7 @@ class PlannedMotion:
         if self.singular is not None:  # however well W τ = f looks at one instant
             regular = self.singular[status[self.singular] == SampleStatus.OK]
             status[regular] = SampleStatus.SINGULAR_CONSISTENT
-        return EvaluatedSamples(reduced, tau, status, residual, solved.margin, solved.condition)
+        return replace(solved, tau=read_only(tau), status=read_only(status), residual=read_only(residual))
 
     def _limit_efforts(self, i: int) -> Array:
         """Return the efforts (m,) that W⁻¹ f tends to at a sample on a singularity; of a jump from its own side."""
@@ -335,10 +319,10 @@ def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
         planned.singular_instants,
         limits.actuator_speed,
     )
-    time, value = _with_samples(pieces, t, np.concatenate([samples.tau, samples.reduced.carrier_force], axis=1))
+    time, value = _with_samples(pieces, t, np.concatenate([samples.tau, planned.reduced.carrier_force], axis=1))
     size = np.abs(value)
     at_samples = np.abs(samples.tau[np.isfinite(samples.tau).all(axis=1)])
-    largest = max(float(at_samples.max(initial=0.0)), least_effort(samples.reduced)) or 1.0
+    largest = max(float(at_samples.max(initial=0.0)), least_effort(planned.reduced)) or 1.0
     worst = size.argmax(axis=0)
     peaks = IntersamplePeaks(
         peak=frozen(size.max(axis=0)[:m]),
@@ -510,7 +494,7 @@ def _edges(functions: PlanFunctions, start: float, end: float, singular: Array) 
     times = np.concatenate([[start, end], inner[(inner > start) & (inner < end)]])
     if len(np.unique(times)) <= FEWEST_PIECES:
         times = np.concatenate([times, even])
-    edges = apart(times)
+    edges = unique_times(times)
     # an edge that differs from a singular instant by rounding only is moved onto it
     near = np.abs(edges[:, None] - singular).argmin(axis=0) if len(singular) else np.empty(0, dtype=int)
     edges[near] = singular

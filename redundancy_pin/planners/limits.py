@@ -68,7 +68,7 @@ class ResolvedLimits(ByValue):
                     f"{name} puts {carrier} at {place:g} m, {beyond:.3g} m off its track [{lower:g}, {upper:g}] m.",
                     remedy="Choose a place on the track.",
                     constraint="track",
-                    carrier=carrier,
+                    joint=carrier,
                     time=0.0,
                     amount=float(beyond),
                 )
@@ -80,7 +80,7 @@ class LimitEvent:
     """A stretch of time over which one joint touches or exceeds one limit.
 
     Attributes:
-        carrier: name of the carrier joint; of the main actuator for "effort" and its "speed", of any joint for "range".
+        joint: its name: of a carrier, of the main actuator for "effort" and its "speed", of any joint for "range".
         quantity: "track", "speed", "acceleration", "jerk" or "force"; "effort", N or N·m; or "range", of a joint's
             position.
         start, end: first and last evaluated instant of the stretch, s.
@@ -90,7 +90,7 @@ class LimitEvent:
         amount: how far the value exceeds the limit; zero or rounding where the limit is only touched.
     """
 
-    carrier: str
+    joint: str
     quantity: str
     start: float
     end: float
@@ -107,7 +107,7 @@ def worst_events(events: Events) -> Events:
     """Return the event with the largest excess for each quantity of each joint, in the order of the first ones."""
     worst: dict[tuple[str, str], LimitEvent] = {}
     for event in events:
-        key = event.carrier, event.quantity
+        key = event.joint, event.quantity
         if key not in worst or event.amount > worst[key].amount:
             worst[key] = event
     return tuple(worst.values())

@@ -27,7 +27,6 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.dynamics.default import DynamicsLike
 from redundancy_pin.errors import InputError, shown
-from redundancy_pin.motion import PlatformMotion, require_consistent
 from redundancy_pin.planners.base_wrench import point_of
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.robot import Robot
@@ -257,17 +256,6 @@ def refuse_fields(group: object, reasons: Mapping[str, str]) -> None:
         value = getattr(group, name)
         if value is not defaults[name] and not (np.isscalar(value) and value == defaults[name]):
             raise InputError(f"{name} does not apply: {reason}.", remedy="Leave it out.", name=name)
-
-
-def require_motion(motion: object, *methods: str) -> None:
-    """Check that a motion is sampled, and one, or a trajectory that offers some methods."""
-    if isinstance(motion, PlatformMotion):
-        require_consistent(motion)
-    if not isinstance(motion, PlatformMotion) and not all(hasattr(motion, method) for method in methods):
-        raise InputError(
-            f"The planner was given {type(motion).__name__} for the motion.",
-            remedy="Pass a trajectory, such as trajectory.reference.circle(), or a PlatformMotion.",
-        )
 
 
 def return_duration(value: float | Literal["shortest"], name: str) -> float | Literal["shortest"]:

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 PLAN_FORMAT = "redundancy_pin plan"
 """What a saved plan calls itself."""
 
-PLAN_VERSION = 4
-"""Version of the file format: counts up whenever the fields of the file change. 4: ``Findings``."""
+PLAN_VERSION = 5
+"""Version of the file format: counts up whenever the fields of the file change. 5: ``LimitEvent.joint``."""
 
 REVERSAL = 0.05
 """Change after a turning point, as a fraction of the peak effort, from which the turning point is a reversal."""

@@ -17,17 +17,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, positive, read_only
+from redundancy_pin.dynamics.default import rnea_along
 from redundancy_pin.dynamics.results import ReducedDynamics
-from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, parked_place
-from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunctions, apart
+from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunctions, unique_times
 from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.loads import wrench_values
-from redundancy_pin.robot.scales import column_scale, force_sizes, row_scale
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import SHIFT, PiecewisePolynomial, chebyshev_times
 
@@ -40,33 +38,10 @@ def inverse_dynamics(
 ) -> tuple[JointTrajectory, ReducedDynamics]:
     """Return N samples of the tree, carriers included, and W τ = f; raises like ``inverse_kinematics``.
 
-    It forms f without a backend on purpose: the simulation judges the plans that a backend made.
+    It is always RNEA: the simulation judges plans that generated code made.
     """
-    tree = inverse_kinematics(robot, motion).with_carriers(carriers)
-    data, effort = robot.model.createData(), np.empty(tree.v.shape)
-    wrenches = wrench_values(robot.loads, motion.t, motion.x, motion.xd)
-    for i, state in enumerate(zip(tree.q, tree.v, tree.a, strict=True)):
-        effort[i] = tree_effort(robot, data, TreeState(*state, [value[i] for value in wrenches]))
-    reduced = ReducedDynamics(
-        t=motion.t,
-        f=read_only(np.einsum("nvi,nv->ni", tree.gamma, effort)),
-        W=tree.W,
-        carrier_force=read_only(effort[:, robot.carrier_velocity]),
-        reachable=tree.reachable,
-        residual=tree.residual,
-        row_scale=row_scale(robot),
-        column_scale=column_scale(robot),
-        out_of_range=tree.out_of_range,
-        force_size=force_sizes(
-            robot,
-            motion.xd,
-            motion.xdd,
-            carriers.sd,
-            carriers.sdd,
-            wrench_values(robot.loads, motion.t, motion.x, motion.xd),
-        ),
-    )
-    return tree, reduced
+    tree = inverse_kinematics(robot, motion)
+    return tree.with_carriers(carriers), rnea_along(tree).reduce(carriers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,22 +140,13 @@ class MotionReference:
         return x, xd, s, sd, flat[b:]
 
     @cached_property
-    def states(self) -> PiecewisePolynomial:
-        """(x, s, ẋ, ṡ, ẍ, s̈) as polynomials on the pieces of the efforts."""
-        n, k, x = self.robot.n, self.robot.k, self._platform.coefficients.shape[2] - 2 * self.robot.n
-        both = self._platform.beside(self._carriers)
-        starts = (0, x), (x + 2 * n, k), (x, n), (x + 2 * n + k, k), (x + n, n), (x + 2 * n + 2 * k, k)
-        columns = np.concatenate([np.arange(first, first + size) for first, size in starts])
-        return PiecewisePolynomial(self.edges, read_only(both.coefficients[:, :, columns]))
-
-    @cached_property
     def _course(self) -> PiecewisePolynomial:
-        return self._platform.beside(self._carriers).beside(self.efforts)
+        return self._platform.hstack(self._carriers).hstack(self.efforts)
 
     @cached_property
     def _motion(self) -> PiecewisePolynomial:
         """Platform, carriers and tree side by side: one look-up in place of three."""
-        return self._platform.beside(self._carriers).beside(self._tree)
+        return self._platform.hstack(self._carriers).hstack(self._tree)
 
     def _carriers_of(self, flat: Array) -> tuple[Array, Array, Array]:
         k = self.robot.k
@@ -253,7 +219,7 @@ def motion_reference(
         position = PiecewisePolynomial.constant(place, source.start, source.end)
     own = np.unique(np.concatenate([[source.start], source.breaks, source.knots, [source.end]]))
     parts = [np.linspace(a, b, max(2, int(np.ceil((b - a) / step)) + 1)) for a, b in itertools.pairwise(own)]
-    return reference_of(robot, PlanFunctions(source, position), apart(np.concatenate([*parts, position.edges])))
+    return reference_of(robot, PlanFunctions(source, position), unique_times(np.concatenate([*parts, position.edges])))
 
 
 def _between_samples(
@@ -290,7 +256,7 @@ def reference_of(robot: Robot, functions: PlanFunctions, edges: Array, plan: Pla
         lag = np.abs(functions.carriers(plan.t) - plan.carriers.s).max(axis=0, initial=0.0)
     tau = functions.effort_polynomials(edges, reduced, limits)
     series = {
-        "loads": tau.beside(polynomials(reduced.carrier_force)),
+        "loads": tau.hstack(polynomials(reduced.carrier_force)),
         "carriers": polynomials(along.s, along.sd, along.sdd),
         "platform": polynomials(motion.x, motion.xd, motion.xdd),
         "tree": polynomials(tree.q, tree.v, tree.a),

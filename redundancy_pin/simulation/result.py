@@ -167,7 +167,7 @@ class Simulation(Frozen):
         about = {"format": FORMAT, "version": VERSION, "robot": self.robot.name, "status": self.status.value}
         xdd = platform_rates(machine, self.q, self.v, self.a)[1]
         states = (self.t, self.x, self.xd, xdd, self.q, self.v, self.a, efforts)
-        return table_of_states(machine, self.robot, states, about)
+        return table_of_states(machine, states, about)
 
     def save(self, path: str | Path) -> None:
         """Write the simulation to a file without loss (npz with JSON inside); ``load_simulation`` reads it.

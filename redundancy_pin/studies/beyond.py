@@ -271,7 +271,7 @@ def fastest(plans: Plans, task: Case, extent: Extent, effort: float = math.inf) 
 
 def attempt(plans: Plans, case: Case) -> Record:
     """Try one speed from the first guesses of a case, with its objective and with the gentlest motion as the aim."""
-    reasons = {"constraint": "", "carrier": "", "time": math.nan, "limit": math.nan, "unit": "", "fraction": math.nan}
+    reasons = {"constraint": "", "joint": "", "time": math.nan, "limit": math.nan, "unit": "", "fraction": math.nan}
     record = {"speed": case.option("speed"), "feasible": False, "status": INFEASIBLE, "peak": math.nan, "binding": [],
               **reasons, "said": ""}  # fmt: skip
     failed = record
@@ -281,7 +281,7 @@ def attempt(plans: Plans, case: Case) -> Record:
             details = {key: outcome.details[key] for key in reasons if outcome.details.get(key) is not None}
             failed = {**record, **details, "said": outcome.message}
         elif outcome.status in (ResultStatus.OK, ResultStatus.NOT_CONVERGED, ResultStatus.UNRESOLVED):
-            binding = sorted({f"{event.quantity} of {event.carrier}" for event in outcome.limits.binding})
+            binding = sorted({f"{event.quantity} of {event.joint}" for event in outcome.limits.binding})
             peak = float(outcome.peak_effort.max())
             return {**record, "feasible": True, "status": outcome.status.value, "peak": peak, "binding": binding}
         else:

@@ -372,7 +372,7 @@ def square_integral(t: Array, values: Array) -> float:
 def broken_limits(plan: Plan) -> str:
     """Return the limits broken, the worst of each carrier and quantity: ``"track of carrier_1 by 0.05 at 0.9 s"``."""
     return "; ".join(
-        f"{event.quantity} of {event.carrier} by {event.amount:.3g} at {event.worst:.2f} s"
+        f"{event.quantity} of {event.joint} by {event.amount:.3g} at {event.worst:.2f} s"
         for event in worst_events(plan.limits.violated)
     )
 

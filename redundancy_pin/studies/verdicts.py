@@ -40,7 +40,7 @@ class Cell:
         limits: feasible: the limits that bind, at least to 0.1 %; infeasible: those in the way, the worst first.
             "track", "speed", "acceleration", "jerk", "force" of a carrier, "effort" of a main actuator, "end" of the
             motion, "workspace", and whatever else a planner names.
-        carrier: infeasible: which carrier or actuator exceeds the first of them most.
+        joint: infeasible: which carrier or actuator exceeds the first of them most.
         time: when, s.
         amount: by how much, in its unit.
         peak_effort: largest |τ| of any main actuator, between the samples included where the planner looks there, N or
@@ -57,7 +57,7 @@ class Cell:
     y: float
     verdict: ResultStatus
     limits: tuple[str, ...] = ()
-    carrier: str | None = None
+    joint: str | None = None
     time: float | None = None
     amount: float | None = None
     peak_effort: float | None = None
@@ -126,12 +126,12 @@ def judge(cell: Cell, plan: Plan, limits: Mapping[str, float]) -> Cell:
     most = plan.limits.judged_by.effort if effort is None else np.full(len(plan.robot.actuated), effort)
     broken = _broken(plan, most)
     if broken:
-        _, _, carrier, worst, amount = broken[0]
+        _, _, joint, worst, amount = broken[0]
         names = tuple(dict.fromkeys(name for _, name, *_ in broken))
         shown = "; ".join(f"{name} of {whose} by {by:.4g} at {t:.4g} s" for _, name, whose, t, by in broken[:4])
         message = f"The plan violates limits: {shown}."
         verdict = ResultStatus.INFEASIBLE
-        return replace(cell, verdict=verdict, limits=names, carrier=carrier, time=worst, amount=amount, message=message)
+        return replace(cell, verdict=verdict, limits=names, joint=joint, time=worst, amount=amount, message=message)
     if (plan.peak_effort > most * (1.0 + LIMIT_TOLERANCE)).any():
         message = f"Between the nodes the efforts reach {between:.4g}: not resolved."
         return replace(cell, verdict=ResultStatus.UNRESOLVED, message=message)
@@ -163,7 +163,7 @@ def judge_error(cell: Cell, error: Exception) -> Cell:
     relaxed = [str(entry["constraint"]) for entry in details["relaxations"]] if details.get("together") else ()
     when = {"time": details.get("time", details.get("t")), "amount": details.get("amount")}
     known: dict[str, Any] = {name: float(value) for name, value in when.items() if value is not None}
-    known |= {"carrier": str(details["carrier"])} if details.get("carrier") is not None else {}
+    known |= {"joint": str(details["joint"])} if details.get("joint") is not None else {}
     return replace(
         cell, verdict=ResultStatus.INFEASIBLE, limits=tuple(dict.fromkeys(relaxed or (constraint,))), **known
     )
@@ -175,7 +175,7 @@ def _broken(plan: Plan, most: Array) -> list[tuple[float, str, str, float, float
     ``most`` (m,) limits of the main efforts, N or N·m.
     """
     broken = [
-        (event.amount / max(abs(event.limit), 1e-12), event.quantity, event.carrier, event.worst, event.amount)
+        (event.amount / max(abs(event.limit), 1e-12), event.quantity, event.joint, event.worst, event.amount)
         for event in plan.limits.violated
         if event.quantity != "effort"  # judged below; between the nodes it says that the plan is not resolved
     ]

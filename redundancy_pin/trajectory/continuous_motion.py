@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, frozen
 from redundancy_pin.errors import InputError
-from redundancy_pin.motion import PlatformMotion, require_consistent, require_sampled
+from redundancy_pin.motion import PlatformMotion, require_consistent
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.quaternions import (
     angular_rates,
@@ -170,7 +170,7 @@ def as_motion(motion: PlatformMotion | TimedTrajectory | Motion) -> Motion:
     polynomials of the origin and of the quaternion.
 
     Raises:
-        InputError: samples that are no motion (``require_consistent``), or of a single instant.
+        InputError: samples that are no motion (``require_consistent``), or of a single instant; something else.
     """
     if isinstance(motion, PlatformMotion):
         require_consistent(motion)
@@ -178,7 +178,10 @@ def as_motion(motion: PlatformMotion | TimedTrajectory | Motion) -> Motion:
     if isinstance(motion, Motion):
         return motion
     if not is_timed(motion):
-        require_sampled(motion)
+        raise InputError(
+            f"{type(motion).__name__} was given for the motion.",
+            remedy="Pass a trajectory, such as trajectory.reference.circle(), or a PlatformMotion.",
+        )
     start, end = float(getattr(motion, "start", 0.0)), float(motion.duration)
     breaks, knots = (
         frozen([t for t in times if start < t < end]) for times in (motion.breaks, getattr(motion, "knots", ()))
@@ -199,7 +202,7 @@ def _from_samples(motion: PlatformMotion) -> Motion:
     largest = max(np.abs(motion.xdd).max(), np.abs(position.derivative(2).ranges()).max())
     if rounding > DENSE * largest:
         velocity = PiecewisePolynomial.through(motion.t, *values[1:])
-    polynomials = position.beside(velocity).beside(velocity.derivative())
+    polynomials = position.hstack(velocity).hstack(velocity.derivative())
     breaks = frozen(motion.t[motion.jumps])
     knots = frozen(np.setdiff1d(edges[1:-1], breaks))
     source = _PosesBetween(polynomials, breaks) if motion.is_pose else polynomials

@@ -168,13 +168,12 @@ def effort_columns(
     return {f"{symbol}:{name}": (effort_unit(robot, name), efforts[:, k]) for k, name in enumerate(joints)}
 
 
-def csv_rows(columns: Columns, *, digits: int | None = None, first: bool = True) -> str:
+def csv_rows(columns: Columns, *, digits: int | None = None) -> str:
     """Return columns as CSV text.
 
     Args:
         columns: numbers or texts.
         digits: significant digits of numbers; the shortest text that brings the float back when left out.
-        first: with the row of names, which only the first part of a long table has.
     """
 
     def text(value: object) -> str:
@@ -184,8 +183,7 @@ def csv_rows(columns: Columns, *, digits: int | None = None, first: bool = True)
 
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    if first:
-        writer.writerow([heading(name, unit) for name, (unit, _) in columns.items()])
+    writer.writerow([heading(name, unit) for name, (unit, _) in columns.items()])
     cells = [list(map(text, np.asarray(values).tolist())) for _, values in columns.values()]
     writer.writerows(zip(*cells, strict=True))
     return out.getvalue()

@@ -108,7 +108,7 @@ class PiecewisePolynomial(Frozen):
             return self
         return PiecewisePolynomial(self.edges, read_only(self.ppoly.derivative(order).c))
 
-    def beside(self, other: PiecewisePolynomial) -> PiecewisePolynomial:
+    def hstack(self, other: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return a function on the same pieces with the values of this one and then those of the other."""
         parts = _padded([self.coefficients, other.coefficients])
         return PiecewisePolynomial(self.edges, read_only(np.concatenate(parts, axis=2)))
@@ -154,12 +154,6 @@ class PiecewisePolynomial(Frozen):
         roots = np.atleast_1d(self.ppoly.derivative().roots(discontinuity=False, extrapolate=False))
         # scipy reports a piece that stands still as its left end and NaN
         return [np.asarray(times)[np.isfinite(np.asarray(times, dtype=float))] for times in roots]
-
-    def until(self, end: float) -> PiecewisePolynomial:
-        """Return the function up to a time, s, inside the pieces."""
-        last = int(np.searchsorted(self.edges, end, side="left"))
-        edges = np.append(self.edges[:last], min(end, self.end))
-        return PiecewisePolynomial(read_only(edges), self.coefficients[:, : len(edges) - 1])
 
     def between(self, start: float, end: float) -> PiecewisePolynomial:
         """Return the function between two times, s, of which the first may lie inside a piece, but not before all."""
@@ -228,21 +222,13 @@ class PiecewisePolynomial(Frozen):
         return PiecewisePolynomial.taylor(t, *derivatives, np.append(slope, slope[-1:], axis=0))
 
     @staticmethod
-    def constant_acceleration(t: Array, s: Array, sd: Array, sdd: Array) -> PiecewisePolynomial:
-        """Return the parabolas of steps whose s̈ is that at their end, from s and ṡ where they begin, each (M, C).
-
-        Of backward differences the parabola ends short of the value at the end of its step.
-        """
-        return PiecewisePolynomial.taylor(t, s, sd, np.append(sdd[1:], sdd[-1:], axis=0))
-
-    @staticmethod
     def joined(parts: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:
         """Return functions as one, each beginning where the one before it ends."""
         padded = _padded([part.coefficients for part in parts])
         edges = np.concatenate([parts[0].edges, *(part.edges[1:] for part in parts[1:])])
         return PiecewisePolynomial(read_only(edges), read_only(np.concatenate(padded, axis=1)))
 
-    def made_continuous(self) -> PiecewisePolynomial:
+    def remove_offsets(self) -> PiecewisePolynomial:
         """Return the function with its pieces shifted so that each begins with the value the one before it ends with.
 
         What differs by rounding only is left as it is.

@@ -15,12 +15,7 @@ from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.reading import LARGEST_TEXT, read_json, read_text
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import PlatformMotion, require_poses
-from redundancy_pin.trajectory.csv_file import (
-    checked_poses,
-    in_order_of,
-    read_table,
-    sort_coordinates,
-)
+from redundancy_pin.trajectory.csv_file import checked_poses, in_order_of, read_table
 from redundancy_pin.trajectory.paths import Path, with_constant
 from redundancy_pin.trajectory.quaternions import quaternions_of
 from redundancy_pin.trajectory.timing import SpeedProfile, TimingLaw, law_through_speeds, uniform_law
@@ -215,28 +210,24 @@ def read_points(
     if suffix == ".json":
         return _read_json(place)
     table = read_table(place)
-    columns = dict(table.columns)
-    times = columns.pop("t", None)
-    speed = columns.pop("speed", None)
     if table.has_rates:
         raise InputError(
             f"{place} is a sampled motion: it has rates.",
             remedy="Read it with trajectory.from_csv (--motion or --trajectory on the command line).",
             path=str(place),
         )
-    if len(next(iter(columns.values()), ())) > MOST_POINTS:
+    if len(next(iter(table.columns.values()), ())) > MOST_POINTS:
         raise InputError(f"{place} has more than {MOST_POINTS} rows.", remedy="Take fewer points.", path=str(place))
-    if not columns:
+    if not table.coordinates:
         raise InputError(f"{place} has no coordinates.", remedy="Name its columns t, x, y, ....", path=str(place))
     if robot is None:
-        _require_no_euler_angles(columns, place)
-        names = tuple(sort_coordinates(columns))
+        _require_no_euler_angles(table.coordinates, place)
     else:
-        names = in_order_of(as_robot(robot), table, but_last=but_last).coordinates
-    return np.stack([columns[name] for name in names], axis=1), times, speed
+        table = in_order_of(as_robot(robot), table, but_last=but_last)
+    return table.stacked(table.coordinates), table.columns.get("t"), table.columns.get("speed")
 
 
-def _require_no_euler_angles(columns: Mapping[str, Array], path: File) -> None:
+def _require_no_euler_angles(columns: Sequence[str], path: File) -> None:
     """Refuse roll, pitch and yaw angles: their names do not determine a rotation."""
     angles = [name for name in columns if name.lower() in ("roll", "pitch", "yaw")]
     if angles and (len(angles) > 1 or angles[0].lower() != "yaw" or "z" in columns):  # x, y and yaw are a plane's

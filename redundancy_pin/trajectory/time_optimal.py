@@ -32,7 +32,7 @@ from toppra.algorithm import TOPPRA
 from redundancy_pin.arrays import Array, IntArray, Side, checked
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory.paths import Path, PathPoint
-from redundancy_pin.trajectory.timing import FastestLaw, TimingLaw, law_through_speeds
+from redundancy_pin.trajectory.timing import TimingLaw, law_through_speeds
 
 STEPS = 1000
 """Steps of the grid where the path is not sharply bent: with twice as many durations change by less than 1e-4."""
@@ -106,7 +106,7 @@ class _Group:
     acceleration: float
 
 
-def fastest_law(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -> FastestLaw:
+def fastest_law(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -> TimingLaw:
     """Return the law from rest to rest in least time with a continuous acceleration, which is zero at both ends.
 
     The law is near that least time, not at it: ``law.duration / law.least_duration`` bounds how far it may be.
@@ -142,7 +142,7 @@ def fastest_law(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -
             break
         w = tightened
     law = law.scaled((1.0 - _SPARE) / _largest_use(path, groups, law, p, nodes))
-    return FastestLaw(law, least)
+    return TimingLaw(law.curve, law.length, least)
 
 
 def least_duration(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -> float:

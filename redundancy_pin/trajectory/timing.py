@@ -102,13 +102,16 @@ class TimingLaw(Frozen):
     Attributes:
         curve: p(t), m, as scipy's type; it does not decrease.
         length: arc length at the end, m.
+        least_duration: of a law of ``fastest_law`` the least time, s, of laws whose acceleration may jump: no law under
+            the same limits takes less; None of others.
     """
 
     curve: BPoly = field(repr=False)
     length: float
+    least_duration: float | None
 
-    def __init__(self, curve: BPoly, length: float) -> None:
-        assign(self, curve=curve, length=length)
+    def __init__(self, curve: BPoly, length: float, least_duration: float | None = None) -> None:
+        assign(self, curve=curve, length=length, least_duration=least_duration)
 
     @staticmethod
     def of(curve: PiecewisePolynomial, length: float) -> TimingLaw:
@@ -182,21 +185,6 @@ class RestToRest(TimingLaw):
     def scaled(self, factor: float) -> RestToRest:
         """Return the same law run ``factor`` times as fast; see ``TimingLaw.scaled``."""
         return RestToRest(self.length, self.duration / positive(factor, "factor", "(ratio)"), self.shape)
-
-
-@dataclass(frozen=True, init=False, eq=False)
-class FastestLaw(TimingLaw):
-    """The law of ``fastest_law``: its acceleration is continuous, so that it takes more than the least time.
-
-    Attributes:
-        least_duration: least time, s, of laws whose acceleration may jump; no law under the same limits takes less.
-    """
-
-    least_duration: float
-
-    def __init__(self, law: TimingLaw, least_duration: float) -> None:
-        super().__init__(law.curve, law.length)
-        assign(self, least_duration=least_duration)
 
 
 LEAST_RAMP_FRACTION = 0.4

@@ -48,7 +48,7 @@ def test_switch_off_is_that_of_the_python_api(tmp_path: Path) -> None:
     assert result.exit_code == 3
     assert len(result.stderr.splitlines()) == 1
     worst = max(expected.limits.violated, key=lambda event: (event.quantity == "track", event.amount))
-    assert f"{worst.quantity} of {worst.carrier} by {worst.amount:.3g}" in result.stderr
+    assert f"{worst.quantity} of {worst.joint} by {worst.amount:.3g}" in result.stderr
     assert "limit violated" in result.stdout
     assert f"{expected.peak_effort[0]:.6g}" in result.stdout
     assert f"{expected.carrier_energy:.6g}" in result.stdout

@@ -293,7 +293,7 @@ def test_plans_that_leave_a_range_violate_limits_and_say_it_of_samples(robot: rp
     assert (unlimited.status, marked.status) == (ResultStatus.OK, ResultStatus.LIMIT_VIOLATED)
     left = [event for event in marked.limits.violated if event.quantity == "range"]
     assert {event.limit for event in left} == set(RANGE.values())
-    assert {event.carrier for event in left} == {"swivel_1"}
+    assert {event.joint for event in left} == {"swivel_1"}
     assert marked.robot.limit_unit("range", "swivel_1") == "rad"
     assert rp.plot.plan(marked).get_suptitle().endswith("(range of swivel_1)")
     np.testing.assert_array_equal(marked.tau, unlimited.tau)

@@ -226,6 +226,6 @@ def test_a_joint_that_leaves_its_range_between_two_samples_breaks_a_limit(backen
         model.lowerPositionLimit[at], model.upperPositionLimit[at] = end - 2.0, end
         plan = rp.plan_stepwise(backend(replace(whole, model=model)), corner, dt=0.05, stop="within")
         events = [event for event in plan.limits.violated if event.quantity == "range"]
-        assert [event.carrier for event in events] == ([name] if status is ResultStatus.LIMIT_VIOLATED else [])
+        assert [event.joint for event in events] == ([name] if status is ResultStatus.LIMIT_VIOLATED else [])
         for event in events:
             assert event.amount == pytest.approx(top - end, rel=0.05)

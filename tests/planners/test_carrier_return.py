@@ -167,5 +167,5 @@ def test_forces_count():
 
 def test_state_off_the_track_has_no_return():
     refused = shortest(state_of([-0.25, 0], [0, 0], [0, 0]))
-    assert (refused["constraint"], refused["carrier"], refused["time"]) == ("track", "carrier_1", 1.0)
+    assert (refused["constraint"], refused["joint"], refused["time"]) == ("track", "carrier_1", 1.0)
     assert refused["amount"] == pytest.approx(0.05, abs=1e-9)

@@ -217,10 +217,10 @@ def test_what_a_plan_says_of_its_limits_is_compared(whole: Plan) -> None:
     assert rp.check_plan(reported, other(whole)).passed
     halved = tuple(replace(one, amount=0.5 * one.amount) for one in true)
     result = rp.check_plan(replace(reported, limits=replace(broken.limits, violated=halved)), other(whole))
-    assert len(result.deviations) == len({one.carrier for one in true})
+    assert len(result.deviations) == len({one.joint for one in true})
     for one in result.deviations:
         assert (one.quantity, ", not by " in one.message) == ("limits", True)
-        amounts = [event.amount for event in true if f" of {event.carrier} " in one.message]
+        amounts = [event.amount for event in true if f" of {event.joint} " in one.message]
         assert 2.0 * one.amount == pytest.approx(max(amounts))
 
 
@@ -228,11 +228,11 @@ def test_an_effort_exceeded_at_samples_and_between_them_is_one_broken_limit(whol
     tight = [0.5 * float(peak) for peak in whole.peak_effort]
     result = rp.check_plan(with_limit(whole, effort=tight), other(whole))
     efforts = [event for event in result.violated if event.quantity == "effort"]
-    assert {event.carrier for event in efforts} == set(whole.robot.actuated)
+    assert {event.joint for event in efforts} == set(whole.robot.actuated)
     for event in (
-        max((e for e in efforts if e.carrier == name), key=lambda e: e.amount) for name in whole.robot.actuated
+        max((e for e in efforts if e.joint == name), key=lambda e: e.amount) for name in whole.robot.actuated
     ):
-        j = whole.robot.actuated.index(event.carrier)
+        j = whole.robot.actuated.index(event.joint)
         assert event.amount == pytest.approx(tight[j], rel=1e-3)
 
 

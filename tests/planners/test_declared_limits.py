@@ -150,7 +150,7 @@ def test_planners_that_cannot_keep_them_are_judged_by_them(planner: str, quantit
     plan = planned(planner, declaring(**{quantity: most}, name=robot_name(planner)))  # type: ignore[arg-type]
     np.testing.assert_array_equal(plan.tau, free.tau)
     events = [event for event in plan.limits.violated if event.quantity == quantity]
-    assert {event.carrier for event in events} == {
+    assert {event.joint for event in events} == {
         name for name, size in zip(plan.robot.actuated, largest, strict=True) if size > most * 1.001
     }
     assert max(abs(event.value) for event in events) >= largest.max() * (1.0 - 1e-9)

@@ -64,7 +64,7 @@ def test_a_spike_a_thousandth_of_a_piece_wide_is_resolved() -> None:
     edges = np.array([0.0, 0.5 - width, 0.5, 0.5 + width, 1.0])
     zero, bump = np.zeros((1, 4, 3)), np.zeros((1, 4, 3))
     bump[0, 1:3, 0] = [0.5 * size, -0.5 * size]
-    pulse = PiecewisePolynomial(edges, np.concatenate([bump, zero, zero])).made_continuous()
+    pulse = PiecewisePolynomial(edges, np.concatenate([bump, zero, zero])).remove_offsets()
     peaks = extremes_between(rp.VirtualWork(robot), PlanFunctions(as_motion(still), pulse), 0.0, 1.0)
     mass = float(robot.model.inertias[robot.model.getJointId(robot.carriers[0])].mass)
     change = np.abs(peaks.value[:, 3]).max() - np.abs(at_rest.value[:, 3]).max()
@@ -109,7 +109,7 @@ def test_a_jump_of_the_acceleration_is_a_jerk_over_the_shorter_piece() -> None:
     for limit, amount in ((3.9, 0.1), (4.1, None), (2.9, 1.1)):
         violated, touched = limit_events(jerks(position, limit))
         assert touched == ()
-        assert {(event.carrier, event.quantity) for event in violated} <= {(robot.carriers[0], "jerk")}
+        assert {(event.joint, event.quantity) for event in violated} <= {(robot.carriers[0], "jerk")}
         assert [event.value < 0.0 for event in violated] == {3.9: [False], 4.1: [], 2.9: [False, True]}[limit]
         for event in violated[:1]:
             assert event.worst == 1.0

@@ -109,7 +109,7 @@ def test_each_joint_may_have_times_of_its_own() -> None:
     violated, touched = limit_events(
         [LimitedQuantity("effort", ("a", "b"), t, values, -np.full(2, 2.0), np.full(2, 2.0))]
     )
-    assert [(one.carrier, one.worst, one.limit, one.amount) for one in violated] == [
+    assert [(one.joint, one.worst, one.limit, one.amount) for one in violated] == [
         ("b", 0.5, -2.0, 1.0),
         ("a", 1.0, 2.0, 0.5),
     ]
@@ -172,7 +172,7 @@ def test_joints_beyond_their_ranges_are_named_with_what_is_too_much():
         q[5, joint.at] = joint.lower - 0.125
         q[6] = np.nan
         violated, _ = limit_events(range_quantities(robot, t, q))
-        events = {event.limit: event for event in violated if event.carrier == joint.name}
+        events = {event.limit: event for event in violated if event.joint == joint.name}
         over, under = events[joint.upper], events[joint.lower]
         assert (over.start, over.end, over.worst) == (2.0, 3.0, 3.0)
         assert over.amount == pytest.approx(0.5)
@@ -251,7 +251,7 @@ def test_a_plan_on_its_limit_is_within_it_and_one_beside_it_is_not(name):
         own = Limits().resolved(replace(robot, carrier_limits=limits))
         violated, touched = limit_events(motion_quantities(own, plan.functions.carriers))
         assert bool(violated) == broken
-        assert all(event.carrier == robot.carriers[0] for event in (*violated, *touched))
+        assert all(event.joint == robot.carriers[0] for event in (*violated, *touched))
         assert touched or broken
         if broken:
             worst = max(violated, key=lambda event: event.amount)
@@ -268,5 +268,5 @@ def test_places_are_on_a_track_up_to_its_ends(size):
     for places, carrier, amount in (((-0.25, 0.2), 0, 0.05), ((0.0, 0.425), 1, 0.025), ((0.0, 0.0), 1, 0.1)):
         with pytest.raises(rp.errors.InfeasiblePlanError) as caught:
             limits.on_track(size * np.array(places), "start")
-        assert caught.value.details["carrier"] == robot.carriers[carrier]
+        assert caught.value.details["joint"] == robot.carriers[carrier]
         assert caught.value.details["amount"] == pytest.approx(amount * size)

@@ -164,7 +164,7 @@ REFUSED: dict[str, Row] = {
     "stepwise: start off the track": (
         "off its track",
         InfeasiblePlanError,
-        {"carrier": "carrier_2", "amount": pytest.approx(0.2)},
+        {"joint": "carrier_2", "amount": pytest.approx(0.2)},
         lambda: rp.plan_stepwise(three(), samples(), start=(0.0, 1.2, 0.0)),
         None,
     ),
@@ -256,7 +256,7 @@ REFUSED: dict[str, Row] = {
     "switch off: no return on the track": (
         "track",
         InfeasiblePlanError,
-        {"carrier": "carrier_1"},
+        {"joint": "carrier_1"},
         lambda: rp.plan_switch_off(two(), CIRCLE, return_time="shortest"),
         lambda: rp.plan_switch_off(two(), CIRCLE, return_time="shortest", threshold=10.0),
     ),

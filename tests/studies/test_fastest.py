@@ -44,7 +44,7 @@ class Border(Plans):
         self.wanted.append(case)
         if self._rule(case):
             return self._given or plan()
-        return InfeasiblePlanError("none", constraint=self._constraint, carrier="carrier_1", time=0.2, limit=-10.1,
+        return InfeasiblePlanError("none", constraint=self._constraint, joint="carrier_1", time=0.2, limit=-10.1,
                                    unit="m/s²", fraction=0.01)  # fmt: skip
 
 

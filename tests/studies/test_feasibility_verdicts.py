@@ -270,9 +270,9 @@ def test_a_plan_that_breaks_limits_of_the_carriers_is_none() -> None:
     assert cell.verdict is ResultStatus.INFEASIBLE
     assert set(cell.limits) == {event.quantity for event in plan.limits.violated} == {"track", "acceleration"}
     worst = max(plan.limits.violated, key=lambda event: abs(event.value / event.limit))
-    assert (cell.limits[0], cell.carrier, cell.time) == (worst.quantity, worst.carrier, worst.worst)
+    assert (cell.limits[0], cell.joint, cell.time) == (worst.quantity, worst.joint, worst.worst)
     assert cell.amount == pytest.approx(abs(worst.value - worst.limit))
-    assert f"{worst.quantity} of {worst.carrier} by {worst.amount:.4g}" in cell.message
+    assert f"{worst.quantity} of {worst.joint} by {worst.amount:.4g}" in cell.message
 
 
 def test_a_plan_beyond_the_effort_limit_is_none(planned: Plan) -> None:

@@ -54,8 +54,8 @@ def test_an_edge_has_two_sides_and_outside_are_the_ends():
     assert [float(steps(np.array([1.0]), side)[0, 0]) for side in ("left", "right")] == [0.0, 1.0]
     assert steps.jumps().tolist() == [1.0]
     assert steps(np.array([-5.0, 9.0]))[:, 0].tolist() == [0.0, 1.0]
-    assert steps.made_continuous().jumps().size == 0
-    np.testing.assert_array_equal(steps.until(1.5).edges, [0.0, 1.0, 1.5])
+    assert steps.remove_offsets().jumps().size == 0
+    np.testing.assert_array_equal(steps.between(0.0, 1.5).edges, [0.0, 1.0, 1.5])
 
 
 @examples(30)

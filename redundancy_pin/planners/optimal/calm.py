@@ -8,17 +8,17 @@ ripple is the objective, and the objective of the task is bounded by (1 + calm) 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from redundancy_pin.arrays import Array, read_only
-from redundancy_pin.planners.intersample_check import IntersampleCheck, PlannedMotion, intersample_check
+from redundancy_pin.planners.intersample_check import intersample_check
 from redundancy_pin.planners.optimal.mesh import NEAR_SINGULAR, Grid, resample, singular_ratio, with_middles
-from redundancy_pin.planners.optimal.nlp import CALMING, Solution
-from redundancy_pin.planners.optimal.problem import Problem, Reader, Task, read_problem
+from redundancy_pin.planners.optimal.nlp import CALMING
+from redundancy_pin.planners.optimal.problem import Reader, Task, read_problem
 from redundancy_pin.planners.optimal.refine import Planned, Planning
-from redundancy_pin.planners.optimal.solve import Outcome, solve
+from redundancy_pin.planners.optimal.solve import Multistart, Outcome, solve
 from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
 from redundancy_pin.planners.plan import effort_reversals
 
@@ -33,21 +33,8 @@ LEAST_COST = 1e-9
 """Least cost over the size of the objective below which it counts as zero, and no fraction of it can be spent."""
 
 
-@dataclass(frozen=True, eq=False)
-class Chosen:
-    """The solution that becomes the plan.
-
-    ``problem``, ``solution``: programme and solution; ``motion``: what they plan; ``check``: what is between the nodes.
-    """
-
-    problem: Problem
-    solution: Solution
-    motion: PlannedMotion
-    check: IntersampleCheck
-
-
-def calmed(planning: Planning, planned: Planned, read: Reader, seconds: float) -> tuple[Chosen, dict[str, object]]:
-    """Return a calmer solution than an optimum, or the optimum itself; and what was found, as plain data.
+def calmed(planning: Planning, planned: Planned, read: Reader, seconds: float) -> tuple[Planned, dict[str, object]]:
+    """Return a calmer plan than the one of least cost, or that one itself; and what was found, as plain data.
 
     Args:
         planning: the planner, whose task has the fraction ``calm`` that may be spent.
@@ -56,31 +43,32 @@ def calmed(planning: Planning, planned: Planned, read: Reader, seconds: float) -
         seconds: time bound, s; none is tried without any left.
 
     Returns:
-        The solution, the optimum unless one with fewer reversals passes the check; and ``tried``, ``kept``, and where
-        it was tried ``reversals`` before and after, and ``solver``, ``iterations`` and ``seconds`` of the solution.
+        The plan, that of least cost unless one with fewer reversals passes the check; and ``tried``, ``kept``, and
+        where it was tried ``reversals`` before and after, and ``solver``, ``iterations`` and ``seconds`` of the
+        solution.
     """
     task, best = planning.task, planned.best
-    least = Chosen(best.problem, best.solution, planned.motion, planned.check)
     before = _most_reversals(best)
     costs = objective_values(best.problem, best.solution.values)
     sizes = objective_sizes(best.problem)
     spendable = all(costs[name] > LEAST_COST * sizes[name] for name in task.settings.objective)
     if seconds <= 0.0 or not (task.settings.calm and best.solution.optimal and spendable and before > MANY_REVERSALS):
-        return least, {"tried": False, "kept": False}
+        return planned, {"tried": False, "kept": False}
     bounds = {name: (1.0 + task.settings.calm) * costs[name] for name in task.settings.objective}
     for name, bound in task.settings.at_most.items():
         bounds[name] = min(bound, bounds.get(name, np.inf))
     calmer = replace(task, settings=replace(task.settings, objective={"ripple": 1.0}, at_most=bounds))
     found = _solve(calmer, best, read, seconds)
     after = _most_reversals(found)
-    chosen, solution = least, found.solution
+    chosen, solution = planned, found.solution
     if solution.feasible and solution.optimal and after < before:
         motion = planning.planned(found.problem, solution)
         check = intersample_check(motion)
-        chosen = Chosen(found.problem, solution, motion, check) if check.passed else least
+        if check.passed:
+            chosen = replace(planned, solutions=Multistart((found,), 1), motion=motion, check=check)
     return chosen, {
         "tried": True,
-        "kept": chosen is not least,
+        "kept": chosen is not planned,
         "reversals": [before, after],
         "solver": solution.message,
         "iterations": solution.iterations,

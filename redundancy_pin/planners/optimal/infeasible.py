@@ -48,7 +48,7 @@ def relax(problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], mess
 
     Raises:
         InfeasiblePlanError: limits have to give way. It carries ``constraint`` (the limit of the smallest relaxation),
-            ``time`` and ``carrier`` where it is exceeded most, ``amount`` of that, and ``limit`` that would suffice;
+            ``time`` and ``joint`` where it is exceeded most, ``amount`` of that, and ``limit`` that would suffice;
             ``relaxations``, the same for every limit that gave way; ``together``, whether all of these are needed
             or one of them is enough; and ``untried``, limits of which it is not known whether they do by themselves.
             Or nothing admits a plan, or the time ran out.
@@ -205,7 +205,7 @@ def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind:
     text = f"the {kind} of {names[j]}, from {limit:.6g} to {enough:.6g} {unit} ({percent} %), most at t = {t[i]:.6g} s"
     return {
         "constraint": kind,
-        "carrier": names[j],
+        "joint": names[j],
         "time": float(t[i]),
         "amount": amount,
         "limit": enough,

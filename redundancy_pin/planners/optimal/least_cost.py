@@ -30,7 +30,7 @@ from redundancy_pin.loading import with_parameters
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.functions import PlanFunctions, apart
+from redundancy_pin.planners.functions import PlanFunctions, unique_times
 from redundancy_pin.planners.intersample_check import PlannedMotion, intersample_check
 from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, with_nodes
 from redundancy_pin.planners.optimal.nlp import Expression
@@ -116,7 +116,7 @@ def least_cost(
     objective = replace(Objective.of(rest.pop("objective", "effort")), calm=0.0)
     if objective.weights == TIME:
         timed = path_task(dynamics, motion, **rest)  # type: ignore[arg-type]  # which refuses samples
-        return PlannedCost(timed.task, rest.get("limits"), *optimise_timing(timed))
+        return PlannedCost(timed, rest.get("limits"), *optimise_timing(timed))
     source = as_motion(motion)  # type: ignore[arg-type]  # which refuses paths
     task = Task(dynamics, source, checked_settings(dynamics.robot, objective, **rest))
     if not dynamics.robot.k:
@@ -235,7 +235,7 @@ def follow(task: Task) -> FollowedCost:
         raise _without_efforts(at, "has efforts that grow without bound")
     for event in plan.limits.violated:
         raise InfeasiblePlanError(
-            f"{event.carrier} exceeds its {event.quantity} limit of {event.limit:.6g}: {event.value:.6g} at "
+            f"{event.joint} exceeds its {event.quantity} limit of {event.limit:.6g}: {event.value:.6g} at "
             f"t = {event.worst:.6g} s.",
             remedy="Move more slowly, widen the limit, or begin with another robot.",
             constraint=event.quantity,
@@ -266,7 +266,7 @@ def _without_efforts(t: float, why: str) -> InfeasiblePlanError:
 
 def _with_times(grid: Grid, times: Array) -> tuple[Grid, IntArray]:
     """Return a grid with nodes at more times, s, except where it has one, and the indices of the nodes it had."""
-    merged = apart(np.concatenate([grid.t, times]))
+    merged = unique_times(np.concatenate([grid.t, times]))
     added = merged[~np.isin(merged, grid.t)]
     finer = with_nodes(grid, np.searchsorted(grid.t, added, side="right") - 1, added, False)
     return finer, np.flatnonzero(~np.isin(finer.t, added))

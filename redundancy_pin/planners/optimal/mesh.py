@@ -121,10 +121,10 @@ def _grid(t: Array, singular: BoolArray, smooth: BoolArray) -> Grid:
     return Grid(read_only(t), read_only(np.flatnonzero(singular)), read_only((smooth | singular) & inner))
 
 
-def steps_around(grid: Grid, times: Array, by: int) -> BoolArray:
-    """Return (M − 1,) the steps in which some times, s, lie, and so many more on both sides of each."""
-    steps = np.zeros(len(grid.h), dtype=bool)
-    steps[np.searchsorted(grid.t, times, side="right") - 1] = True
+def steps_around(nodes: Array, times: Array, by: int) -> BoolArray:
+    """Return (M − 1,) the steps between (M,) nodes, s, in which some times lie, and so many more on both sides."""
+    steps = np.zeros(len(nodes) - 1, dtype=bool)
+    steps[np.searchsorted(nodes, times, side="right") - 1] = True
     return widened(steps, by)
 
 

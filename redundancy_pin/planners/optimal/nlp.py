@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -252,22 +252,8 @@ def solve_nlp(
     )
 
 
-def _now_and_then(progress: Progress) -> Callable[[int, float], None]:
-    """Return what reports an iteration and the scaled objective there twice a second at most."""
-    began, last = time.perf_counter(), -PERIOD
-
-    def report(iteration: int, cost: float) -> None:
-        nonlocal last
-        now = time.perf_counter() - began
-        if now - last >= PERIOD:
-            last = now
-            progress(f"iteration {iteration}, {now:.0f} s: scaled objective {cost:.6g}")
-
-    return report
-
-
 def _reporter(variables: int, rows: int, progress: Progress) -> Any:
-    """Return what the solver calls at every iteration: it reports the iteration and the scaled objective now and then.
+    """Return what the solver calls at every iteration: it reports iteration and objective twice a second at most.
 
     What ``progress`` raises stops the solver and is kept in the attribute ``error``.
     """
@@ -276,7 +262,7 @@ def _reporter(variables: int, rows: int, progress: Progress) -> Any:
     class Reporter(ca.Callback):
         def __init__(self) -> None:
             ca.Callback.__init__(self)
-            self.count, self.report = 0, _now_and_then(progress)
+            self.count, self.began, self.last = 0, time.perf_counter(), -PERIOD
             self.error: BaseException | None = None
             self.construct("reporter", {})
 
@@ -293,8 +279,11 @@ def _reporter(variables: int, rows: int, progress: Progress) -> Any:
             return ca.Sparsity.dense(sizes[ca.nlpsol_out(i)], 1)
 
         def eval(self, arguments: Any) -> list[int]:
+            now = time.perf_counter() - self.began
             try:
-                self.report(self.count, float(arguments[1]))
+                if now - self.last >= PERIOD:
+                    self.last = now
+                    progress(f"iteration {self.count}, {now:.0f} s: scaled objective {float(arguments[1]):.6g}")
             except BaseException as error:  # an interruption too would be lost in the library
                 self.error = error
                 return [1]

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
@@ -22,7 +21,6 @@ from redundancy_pin.planners.carrier_model import (
     OTHER_TERMS,
     CarrierModel,
     carrier_model,
-    turning_model,
     turns,
 )
 from redundancy_pin.planners.limits import ResolvedLimits
@@ -33,9 +31,9 @@ from redundancy_pin.planners.optimal.problem import (
     Problem,
     Task,
     at_pace,
-    powers_of,
     scales_of,
     singular_nodes,
+    stacked_powers,
 )
 from redundancy_pin.planners.optimal.settings import Settings
 
@@ -54,7 +52,7 @@ def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
     def at(speed: float, acceleration: float, later: float = 0.0) -> CarrierModel:
         xdd = motion.xdd * speed**2 + motion.xd * acceleration
         there = dynamics.along(PlatformMotion(motion.t + later, motion.x, motion.xd * speed, xdd, check_rates=False))
-        return turning_model(there) if turns(robot) else carrier_model(there, check=bool(robot.k))
+        return carrier_model(there, turning=turns(robot), check=bool(robot.k))
 
     rest, ahead, back, push, other = at(0.0, 0.0), at(1.0, 0.0), at(-1.0, 0.0), at(0.0, 1.0), at(0.7, -1.3, 0.37)
     names = [field.name for field in fields(CarrierModel)][2:]
@@ -89,11 +87,10 @@ FAR = 100.0
 """Limit of an effort over the size of efforts, from which it is not the size of efforts: the rates limit the time."""
 
 
-def read_path_problem(task: Task, nodes: Grid, begin: str, lap: bool, before: Problem | None = None) -> Problem:
+def read_path_problem(task: Task, nodes: Grid, before: Problem | None = None) -> Problem:
     """Read the coefficients at nodes on a path, and choose sizes by the speed that the parked robot may take.
 
-    ``task``: its source is the path at unit speed; ``begin``, ``lap``: as ``PathTiming``; ``before``: the same problem
-    on other nodes, whose sizes are kept.
+    ``task``: its source is the path at unit speed; ``before``: the same problem on other nodes, whose sizes are kept.
     """
     dynamics, unit, settings = task.dynamics, task.source, task.settings
     motion = unit.sample_at(nodes.t)
@@ -117,7 +114,7 @@ def read_path_problem(task: Task, nodes: Grid, begin: str, lap: bool, before: Pr
         target=np.zeros_like(rate),
         settings=settings,
         scales=scales,
-        timing=PathTiming(begin, lap, speed, acceleration, steps, fastest),
+        timing=PathTiming(speed, acceleration, steps, fastest),
     )
 
 
@@ -138,7 +135,7 @@ def _first_speed(
     def use(speed: float) -> float:
         """Return the largest share of the limits that harmonic motion of a mean speed has of them."""
         pd, pdd = speed * np.sqrt(4.0 * place * (1.0 - place)), 2.0 * speed**2 / length * (1.0 - 2.0 * place)
-        tau = np.einsum("nmi,ni->nm", inverse, at_pace(model, _powers(pd, pdd)).f0[regular])
+        tau = np.einsum("nmi,ni->nm", inverse, at_pace(model, stacked_powers(pd, pdd)).f0[regular])
         return max(float(np.abs(tau / limit).max(initial=0.0)), float((pd / fastest).max()))
 
     speeds = length * SPEEDS
@@ -151,13 +148,9 @@ def _scales(
     model: CarrierModel, settings: Settings, parked: ReducedDynamics, length: float, speed: float, acceleration: float
 ) -> Scales:
     """Return sizes from the limits, and from the parked robot at a speed and acceleration along the path."""
-    at_speed = at_pace(model, _powers(np.full(len(model.t), speed), acceleration))
+    at_speed = at_pace(model, stacked_powers(np.full(len(model.t), speed), acceleration))
     duration = 0.5 * np.pi * length / speed
     scales = scales_of(at_speed, settings, parked.row_scale, duration, np.ones((1, 1)))
     near = settings.limits.effort[settings.limits.effort < FAR * scales.tau]
     tau = float(near.min()) if len(near) else scales.tau
     return replace(scales, tau=tau, row=scales.row * max(1.0, tau / scales.tau))
-
-
-def _powers(pd: Array, pdd: ArrayLike) -> Array:
-    return np.stack(np.broadcast_arrays(*powers_of(pd, pdd)), axis=-1)

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ExactAlongMotion, has_expressions
@@ -34,7 +35,6 @@ from redundancy_pin.planners.carrier_model import (
     carrier_model,
     has_other_terms,
     target_effort,
-    turning_model,
     turns,
 )
 from redundancy_pin.planners.optimal.mesh import Grid, resample
@@ -82,13 +82,10 @@ class SingularNode:
 class PathTiming:
     """The data that a least-time problem adds: its nodes are places on a path, m, and their times are unknown.
 
-    ``begin``: how the carriers begin: "datum", "rest" or "free"; ``lap``: the platform goes on at the end as it began;
     ``speed``, ``acceleration``: sizes of ṗ and p̈, m/s and m/s²; ``h`` (M − 1,) of the durations of the steps, s;
     ``fastest`` (M,) largest ṗ that limits of the actuators' rates allow, m/s.
     """
 
-    begin: str
-    lap: bool
     speed: float
     acceleration: float
     h: Array
@@ -96,8 +93,7 @@ class PathTiming:
 
     def powers(self, values: Mapping[str, Array]) -> Array:
         """Return (M, 4) 1, ṗ, ṗ² and p̈ of scaled variables."""
-        pd, pdd = values["pd"][:, 0] * self.speed, values["pdd"][:, 0] * self.acceleration
-        return np.stack(np.broadcast_arrays(*powers_of(pd, pdd)), axis=-1)
+        return stacked_powers(values["pd"][:, 0] * self.speed, values["pdd"][:, 0] * self.acceleration)
 
 
 def required(timing: PathTiming | None) -> PathTiming:
@@ -113,6 +109,11 @@ def powers_of(*pace: Expression) -> tuple[Expression, ...]:
         return (1.0,)
     pd, pdd = pace
     return (1.0, pd, pd**2, pdd)
+
+
+def stacked_powers(pd: Array, pdd: ArrayLike) -> Array:
+    """Return (M, 4) 1, ṗ, ṗ² and p̈ of (M,) speeds and accelerations along a path."""
+    return np.stack(np.broadcast_arrays(*powers_of(pd, pdd)), axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,11 +217,12 @@ def reader_of(task: Task) -> Reader:
     Carriers that slide, and those that turn, have terms of their own. Where f has others at some instants of the
     motion, as with carriers on carriers, it is the backend's expression.
     """
-    if not task.dynamics.robot.k:
-        return partial(carrier_model, check=False)
-    read = turning_model if turns(task.dynamics.robot) else carrier_model
-    few = np.linspace(task.source.start, task.source.end, INSTANTS)
-    return linear_model if has_other_terms(task.dynamics.along(task.source.sample_at(few))) else read
+    robot, few = task.dynamics.robot, np.linspace(task.source.start, task.source.end, INSTANTS)
+    if robot.k and has_other_terms(task.dynamics.along(task.source.sample_at(few))):
+        return linear_model
+    if turns(robot):
+        return partial(carrier_model, turning=True)
+    return carrier_model if robot.k else partial(carrier_model, check=False)
 
 
 def read_problem(
@@ -235,15 +237,9 @@ def read_problem(
         The problem, and what read it.
     """
     read = reader_of(task) if read is None else read
-    return _read(task, grid, read, scales), read
-
-
-def _read(task: Task, grid: Grid, read: Reader, scales: Scales | None) -> Problem:
     settings, motion = task.settings, task.source.sample_at(grid.t)
     along = task.dynamics.along(motion)
-    model = read(along)
-
-    singular = singular_nodes(task, grid, read)
+    model, singular = read(along), singular_nodes(task, grid, read)
     used = {*settings.objective, *settings.at_most}
     lam = settings.lam if "tracking" in used else 0.0
     target, _ = target_effort(task.dynamics.robot, motion, lam, settings.baseline if lam else None)
@@ -257,11 +253,11 @@ def _read(task: Task, grid: Grid, read: Reader, scales: Scales | None) -> Proble
                 remedy="Balancing needs carriers that slide or turn, each on a link of its own.",
             )
         rest = load_at_rest(task.dynamics, motion, settings.start, settings.base_point)
-        base = base_wrench(along, rest, settings.base_point, turning=read is turning_model)
+        base = base_wrench(along, rest, settings.base_point, turning=turns(task.dynamics.robot))
         if scales is None:
             sizes = replace(sizes, base=base.sizes(sizes.sdd), length=task.dynamics.robot.characteristic_length)
     exact = along if read is linear_model and has_expressions(along) else None
-    return Problem(grid, model, singular, read_only(rate), read_only(target), settings, sizes, exact, base)
+    return Problem(grid, model, singular, read_only(rate), read_only(target), settings, sizes, exact, base), read
 
 
 def scales_of(model: CarrierModel, settings: Settings, row_scale: Array, duration: float, rate: Array) -> Scales:
@@ -287,31 +283,14 @@ def scales_of(model: CarrierModel, settings: Settings, row_scale: Array, duratio
 
 
 def singular_nodes(task: Task, grid: Grid, read: Reader) -> tuple[SingularNode, ...]:
-    """Read the derivatives of the model at all singular nodes off the backend."""
-
-    def node(i: int) -> SingularNode:
-        # of a jump, which has two nodes, the first one has its derivatives from the left
-        side: Side = "left" if i < len(grid.h) and grid.h[i] == 0.0 else "right"
-        return singular_node(task.dynamics, task.source, i, float(grid.t[i]), read, side, dt=task.settings.dt)
-
-    return tuple(node(i) for i in grid.singular.tolist())
+    """Read the derivatives of the model at all singular nodes off the backend, by what reads the model."""
+    return tuple(_singular_node(task, grid, i, read) for i in grid.singular.tolist())
 
 
-def singular_node(
-    dynamics: Dynamics,
-    source: Motion,
-    index: int,
-    t: float,
-    read: Reader = carrier_model,
-    side: Side = "right",
-    *,
-    dt: float = 0.005,
-) -> SingularNode:
-    """Read the derivatives of the model at a singular instant off the backend.
-
-    ``t``: the instant, s; ``read``: what reads the model off; ``side``: from which the derivatives are taken; "left"
-    for the node before a jump of the reference acceleration; ``dt``: largest step between nodes, s.
-    """
+def _singular_node(task: Task, grid: Grid, index: int, read: Reader) -> SingularNode:
+    dynamics, source, dt, t = task.dynamics, task.source, task.settings.dt, float(grid.t[index])
+    # of a jump, which has two nodes, the first one has its derivatives from the left
+    side: Side = "left" if index < len(grid.h) and grid.h[index] == 0.0 else "right"
     if read is carrier_model:
         model = TimedModel.of(dynamics, source, max(source.start, t - dt), min(source.end, t + dt))
         rate = replace(model, interpolant=model.interpolant.derivative()).at(np.array([t]), side)
@@ -359,8 +338,9 @@ def _spread(source: Motion) -> Array:
     return np.linspace(source.start, source.end, 101)
 
 
-RATE_SPAN = 2e-3
-"""Distance of the times from which derivatives are formed, s, where the motion is smooth for so long."""
+RATE_SPAN = 1e-3
+"""Distance of the times from which derivatives are formed, as a fraction of the motion, where it is smooth for so long:
+a motion that changes within a twentieth of its time leaves 1e-9."""
 
 RATE_DEGREE = 5
 """Of the polynomials in time whose derivatives they are."""
@@ -381,11 +361,11 @@ def _rate_of_model(dynamics: Dynamics, source: Motion, t: float, read: Reader, s
 
 def times_beside(source: Motion, t: float, side: Side) -> tuple[Array, Array]:
     """Return (2,) ends of a smooth stretch that holds an instant, s, and times in it for a polynomial."""
-    kinks = source.kinks
+    kinks, span = source.kinks, RATE_SPAN * (source.end - source.start)
     ahead = t == source.start or (side == "right" and t < source.end)
     # beyond a kink, or the end, the motion is another
     on_kink = bool((kinks == t).any())
-    start = t if on_kink and ahead else max(t - RATE_SPAN, float(kinks[kinks < t].max()))
-    end = t if on_kink and not ahead else min(t + RATE_SPAN, float(kinks[kinks > t].min()))
+    start = t if on_kink and ahead else max(t - span, float(kinks[kinks < t].max()))
+    end = t if on_kink and not ahead else min(t + span, float(kinks[kinks > t].min()))
     edges = np.array([start, end])
     return edges, chebyshev_times(edges, RATE_DEGREE)

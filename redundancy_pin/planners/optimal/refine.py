@@ -60,7 +60,7 @@ class Planning:
         prescribed = tau.copy()
         if robot.m <= robot.n:
             prescribed[np.setdiff1d(np.arange(len(t)), nodes.singular)] = np.nan
-        position = problem.position(solution.values).made_continuous()
+        position = problem.position(solution.values).remove_offsets()
         return PlannedMotion(
             self.task.dynamics,
             PlanFunctions(platform, position, preferred=PiecewisePolynomial.linear(t, tau)),

@@ -26,6 +26,9 @@ from redundancy_pin.planners.options import (
 )
 from redundancy_pin.robot import Robot
 
+Begin = Literal["datum", "rest", "free"]
+"""How the carriers begin: where they are told to; at rest anywhere; or anyhow."""
+
 End = Literal["free", "rest", "datum", "periodic"]
 """How the carriers end: anyhow; at rest; at rest where they park; or as they began (s, ṡ and s̈)."""
 
@@ -34,14 +37,10 @@ End = Literal["free", "rest", "datum", "periodic"]
 class Settings:
     """Checked options of a plan over a whole path: weights by name, one number a carrier or actuator.
 
-    ``dt``: largest step between the first nodes, s; in a path whose timing is planned, m.
+    ``dt``: largest step between the first nodes, s; in a path whose timing is planned, m. There ``begin`` says how the
+    carriers begin, and with ``lap`` the platform goes on at the end as it began; nothing but the time is minimised.
     """
 
-    objective: Mapping[str, float]
-    lam: float
-    baseline: Dynamics | None
-    base_point: Array
-    calm: float
     limits: ResolvedLimits
     start: Array
     start_speed: Array
@@ -50,7 +49,14 @@ class Settings:
     dt: float
     refinements: int
     solver: Solver
+    objective: Mapping[str, float] = field(default_factory=dict)
     at_most: Mapping[str, float] = field(default_factory=dict)
+    lam: float = 0.0
+    baseline: Dynamics | None = None
+    base_point: Array = field(default_factory=lambda: point_of(None))
+    calm: float = 0.0
+    begin: Begin = "datum"
+    lap: bool = False
 
     def weighted(self, values: Mapping[str, float]) -> float:
         """Return the weighted sum of the objectives, of values by name."""
@@ -78,7 +84,6 @@ def checked_settings(
     limits: Limits | None = None,
     mesh: Mesh | None = None,
     solver: Solver | None = None,
-    *,
     start: ArrayLike | None = None,
     start_speed: ArrayLike = 0.0,
     end: End = "datum",

@@ -220,7 +220,7 @@ def first_guess(problem: Problem, number: int = 0) -> dict[str, Array]:
     grid, u, settings = problem.grid, problem.scales, problem.settings
     s = np.tile(settings.start / u.s, (len(grid.t), 1))
     if number == 0:
-        return {"s": s} if problem.timing is None else {"s": s, **_harmonic(problem.timing, grid)}
+        return {"s": s} if problem.timing is None else {"s": s, **_harmonic(problem.timing, grid, settings.lap)}
     rng = np.random.default_rng(number)
     duration = float(grid.t[-1] - grid.t[0])
     frequency = np.pi * np.arange(1, _SWINGS + 1) / duration
@@ -231,10 +231,10 @@ def first_guess(problem: Problem, number: int = 0) -> dict[str, Array]:
     return {"s": s + np.sin(phase) @ size, "sd": np.clip(sd, -0.9, 0.9), "sdd": np.clip(sdd, -0.9, 0.9)}
 
 
-def _harmonic(timing: PathTiming, grid: Grid) -> dict[str, Array]:
+def _harmonic(timing: PathTiming, grid: Grid, lap: bool) -> dict[str, Array]:
     """Return scaled ṗ, p̈ and durations of a harmonic motion along the path, of half the size of ṗ in a lap."""
     place = (grid.t / grid.t[-1])[:, None]
-    if timing.lap:
+    if lap:
         pd, pdd, h = np.full_like(place, 0.5), np.zeros_like(place), grid.h / (0.5 * timing.speed) / timing.h
     else:
         pd, pdd, h = np.sqrt(4.0 * place * (1.0 - place)), 1.0 - 2.0 * place, np.where(grid.h > 0.0, 1.0, 0.0)

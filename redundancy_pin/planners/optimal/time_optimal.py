@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,12 +18,12 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import IntersampleCheck
-from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, widened, with_nodes
+from redundancy_pin.planners.optimal.mesh import first_mesh, steps_around, with_nodes
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
 from redundancy_pin.planners.optimal.path_problem import read_path_problem
 from redundancy_pin.planners.optimal.problem import Problem, Task, required
 from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
-from redundancy_pin.planners.optimal.settings import End, Settings
+from redundancy_pin.planners.optimal.settings import Begin, End, Settings
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, multistart
 from redundancy_pin.planners.options import FEWEST_STEPS, Limits, Mesh, Solver, group_of, refuse_fields
 from redundancy_pin.planners.plan import Plan
@@ -33,17 +33,11 @@ from redundancy_pin.trajectory.paths import Path
 from redundancy_pin.trajectory.timing import TimingLaw, uniform_law
 from redundancy_pin.trajectory.trajectory import Trajectory
 
-Begin = Literal["datum", "rest", "free"]
-"""How the carriers begin: at rest where they park; at rest anywhere; or anyhow."""
-
 NEIGHBOURS = 2
 """Steps on both sides of one whose efforts exceed their limits inside it that get a middle node as well."""
 
 LONGEST_STEP = 0.05
 """Of the whole time, that a step may last when others are refined: where the platform nearly stands still."""
-
-LEAST_DISTANCE = 0.02
-"""Of a step, from a node to a new one inside at least."""
 
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
@@ -92,29 +86,19 @@ def plan_time_optimal(
         InfeasiblePlanError: no timing keeps the limits (constraint "effort"); or a singularity is touched.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
-    options = {"limits": limits, "mesh": mesh, "solver": solver, "begin": begin, "end": end, "datum": datum, "lap": lap}
-    return optimise_timing(path_task(as_dynamics(dynamics), path, **options))[0]  # type: ignore[arg-type]
+    return optimise_timing(path_task(as_dynamics(dynamics), path, limits, mesh, solver, begin, end, datum, lap))[0]
 
 
 @dataclass(frozen=True, eq=False)
-class PathTask:
-    """A path whose timing is planned.
-
-    ``path``: the path; ``task``: robot, motion along the path at unit speed, and settings; ``begin``, ``lap``,
-    ``steps``: as of ``plan_time_optimal``.
-    """
+class PathTask(Task):
+    """A path whose timing is planned; the motion of the task runs along it at unit speed."""
 
     path: Path
-    task: Task
-    begin: Begin
-    lap: bool
-    steps: int
 
 
 def path_task(
     dynamics: Dynamics,
     path: Path | Trajectory,
-    *,
     limits: Limits | None = None,
     mesh: Mesh | None = None,
     solver: Solver | None = None,
@@ -155,11 +139,6 @@ def path_task(
     if lap:
         _require_closed(unit)
     settings = Settings(
-        objective={},
-        lam=0.0,
-        baseline=None,
-        base_point=np.zeros(3),
-        calm=0.0,
         limits=resolved,
         start=park,
         start_speed=np.zeros(robot.k),
@@ -168,37 +147,37 @@ def path_task(
         dt=path.length / count,
         refinements=mesh.refinements,
         solver=solver,
+        begin=begin,
+        lap=lap,
     )
-    return PathTask(path, Task(dynamics, unit, settings), begin, lap, count)
+    return PathTask(dynamics, unit, settings, path)
 
 
-def optimise_timing(timed: PathTask) -> tuple[Plan, Outcome, Motion]:
+def optimise_timing(task: PathTask) -> tuple[Plan, Outcome, Motion]:
     """Return the plan of a task, the programme and solution of least time, and the motion of the platform.
 
     Raises:
         InfeasiblePlanError, UnsupportedRobotError: as ``plan_time_optimal``.
     """
     began = time.perf_counter()
-    task, settings = timed.task, timed.task.settings
-    nodes = first_mesh(task.dynamics, task.source, settings.dt, ends=not timed.lap)
-    problem = read_path_problem(task, nodes, timed.begin, timed.lap)
-    platform = partial(platform_of, timed.path)
-    planned = plan_and_refine(
-        Planning("time_optimal", task, partial(_solve, task), platform, partial(_finer, task)), problem
-    )
+    settings = task.settings
+    nodes = first_mesh(task.dynamics, task.source, settings.dt, ends=not settings.lap)
+    problem = read_path_problem(task, nodes)
+    platform = partial(platform_of, task.path)
+    planning = Planning("time_optimal", task, partial(_solve, task), platform, partial(_finer, task))
+    planned = plan_and_refine(planning, problem)
     parameters = {
-        "begin": timed.begin,
+        "begin": settings.begin,
         "end": settings.end,
-        "lap": timed.lap,
+        "lap": settings.lap,
         "datum": settings.datum.tolist(),
-        "steps": timed.steps,
+        "steps": round(task.path.length / settings.dt),
         "seconds": settings.solver.seconds,
         "refinements": settings.refinements,
     }
     found = {**planned.diagnostics, "seconds": time.perf_counter() - began}
     motion = replace(planned.motion, parameters=parameters, findings=planned.findings, diagnostics=found)
-    best = planned.best
-    return finish_plan(motion, planned.check), best, platform(best.problem, best.solution)
+    return finish_plan(motion, planned.check), planned.best, motion.functions.platform
 
 
 def _solve(
@@ -231,9 +210,17 @@ def platform_of(path: Path, problem: Problem, solution: Solution) -> Motion:
 def _finer(
     task: Task, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
 ) -> Problem:
-    t, timing = problem.times(solution.values), required(problem.timing)
-    nodes = finer_nodes(problem.grid, t, law_of(problem, solution), found.middle[marked])
-    return read_path_problem(task, nodes, timing.begin, timing.lap, problem)
+    """Return the problem with a node halfway in time in each step around the times that exceed, and in long ones.
+
+    Around those that exceed the jerk is continuous there: the efforts are seen, and no more is free.
+    """
+    grid, times = problem.grid, problem.times(solution.values)
+    h = np.diff(times)
+    is_long = h > LONGEST_STEP * times[-1]
+    steps = np.flatnonzero((steps_around(times, found.middle[marked], NEIGHBOURS) | is_long) & (h > 0.0))
+    # ṗ is quadratic in a step with Bézier points of at least zero: an eighth of the step, or more, is on either side
+    places = law_of(problem, solution)(0.5 * (times[steps] + times[steps + 1]))[:, 0]
+    return read_path_problem(task, with_nodes(grid, steps, places, ~is_long[steps]), problem)
 
 
 def law_of(problem: Problem, solution: Solution) -> PiecewisePolynomial:
@@ -241,25 +228,6 @@ def law_of(problem: Problem, solution: Solution) -> PiecewisePolynomial:
     timing, values = required(problem.timing), solution.values
     pd, pdd = values["pd"] * timing.speed, values["pdd"] * timing.acceleration
     return PiecewisePolynomial.linear(problem.times(values), problem.grid.t[:, None], pd, pdd)
-
-
-def finer_nodes(grid: Grid, times: Array, law: Callable[[Array], Array], exceeding: Array) -> Grid:
-    """Return a grid with a node halfway in time in each step around the times that exceed, s, and in long ones.
-
-    Around those that exceed the jerk is continuous there: the efforts are seen, and no more is free.
-
-    ``grid``: places on the path; ``times`` (M,) at these, s; ``law``: places (N, 1) at times.
-    """
-    h = np.diff(times)
-    is_long = h > LONGEST_STEP * times[-1]
-    steps = np.zeros(len(h), dtype=bool)
-    steps[np.clip(np.searchsorted(times, exceeding, side="right") - 1, 0, len(h) - 1)] = True
-    marked = np.flatnonzero((widened(steps, NEIGHBOURS) | is_long) & (h > 0.0))
-    places = law(0.5 * (times[marked] + times[marked + 1]))[:, 0]
-    left, right = grid.t[marked], grid.t[marked + 1]
-    # a law that stands still in a step, or runs back, has no place of its own halfway
-    places = np.clip(places, left + LEAST_DISTANCE * (right - left), right - LEAST_DISTANCE * (right - left))
-    return with_nodes(grid, marked, places, ~is_long[marked])
 
 
 def _require_closed(unit: Motion) -> None:

@@ -324,10 +324,12 @@ class Transcription(Quantities):
         self.equal(after * ydd[at - 1, :] + before * ydd[at + 1, :] - (before + after) * ydd[at, :], 0.0, sizes[2])
 
     def _start(self) -> None:
-        """Require position and speed of the carriers at the start."""
+        """Require position and speed of the carriers at the start, as far as they are given."""
         settings, u = self._problem.settings, self.scales
-        self.equal(self.s[0, :], settings.start[None], u.s)
-        self.equal(self.sd[0, :], settings.start_speed[None], u.sd)
+        if settings.begin == "datum":
+            self.equal(self.s[0, :], settings.start[None], u.s)
+        if settings.begin != "free":
+            self.equal(self.sd[0, :], settings.start_speed[None], u.sd)
 
     def limits_between_nodes(self, steps: BoolArray) -> None:
         """Keep track and speed limits inside some of the steps, (M − 1,).
@@ -388,7 +390,7 @@ class PathTranscription(Transcription):
         if problem.shares is not None:  # the last columns are those of the actuators' rates
             m, k = problem.model.W.shape[2], problem.model.k
             fastest = fastest * problem.shares[:, m + k :].min(axis=1, initial=1.0)
-        if not timing.lap:
+        if not problem.settings.lap:
             fastest[[0, -1]] = 0.0
         self._pace = (
             self.nlp.variable("pd", (nodes, 1), 0.0, fastest[:, None]) * timing.speed,
@@ -403,18 +405,11 @@ class PathTranscription(Transcription):
         grid, timing, (pd, pdd) = self._problem.grid, required(self._problem.timing), self._pace
         distance = np.where(grid.h > 0.0, grid.h, 1.0)[:, None]
         self._integrate(ca.DM(grid.t), pd, pdd, (distance, timing.speed, timing.acceleration))
-        if timing.lap:
+        if self._problem.settings.lap:
             for block in (self.nlp.blocks["pd"], self.nlp.blocks["pdd"]):
                 self.nlp.within(block[-1, :] - block[0, :])
         self.nlp.within((pd[:-1, :] + self.h / 2.0 * pdd[:-1, :]) / timing.speed, 0.0, np.inf)
         super().motion()
-
-    def _start(self) -> None:
-        begin = required(self._problem.timing).begin
-        if begin == "datum":
-            super()._start()
-        elif begin == "rest":
-            self.equal(self.sd[0, :], 0.0, self.scales.sd)
 
     def objective(self) -> None:
         """Add the duration over its size, and the regularisation."""

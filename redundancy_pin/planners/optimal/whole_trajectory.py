@@ -17,7 +17,7 @@ from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import IntersampleCheck
-from redundancy_pin.planners.optimal.calm import Chosen, calmed
+from redundancy_pin.planners.optimal.calm import calmed
 from redundancy_pin.planners.optimal.infeasible import relax, require_bounds
 from redundancy_pin.planners.optimal.mesh import first_mesh, steps_around, with_middles
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
@@ -26,7 +26,7 @@ from redundancy_pin.planners.optimal.refine import Planned, Planning, plan_and_r
 from redundancy_pin.planners.optimal.settings import End, checked_settings
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, solve, with_seconds
 from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
-from redundancy_pin.planners.options import Limits, Mesh, Objective, Solver, require_motion
+from redundancy_pin.planners.options import Limits, Mesh, Objective, Solver
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
@@ -109,27 +109,18 @@ def plan_whole_trajectory(
     Raises:
         InputError: a setting out of its domain, or one that does not apply.
         UnsupportedRobotError: no carriers; or a carrier carries another, and the backend has f as no expression.
-        InfeasiblePlanError: no motion of the carriers keeps every limit; carries constraint, carrier, time, amount and
+        InfeasiblePlanError: no motion of the carriers keeps every limit; carries constraint, joint, time, amount and
             the limit that would suffice. Or the motion touches a type II singularity, rests in it or stays in it
             (constraint "singular_touch"), where no finite efforts are determined.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
     dynamics = as_dynamics(dynamics)
-    require_motion(motion, "duration", "breaks", "sample_at")
+    source = as_motion(motion)
     require_carriers(dynamics.robot)
     settings = checked_settings(
-        dynamics.robot,
-        objective,
-        limits,
-        mesh,
-        solver,
-        start=start,
-        start_speed=start_speed,
-        end=end,
-        datum=datum,
-        at_most=at_most,
+        dynamics.robot, objective, limits, mesh, solver, start, start_speed, end, datum, at_most
     )
-    return optimise(Task(dynamics, as_motion(motion), settings))[0]
+    return optimise(Task(dynamics, source, settings))[0]
 
 
 def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[Plan, Outcome]:
@@ -146,7 +137,7 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
         # on the first mesh the carriers still use what they find between the nodes, and most of it goes by itself
         nodes = problem.grid
         for least in (0.0,) if first else (0.0, TWICE):
-            nodes = with_middles(nodes, steps_around(nodes, found.middle[marked & (found.worst > least)], NEIGHBOURS))
+            nodes = with_middles(nodes, steps_around(nodes.t, found.middle[marked & (found.worst > least)], NEIGHBOURS))
         return read_problem(task, nodes, read, problem.scales)[0]
 
     planning = Planning("whole_trajectory", task, partial(_solve, task), lambda *_: task.source, finer)
@@ -188,21 +179,18 @@ def _solve(
     return replace(result, outcomes=(*result.outcomes, Outcome(problem, last)))
 
 
-def _plan(task: Task, planned: Planned, chosen: Chosen) -> Plan:
+def _plan(task: Task, planned: Planned, chosen: Planned) -> Plan:
     """Return the plan of the least-cost solution or of a calmer one, with what the search found."""
-    least, starts, nodes = planned.best, planned.solutions.summary, chosen.problem.grid
+    least, best, starts = planned.best, chosen.best, planned.solutions.summary
     costs = objective_values(least.problem, least.solution.values)
-    t = chosen.motion.motion.t
     found = {
-        **planned.diagnostics,
-        "violation": chosen.solution.violation,
-        "nodes": len(t),
-        "singular_nodes": nodes.singular.tolist(),
-        "smooth_nodes": np.flatnonzero(nodes.smooth).tolist(),
+        **chosen.diagnostics,
+        "iterations": least.solution.iterations,
+        "solver_seconds": least.solution.seconds,
         "cost": least.solution.cost,
         "starts": starts,
-        "objective": objective_values(chosen.problem, chosen.solution.values),
-        "objective_size": objective_sizes(chosen.problem),
+        "objective": objective_values(best.problem, best.solution.values),
+        "objective_size": objective_sizes(best.problem),
     }
     findings = replace(planned.findings, least_cost=task.settings.weighted(costs))
     parameters = task.settings.parameters

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.results import CarrierTerms
-from redundancy_pin.planners.carrier_model import carrier_model, terms, turning_model
+from redundancy_pin.planners.carrier_model import carrier_model, terms
 from redundancy_pin.planners.receding_horizon.preview import SAME, Preview
 from redundancy_pin.robot.scales import turning_velocities
 from redundancy_pin.trajectory.functions_of_time import chebyshev_points, chebyshev_series
@@ -345,7 +345,7 @@ class Ahead:
     def _modelled(self, times: Array) -> CarrierTerms:
         """Return what ``carrier_terms`` does, of carriers of any kind; the first time, look whether it is all."""
         along = self.dynamics.along(self.preview.motion(times), unreachable="mark")
-        model = turning_model(along) if self._turning else carrier_model(along, check=True)
+        model = carrier_model(along, turning=self._turning)
         if not self._checked:
             self.row_scale, self._checked = along.reduce().row_scale, True
         own = np.arange(model.k)

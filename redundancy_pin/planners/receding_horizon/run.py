@@ -15,7 +15,7 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.functions import PlanFunctions, apart
+from redundancy_pin.planners.functions import PlanFunctions, unique_times
 from redundancy_pin.planners.intersample_check import Findings, PlannedMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon.command import Command
@@ -116,8 +116,10 @@ def run_online(
         edges.append(until)
         t = until
     times, motion_end, position = np.array(edges), source.end, PiecewisePolynomial.joined(pieces)
-    carriers, source = position.made_continuous(), _followed(source, commands, edges)
-    nodes = apart(np.concatenate([np.arange(source.start, source.end, SAMPLES), times, source.breaks, source.knots]))
+    carriers, source = position.remove_offsets(), _followed(source, commands, edges)
+    nodes = unique_times(
+        np.concatenate([np.arange(source.start, source.end, SAMPLES), times, source.breaks, source.knots])
+    )
     decided = pieces_of(planner, source, carriers, commands)
     for part, _ in decided:  # of what is narrower than a sample the continuous motion is judged
         short = part.end - part.start < SAMPLES
@@ -244,7 +246,7 @@ def pieces_of(
         kinks = [
             edges[(edges > window.start) & (edges < window.end)] for edges in (carriers.edges, source.breaks, roots)
         ]
-        pieces = apart(np.concatenate([np.linspace(window.start, window.end, count + 1), *kinks]))
+        pieces = unique_times(np.concatenate([np.linspace(window.start, window.end, count + 1), *kinks]))
         jumps = pieces[[int(np.abs(pieces - t).argmin()) for t in kinks[1]]]
         times = np.sort(np.concatenate([pieces, jumps, 0.5 * (pieces[1:] + pieces[:-1])]))  # jumps have two values
         node = np.isin(times, pieces)

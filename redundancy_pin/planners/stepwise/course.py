@@ -127,8 +127,9 @@ class Course:
         self.s[steps], self.sd[steps], self.sdd[steps], self.phase[steps] = s, sd, sdd, phase
         own = slice(first, steps.stop)
         if len(s):
-            parts = (self.t[own], self.s[own], self.sd[own], self.sdd[own])
-            self.position.append(PiecewisePolynomial.constant_acceleration(*parts))
+            # parabolas: each ends short of the value that backward differences have at the end of the step
+            acceleration = np.append(sdd, sdd[-1:], axis=0)
+            self.position.append(PiecewisePolynomial.taylor(self.t[own], self.s[own], self.sd[own], acceleration))
 
     def append_return(self, first: int, last: int, back: PiecewisePolynomial, datum: Array) -> None:
         """Append a return from instant ``first`` on, and standing at the datum (k,) until instant ``last``."""
@@ -139,7 +140,7 @@ class Course:
             part[inner] = back.derivative(order)(self.t[inner])
         self.phase[inner] = RETURN
         self.returns.append((float(self.t[first]), back.end))
-        self.position.append(back.until(min(back.end, end)))
+        self.position.append(back.between(back.start, min(back.end, end)))
         if back.end < end:
             self.position.append(PiecewisePolynomial.constant(datum, back.end, end))
 
@@ -259,7 +260,7 @@ def _require_time(settings: StepwiseSettings, course: Course, first: int, durati
         f"{carrier} still has {course.sd[first, j]:.6g} m/s at t = {course.t[first]:.6g} s and must be stopped, {why}.",
         remedy='Use a motion that ends at rest, stop="after", or a shorter return_time.',
         constraint="rest",
-        carrier=carrier,
+        joint=carrier,
         time=float(course.t[-1]),
         amount=late,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +24,7 @@ from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import Findings, PlannedMotion
 from redundancy_pin.planners.limits import ResolvedLimits
-from redundancy_pin.planners.options import Limits, Objective, group_of, require_motion
+from redundancy_pin.planners.options import Limits, Objective, group_of
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.course import (
     PHASES,
@@ -37,8 +37,9 @@ from redundancy_pin.planners.stepwise.course import (
 )
 from redundancy_pin.planners.stepwise.step import AccelerationBox, OptimisedSteps, gradient_tolerance
 from redundancy_pin.robot import Robot
-from redundancy_pin.trajectory.continuous_motion import as_motion, is_timed
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.trajectory import sample_times
 
 LEAST_MARGIN = 1e-3
 """Smallest margin of W that is accepted: efforts grow with its inverse."""
@@ -50,17 +51,10 @@ _FEWEST_SAMPLES = 10
 """Second differences over fewer samples do not describe a motion."""
 
 
-class SampledOnDemand(Protocol):
-    """A trajectory that can be sampled at a time step."""
-
-    def sample(self, dt: float) -> PlatformMotion:
-        """Return samples ``dt`` seconds apart, with both sides of each jump of the acceleration."""
-
-
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_stepwise(
     dynamics: DynamicsLike,
-    motion: PlatformMotion | SampledOnDemand,
+    motion: PlatformMotion | TimedTrajectory,
     *,
     objective: str | Mapping[str, float] | Objective = "effort",
     limits: Limits | None = None,
@@ -126,23 +120,25 @@ def plan_stepwise(
         InputError: a setting out of its domain, one that does not apply, or a baseline that does not fit.
         UnsupportedRobotError: no carriers, curved tracks, or too few main actuators.
         InfeasiblePlanError: the box of a step is empty; a carrier has no time to stop before the motion ends; no return
-            keeps the limits; the motion comes too close to a type II singularity. Carries constraint, carrier, time and
+            keeps the limits; the motion comes too close to a type II singularity. Carries constraint, joint, time and
             amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
     """
     dynamics = as_dynamics(dynamics)
-    require_motion(motion, "sample")
     robot = dynamics.robot
     require_carriers(robot)
-    trajectory = motion
+    source = None
     if not isinstance(motion, PlatformMotion):
-        motion = motion.sample(dt=dt)
+        source = as_motion(motion)
+        times = sample_times(source.end - source.start, source.breaks - source.start, dt, None, True)
+        motion = source.sample_at(source.start + times)
     if len(motion) < _FEWEST_SAMPLES:
         raise InputError(
             f"The motion has {len(motion)} samples, too few to plan step by step.",
             remedy=f"Sample it more finely: at least {_FEWEST_SAMPLES} samples.",
             samples=len(motion),
         )
+    platform = as_motion(motion) if source is None else source
     goal = Objective.of(objective)
     settings = checked_settings(
         robot,
@@ -168,8 +164,7 @@ def plan_stepwise(
     course = plan_course(robot, settings, box, missing, accelerating | (active == "always"), ~moving)
     carriers, phase = _samples(motion, course, len(instants))
     added = course.t[len(instants) :]
-    position = PiecewisePolynomial.joined(course.position).made_continuous()
-    platform = as_motion(trajectory if is_timed(trajectory) else motion)
+    position = PiecewisePolynomial.joined(course.position).remove_offsets()
     aimed_at = None
     if baseline is not None:
         aimed_at = repr(baseline.robot) if is_dynamics(baseline) else "efforts"

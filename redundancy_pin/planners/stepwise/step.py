@@ -72,7 +72,7 @@ class AccelerationBox:
             sd: (k,) speeds before the step, m/s.
 
         Raises:
-            InfeasiblePlanError: no acceleration keeps the limits; carries constraint, carrier, time and amount.
+            InfeasiblePlanError: no acceleration keeps the limits; carries constraint, joint, time and amount.
         """
         (lower, upper), a = self.limits.track.T, self.limits.acceleration
         low = np.maximum((-self._largest_speed(t, step, s - lower, -sd) - sd) / step, -a)
@@ -106,7 +106,7 @@ class AccelerationBox:
             f"braked by {a:g} m/s² it would still be {amount:.3g} {unit} {where}.",
             remedy="Use anticipate=True, a larger lam, higher limits, or a gentler motion.",
             constraint=constraint,
-            carrier=name,
+            joint=name,
             time=t,
             amount=float(amount),
             unit=unit,

@@ -20,7 +20,7 @@ from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import Findings, PlannedMotion
 from redundancy_pin.planners.limits import ResolvedLimits
-from redundancy_pin.planners.options import Limits, group_of, require_motion, return_duration
+from redundancy_pin.planners.options import Limits, group_of, return_duration
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off.crossing import Crossing, cross
 from redundancy_pin.singularities.roots import Interval
@@ -103,8 +103,7 @@ def plan_switch_off(
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
     dynamics = as_dynamics(dynamics)
-    require_motion(motion, "duration", "breaks", "sample_at")
-    robot = dynamics.robot
+    robot, source = dynamics.robot, as_motion(motion)
     if robot.k < robot.n:
         raise UnsupportedRobotError(
             f"{robot.name} has k = {robot.k} carriers for n = {robot.n} coordinates: they cannot take over from the "
@@ -124,7 +123,6 @@ def plan_switch_off(
         datum=resolved.on_track(datum, "datum"),
         dt=positive(dt, "dt", "s"),
     )
-    source = as_motion(motion)
     samples = (source.end - source.start) / settings.dt
     require_few(samples, MOST_SAMPLES, f"dt = {settings.dt:g} s makes {{}} samples", "Use a larger dt.", dt=settings.dt)
     actuation = Actuation.along(dynamics, source)
@@ -235,7 +233,7 @@ def _assemble_plan(
     singular = actuation.singular_instants
     planned = PlannedMotion(
         dynamics,
-        PlanFunctions(source, position.made_continuous(), tuple(off)),
+        PlanFunctions(source, position.remove_offsets(), tuple(off)),
         dynamics.along(source.sample_at(times)),
         CarrierMotion(after.s, after.sd, sdd, check_rates=False),
         settings.limits,
@@ -261,7 +259,7 @@ def _position(source: Motion, crossings: list[Returned], settings: SwitchOffSett
     for (crossing, back), following in zip(crossings, starts[1:], strict=True):
         if crossing.start > free:
             parts.append(PiecewisePolynomial.constant(settings.datum, free, crossing.start))
-        parts += [crossing.position, back.until(min(back.end, following))]
+        parts += [crossing.position, back.between(back.start, min(back.end, following))]
         free = parts[-1].end
     if source.end > free:
         parts.append(PiecewisePolynomial.constant(settings.datum, free, source.end))

@@ -199,8 +199,8 @@ def plan_title(plan: Plan) -> str:
     if plan.status is not ResultStatus.LIMIT_VIOLATED:
         return title
     broken: dict[str, list[str]] = {}
-    for name in dict.fromkeys((*plan.robot.carriers, *(event.carrier for event in plan.limits.violated))):
-        for quantity in sorted({event.quantity for event in plan.limits.violated if event.carrier == name}):
+    for name in dict.fromkeys((*plan.robot.carriers, *(event.joint for event in plan.limits.violated))):
+        for quantity in sorted({event.quantity for event in plan.limits.violated if event.joint == name}):
             broken.setdefault(quantity, []).append(name)
     parts = [f"{quantity} of {', '.join(of)}" for quantity, of in broken.items()]
     return f"{title} ({'; '.join(parts)})"

@@ -131,7 +131,7 @@ def test_what_is_said_to_suffice_suffices_and_less_does_not(seed: int) -> None:
         assert abs(event["limit"]) - given == pytest.approx(event["amount"], rel=1e-6)
         assert event["amount"] <= (1.0 + ROUNDING) * event["fraction"] * given
         owners = dynamics.robot.actuated if name == "effort" else dynamics.robot.carriers
-        assert event["carrier"] in owners
+        assert event["joint"] in owners
         assert event["unit"] == UNITS.get(event["constraint"], "N" if dynamics.robot.name == "2rpr" else "N·m")
         assert f"{event['limit']:.6g} {event['unit']}" in caught.value.message
     enough = relaxed(dynamics, limits, details, WIDER)
@@ -165,7 +165,7 @@ def test_the_end_of_a_track_is_a_place_with_its_sign(sense: float) -> None:
     assert set(enough) <= {"track", "acceleration"}
     assert sense * enough["track"] > 0.2
     assert enough.get("acceleration", np.inf) > 10.0
-    assert details["carrier"] == "carrier_1"
+    assert details["joint"] == "carrier_1"
     assert details["time"] < 0.3
 
 

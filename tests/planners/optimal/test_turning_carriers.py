@@ -15,7 +15,7 @@ import redundancy_pin as rp
 import redundancy_pin.planners.optimal.problem as problem  # whose readers of f are taken away
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.planners.base_wrench import base_wrench
-from redundancy_pin.planners.carrier_model import turning_model
+from redundancy_pin.planners.carrier_model import carrier_model
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, reference
@@ -57,7 +57,7 @@ def test_terms_of_carriers_that_slide_and_turn_are_exact(tmp_path: Path) -> None
     carriers, point = rp.CarrierMotion(s, sd, sdd), np.array([0.3, -0.2, 0.1])
     for dynamics in (rp.RneaDynamics(machine), rp.CompiledDynamics(machine)):
         along = dynamics.along(motion)
-        model, true = turning_model(along), along.reduce(carriers)
+        model, true = carrier_model(along, turning=True), along.reduce(carriers)
         np.testing.assert_allclose(model.f(s, sd, sdd), true.f, atol=1e-11 * np.abs(true.f).max())
         force = np.abs(true.carrier_force).max()
         np.testing.assert_allclose(model.carrier_force(s, sd, sdd), true.carrier_force, atol=1e-11 * force)

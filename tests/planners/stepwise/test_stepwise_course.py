@@ -159,7 +159,7 @@ def test_the_small_corner_of_the_thesis_ends_with_a_carrier_that_cannot_stop_and
     plan = plan_stepwise(dynamics_of(), motion, anticipate=False)
     assert plan.status is ResultStatus.LIMIT_VIOLATED
     (event,) = plan.limits.violated
-    assert (event.carrier, event.quantity) == ("carrier_2", "track")
+    assert (event.joint, event.quantity) == ("carrier_2", "track")
     assert event.worst > motion.t[-1]
     assert 0.01 < event.amount < 0.1
     assert not plan_stepwise(dynamics_of(), motion).limits.violated

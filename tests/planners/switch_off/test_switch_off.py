@@ -209,7 +209,7 @@ def test_the_thesis_circle_leaves_its_track():
     plan = circle_plan()
     assert plan.status is ResultStatus.LIMIT_VIOLATED
     track = [event for event in plan.limits.violated if event.quantity == "track"]
-    assert {event.carrier for event in track} == {"carrier_1"}
+    assert {event.joint for event in track} == {"carrier_1"}
     (exit_state,) = (window["carriers_at_exit"] for window in plan.diagnostics["windows"])
     assert -exit_state["s"][0] - 0.2 == pytest.approx(0.047, abs=5e-4)
     # the return of 0.4 s overshoots further, and the report has the top of it, not the sample next to it
