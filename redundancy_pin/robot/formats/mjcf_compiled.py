@@ -103,12 +103,10 @@ def _require_bounded(path: Path, trust: bool) -> None:
         read.add(file.resolve())
         for element, count in _multiplied(parsed(file), times):
             total += count
-            part = Part(element, file, file.name)
+            part = Part(element, file, file.name, top=path)
             if total > MOST_ELEMENTS:
-                part.refuse(
-                    f"{file.name} has more than {MOST_ELEMENTS} elements, counted as often as they are made",
-                    "Make it smaller.",
-                )
+                what = f"{part.file} has more than {MOST_ELEMENTS} elements, counted as often as they are made"
+                part.refuse(what, "Make it smaller.")
             if element.tag == "flexcomp":
                 part.refuse("<flexcomp> is a soft body, which is not covered", "Take it out.")
             if element.tag in ("include", "model") and (named := element.get("file")):
