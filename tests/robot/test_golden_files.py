@@ -99,7 +99,7 @@ def test_a_file_that_cannot_be_meant_is_refused_by_name(path: Path, capfd: pytes
         rp.load_robot(path)
     assert comment_of(path) in str(refusal.value)
     assert refusal.value.remedy
-    assert path.name in str(refusal.value) or path.suffix == ".xml"
+    assert path.name in str(refusal.value) or path.suffix == ".xml" or " parts/" in comment_of(path)
     assert "line " in str(refusal.value) or path.suffix != ".sdf"
     assert capfd.readouterr() == ("", "")
 
