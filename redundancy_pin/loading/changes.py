@@ -27,7 +27,7 @@ from redundancy_pin.robot.loads import Load
 from redundancy_pin.robot.lookup import find_joint, find_link, has_joint, joint_names
 from redundancy_pin.robot.model_files import is_model_file, is_urdf, mechanism_of_urdf
 from redundancy_pin.robot.propose import propose
-from redundancy_pin.robot.urdf import declaration_path
+from redundancy_pin.robot.shipped import declaration_path
 
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _CARRIER_LIMITS = ("lower", "upper", "speed", "acceleration", "force")

@@ -26,11 +26,11 @@ from redundancy_pin.io.schema import Schema, bad_value, require_known_keys, vali
 from redundancy_pin.io.yaml_file import LARGEST_FILE, YamlFile, parse_yaml
 from redundancy_pin.robot.formats.expressions import FUNCTIONS, Evaluator
 from redundancy_pin.robot.formats.urdf import KINDS
+from redundancy_pin.robot.formats.xacro_file import Argument
 from redundancy_pin.robot.formats.xml_files import format_of, remedy_of_format
 from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring, Wrench
 from redundancy_pin.robot.loop_joints import LoopJoint, joint_between, placed
 from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform, WorkingModes
-from redundancy_pin.robot.urdf import Argument
 
 CLOSED_FORMS: Mapping[str, tuple[str, ...]] = {
     "2rpr": (

@@ -223,7 +223,7 @@ def test_loads_of_the_files_are_there_once(tmp_path: Path) -> None:
     """Those declared, and those added since; a payload twice would be twice its mass."""
     import shutil
 
-    from redundancy_pin.robot.urdf import declaration_path
+    from redundancy_pin.robot.shipped import declaration_path
 
     folder = tmp_path / "bar"
     shutil.copytree(declaration_path("four_bar").parent, folder)

@@ -15,7 +15,7 @@ import yaml
 import redundancy_pin as rp
 from redundancy_pin.errors import DeclarationError, ModelFileError, RedundancyPinError
 from redundancy_pin.loading import propose_robot
-from redundancy_pin.robot.urdf import shipped_robots
+from redundancy_pin.robot.shipped import shipped_robots
 
 FILES = Path(__file__).parent / "files"
 BAD, NOTED, SILENT = (

@@ -21,7 +21,7 @@ from redundancy_pin.errors import DeclarationError, InputError
 from redundancy_pin.loading import propose_robot
 from redundancy_pin.robot.model_files import open_model
 from redundancy_pin.robot.propose import propose
-from redundancy_pin.robot.urdf import shipped_robots
+from redundancy_pin.robot.shipped import shipped_robots
 
 
 @dataclass(frozen=True)

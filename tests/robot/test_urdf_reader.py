@@ -22,7 +22,7 @@ from redundancy_pin.loading import propose_robot
 from redundancy_pin.robot.formats.mechanism import MOST_FREEDOMS, MOST_LINKS
 from redundancy_pin.robot.formats.urdf import DEEPEST_CHAIN, read_urdf, urdf_mechanism
 from redundancy_pin.robot.formats.xml_files import MOST_BYTES
-from redundancy_pin.robot.urdf import shipped_robots
+from redundancy_pin.robot.shipped import shipped_robots
 
 INERTIAL = """<inertial><origin xyz="0.25 0 0"/><mass value="1.0"/>
     <inertia ixx="0" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>"""

@@ -24,7 +24,8 @@ from hypothesis import strategies as st
 from redundancy_pin import load_robot
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
 from redundancy_pin.robot.formats import xacro_engine
-from redundancy_pin.robot.urdf import known_values, models_root, render
+from redundancy_pin.robot.formats.xacro_file import known_values, render
+from redundancy_pin.robot.shipped import models_root
 
 VALUES = {"a": "3", "b": "-0.25", "word": "th ff mf", "table": "${dict(k=[1, 2], m=4)}", "row": "${[1, 2.5, 'x']}"}
 TABLE = yaml.safe_load((Path(__file__).parent / "files" / "xacro" / "expressions.yaml").read_text())

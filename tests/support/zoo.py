@@ -17,7 +17,7 @@ from redundancy_pin.kinematics.coordinates import coordinates, moved
 from redundancy_pin.loading import robot_from_model
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import row_scale
-from redundancy_pin.robot.urdf import shipped_robots
+from redundancy_pin.robot.shipped import shipped_robots
 
 SHIPPED = shipped_robots(gallery=False)
 """Those that every test of all robots takes; those of the gallery have ``test_gallery.py``."""
