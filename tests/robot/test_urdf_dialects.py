@@ -133,11 +133,6 @@ def test_a_rotor_of_drake_adds_its_inertia_by_the_square_of_its_gear(tmp_path: P
     assert torque(robot) - torque(plain) == pytest.approx(30.0**2 * 2e-5 * MOTION[2], rel=1e-9)
 
 
-def test_joints_of_drake() -> None:
-    names = list(rp.load_robot(FILES / "other" / "joints_of_drake.urdf").model.names)[2:]
-    assert names == ["knee_rz", "knee_ry", "knee_rx", "wrist_rx", "wrist_ry"]
-
-
 @pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])
 @pytest.mark.parametrize(("one", "other", "factor"), [("bar", "arm", 2.0), ("arm", "bar", 0.5)])
 def test_a_coupling_is_of_sums_of_angles(backend: type, one: str, other: str, factor: float, tmp_path: Path) -> None:
@@ -160,15 +155,6 @@ def test_a_coupling_is_of_sums_of_angles(backend: type, one: str, other: str, fa
     tau = rp.distribute(backend(robot).reduce(motion)).tau[0]
     own = [names.index(name) for name in robot.actuated]
     np.testing.assert_allclose(tau, [alone[index] + factor * alone[foot] for index in own], rtol=1e-9)
-
-
-def test_the_base_of_a_plain_file_may_move() -> None:
-    path = FILES / "good" / "urdf_plus.urdf"
-    assert rp.load_robot(path, actuated="foot").actuated == ("foot",)
-    free = rp.load_robot(path, base="free")
-    assert (free.n, free.m) == (7, 1)
-    with pytest.raises(RedundancyPinError, match="'base' is 'loose'"):
-        rp.load_robot(path, base="loose")
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -195,55 +181,12 @@ def test_the_branch_of_loops_that_lie_in_a_line_is_asked_for(side: int, tmp_path
     assert found == pytest.approx(angles, abs=0.02)
 
 
-def test_a_planar_joint_holds_a_body_on_a_plane() -> None:
-    """Its efforts are those of a free body in the plane."""
-    robot = rp.load_robot(FILES / "other" / "puck.urdf", actuated="free_x,free_y,free_rz")
-    assert robot.n == 3
-    motion = rp.PlatformMotion([0.0], [[0.1, 0.2, 0.3]], [[1.0, 2.0, 3.0]], [[4.0, 5.0, 6.0]])
-    tau = rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[0]
-    np.testing.assert_allclose(tau, [8.0, 10.0, 1.8], atol=1e-12)
-
-
-def test_a_continuous_joint_that_is_coupled_keeps_its_limits_of_speed_and_effort() -> None:
-    """Counting its turns takes none of them away, nor its friction."""
-    robot = rp.load_robot(FILES / "other" / "gears.urdf", actuated="a")
-    column = robot.model.joints[robot.model.getJointId("a")].idx_v
-    assert (robot.model.upperEffortLimit[column], robot.model.upperVelocityLimit[column]) == (9.0, 7.0)
-    motion = rp.PlatformMotion([0.0], [[0.1]], [[2.0]], [[3.0]])
-    tau = rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[0, 0]
-    assert tau == pytest.approx(3.0 * (1.0 + 9.0) + 0.5 * 2.0)
-
-
 def test_the_world_of_drake_needs_no_link(tmp_path: Path) -> None:
     plain = rp.load_robot(FILES / "good" / "urdf_plus.urdf", gravity=GRAVITY)
     onto_world = [('<parent link="ground"/>', '<parent link="world"/>')] * 2
     robot = rp.load_robot(changed(tmp_path, ('<link name="ground"/>', ""), *onto_world), gravity=GRAVITY)
     assert torque(robot) == torque(plain)
     assert "The link 'world', which the file does not have, is the ground." in robot.notes
-
-
-def test_a_motor_of_a_joint_that_is_fixed_is_noted(tmp_path: Path) -> None:
-    more = """<link name="cover"/><joint name="lid" type="fixed"><parent link="bar"/><child link="cover"/></joint>
-    <transmission name="opens"><joint name="lid"/></transmission></robot>"""
-    robot = rp.load_robot(changed(tmp_path, ("</robot>", more)))
-    assert robot.actuated == ("motor",)
-    assert any("'lid', which a transmission" in note for note in robot.notes)
-
-
-@pytest.mark.parametrize(
-    ("tag", "meant"), [("loopjoint", "loop_joint"), ("loops", "loop"), ("ball_constraint", "drake:ball_constraint")]
-)
-def test_misspelt_loops_are_errors(tag: str, meant: str, tmp_path: Path) -> None:
-    with pytest.raises(RedundancyPinError, match=f"<{tag}> in line 20.*Did you mean '{meant}'"):
-        rp.load_robot(changed(tmp_path, ("</robot>", f"<{tag}/></robot>")))
-
-
-@pytest.mark.parametrize("word", ["false", "False"])
-def test_marks_of_independent_joints(word: str, tmp_path: Path) -> None:
-    """With or without capitals."""
-    marks = [(f'<joint name="{name}"', f'<joint name="{name}" independent="{word}"') for name in ("motor", "foot")]
-    path = changed(tmp_path, *marks, ('<joint name="knee"', '<joint name="knee" independent="True"'))
-    assert rp.load_robot(path).independent_joints == ("knee",)
 
 
 @pytest.mark.parametrize(

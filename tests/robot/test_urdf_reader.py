@@ -41,21 +41,6 @@ def arm(folder: Path, more: str = "", **given: str) -> Path:
     return path
 
 
-def test_what_the_specification_leaves_out_has_its_default(tmp_path: Path) -> None:
-    inertial = INERTIAL.replace('<origin xyz="0.25 0 0"/>', "")
-    model = load_robot(arm(tmp_path, kind="prismatic", axis="", inertial=inertial)).model
-    np.testing.assert_array_equal(model.inertias[1].lever, 0.0)
-    for axis, expected in (("", [1, 0, 0]), ('<axis xyz="0 3 4"/>', [0, 0.6, 0.8])):
-        model = load_robot(arm(tmp_path, kind="prismatic", axis=axis)).model
-        data = model.createData()
-        pin.computeJointJacobians(model, data, np.zeros(1))
-        np.testing.assert_allclose(np.ravel(data.J)[:3], expected, atol=1e-15)
-
-
-def test_names_may_be_of_any_language(tmp_path: Path) -> None:
-    assert load_robot(arm(tmp_path, name="関節 ü [1]")).actuated == ("関節 ü [1]",)
-
-
 # ---- sizes --------------------
 
 
@@ -178,32 +163,6 @@ def test_random_trees_are_those_of_pinocchio(joints: list[Any]) -> None:
             for model, own in zip((ours, theirs), data, strict=True)
         )
         np.testing.assert_array_equal(one.homogeneous, other.homogeneous)
-
-
-@pytest.mark.parametrize(
-    ("kind", "given", "expected"),
-    [
-        ("revolute", 'lower="-1" upper="2"', (-1.0, 2.0)),
-        ("revolute", 'lower="0" upper="0"', (-np.inf, np.inf)),  # what urdfdom makes of no limits
-        ("prismatic", "", (-np.inf, np.inf)),
-        ("continuous", 'lower="-1" upper="2"', None),
-    ],
-)
-def test_ranges_of_joints_are_those_of_the_file(kind: str, given: str, expected: Any, tmp_path: Path) -> None:
-    robot = load_robot(arm(tmp_path, kind=kind, limit=f'<limit {given} effort="3" velocity="4"/>'))
-    assert robot.effort_limits[1] == 3.0
-    assert robot.model.upperVelocityLimit[0] == 4.0
-    if expected:
-        assert (robot.model.lowerPositionLimit[0], robot.model.upperPositionLimit[0]) == expected
-    else:
-        assert robot.model.nq == 2
-
-
-@pytest.mark.parametrize("key", ["effort", "velocity"])
-@pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic"])
-def test_a_negative_limit_is_named(kind: str, key: str, tmp_path: Path) -> None:
-    with pytest.raises(ModelFileError, match=rf"joint 'turn' of .*negative {key} limit, -7 \(line"):
-        load_robot(arm(tmp_path, kind=kind, limit=LIMIT.replace(f'{key}="9"', f'{key}="-7"')))
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0, 1e3])
