@@ -2,7 +2,7 @@
 
 A case has the arguments of ``load_robot`` (``with``) or of ``propose_robot`` (``new``), texts that are replaced in the
 file before (``replace``), and what comes of it: facts of the robot (``facts``, below), parts of one note each
-(``notes``), of the questions (``asks``, none if it is empty), or of the error (``raises``).
+(``notes``; of none, ``silent``), of the questions (``asks``, none if it is empty), or of the error (``raises``).
 """
 
 from __future__ import annotations
@@ -115,6 +115,7 @@ def test_a_file_means_what_its_comment_says(path: Path, case: dict[str, Any], tm
         assert [proposal.motors, driven] == [expected.pop("motors", proposal.motors), expected.pop("driven", driven)]
     for part in expected.pop("notes", []):
         assert sum(part in note for note in robot.notes) == 1
+    assert not [note for part in expected.pop("silent", []) for note in robot.notes if part in note]
     if torque := expected.pop("torque", None):
         require_same(efforts(robot, *torque[:3]), torque[3])
     if expected:

@@ -16,7 +16,6 @@ from zoo import home_of
 
 import redundancy_pin as rp
 from redundancy_pin.errors import RedundancyPinError
-from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
 from redundancy_pin.robot.formats.mjcf import read_mjcf
 from redundancy_pin.robot.loads import JointForces
 
@@ -232,20 +231,6 @@ def test_free_bodies_start_where_mujoco_has_them_and_may_be_held_there(root, key
         rp.load_robot(path, keyframe="lyin")
 
 
-def test_a_ball_that_carries_a_hinge_is_no_rod(tmp_path):
-    """It moves freely, as three hinges, whose damping is no longer that of a ball; an armature is refused."""
-    text = """<mujoco><worldbody><body name="arm"><joint name="ball" type="ball" damping="0.1" range="0 60"/>
-      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/><body name="hand" pos="0.3 0 0">
-      <joint name="hinge" axis="0 1 0" damping="0.2"/><geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02"/>
-      </body></body></worldbody><actuator><motor joint="hinge"/></actuator></mujoco>"""
-    robot = rp.load_robot(write(tmp_path, text))
-    assert robot.independent_joints == ("hinge", "ball_rz", "ball_ry", "ball_rx")
-    assert robot.loads == (JointForces("hinge", 0.2),)
-    assert {f"{NOT_IN_FORCE} range of ball.", f"{NOT_IN_FORCE} damping of ball."} < set(robot.notes)
-    with pytest.raises(RedundancyPinError, match=r"ball joint of .* that moves freely has an armature"):
-        rp.load_robot(write(tmp_path, text.replace('damping="0.1"', 'armature="0.01"')))
-
-
 def test_a_rod_off_its_line_is_noted(tmp_path):
     """Mass off the line between its balls would swing: the note says how far off it is."""
     robot = rp.load_robot(path := write(tmp_path, SPATIAL))
@@ -329,30 +314,12 @@ def test_limits_of_efforts_are_what_mujoco_reaches(motors, driven, tmp_path):
         assert again.effort_limits[:, 0].tolist() == sorted(reached)
 
 
-@pytest.mark.parametrize(
-    ("law", "servo"),
-    [
-        ('gainprm="90" biasprm="0 -90 -9" biastype="affine" ctrlrange="-1 1"', True),
-        ('gainprm="9 0 -1" gaintype="affine" ctrlrange="-1 1"', True),
-        ('gainprm="9" dyntype="integrator" ctrlrange="-1 1"', False),
-        ('gainprm="9" ctrlrange="-1 1" ctrllimited="false"', False),
-    ],
-)
-def test_controls_that_bound_no_force(law, servo, tmp_path):
-    robot = rp.load_robot(write(tmp_path, hinge(motor=f'<general joint="j" {law}/>')))
-    assert np.isinf(robot.effort_limits).all()
-    assert any(note == "Servos count as motors, their control law is left out: j." for note in robot.notes) is servo
-
-
 @pytest.mark.skipif(not IS_RECENT, reason="of MuJoCo 4")
-def test_what_is_behind_an_actuator_and_between_limits(tmp_path):
+def test_what_is_behind_an_actuator(tmp_path):
     motor = '<motor joint="j" gear="3" armature="0.1" damping="0.7"/>'
-    robot = rp.load_robot(write(tmp_path, hinge('armature="0.2" damping="0.1" range="-1 2"', motor)))
+    robot = rp.load_robot(write(tmp_path, hinge('armature="0.2" damping="0.1"', motor)))
     assert robot.model.armature[0] == pytest.approx(0.2 + 9.0 * 0.1)
     assert robot.loads == (JointForces("j", 0.1 + 9.0 * 0.7),)
-    assert (robot.model.lowerPositionLimit[0], robot.model.upperPositionLimit[0]) == (-1.0, 2.0)
-    free = rp.load_robot(write(tmp_path, hinge())).model
-    assert (free.lowerPositionLimit[0], free.upperPositionLimit[0]) == (-np.inf, np.inf)
 
 
 # --- files as data ----------------------------------------------------------------------------------------------------
