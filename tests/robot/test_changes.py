@@ -271,7 +271,7 @@ def test_balls_that_became_hinges_stay_hinges(tmp_path: Path) -> None:
 
 def test_joints_of_drake_have_lengths_too() -> None:
     """Their wrist is 0.4 m from the knee, not at it."""
-    path = Path(__file__).parent / "files" / "urdf" / "other" / "joints_of_drake.urdf"
+    path = Path(__file__).parent / "files" / "urdf" / "cases" / "joints_of_drake.urdf"
     changed = rp.with_parameters(rp.load_robot(path), lengths={"knee": (0.3, 0.0, 0.0), "wrist": (0.4, 0.0, 0.0)})
     data = changed.model.createData()
     pin.framesForwardKinematics(changed.model, data, pin.neutral(changed.model))

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from loop_oracle import Loops
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
@@ -29,46 +30,17 @@ def torque(robot: rp.Robot) -> float:
 def torque_by_kkt(text: str, points: dict[str, Array], near: Array) -> float:
     """Return the torque of the motor of a planar four-bar that is closed at a point of each of two links.
 
-    The tree is Pinocchio's own; its passive joints follow from two equations of Newton's method, the torque and both
-    forces at the pin from the equations of motion, and nothing is this package's.
+    The tree is Pinocchio's own, and nothing is this package's.
     """
     model = pin.buildModelFromXML(text)
     model.gravity.linear = np.array(GRAVITY)
-    frames = []
-    for link, at in points.items():
+    ends = [f"point of {link}" for link in points]
+    for end, (link, at) in zip(ends, points.items(), strict=True):
         carrier = model.frames[model.getFrameId(link, pin.BODY)]
         place = carrier.placement * pin.SE3(np.eye(3), at)
-        frames.append(model.addFrame(pin.Frame(f"point of {link}", carrier.parentJoint, place, pin.OP_FRAME)))
-    data = model.createData()
-    aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-
-    def rows(q: Array) -> tuple[Array, Array]:
-        pin.computeJointJacobians(model, data, q)
-        pin.updateFramePlacements(model, data)
-        one, other = (data.oMf[frame].translation[:2].copy() for frame in frames)
-        jacobians = [pin.getFrameJacobian(model, data, frame, aligned)[:2].copy() for frame in frames]
-        return one - other, jacobians[0] - jacobians[1]
-
-    names = list(model.names)[1:]
-    motor = names.index("motor")
-    passive = [index for index in range(model.nv) if index != motor]
-    q = near.copy()
-    for _ in range(20):
-        gap, jacobian = rows(q)
-        step = np.zeros(model.nv)
-        step[passive] = -np.linalg.solve(jacobian[:, passive], gap)
-        q = pin.integrate(model, q, step)
-    gap, jacobian = rows(q)
-    assert np.abs(gap).max() < 1e-14
-    v, a = np.zeros(model.nv), np.zeros(model.nv)
-    v[motor], a[motor] = MOTION[1:]
-    v[passive] = -np.linalg.solve(jacobian[:, passive], jacobian[:, motor] * v[motor])
-    pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-    bias = [pin.getFrameClassicalAcceleration(model, data, frame, aligned).linear[:2].copy() for frame in frames]
-    a[passive] = -np.linalg.solve(jacobian[:, passive], jacobian[:, motor] * a[motor] + bias[0] - bias[1])
-    forces = pin.rnea(model, model.createData(), q, v, a)
-    unknown = np.column_stack([np.eye(model.nv)[motor], jacobian.T])
-    return float(np.linalg.solve(unknown, forces)[0])
+        model.addFrame(pin.Frame(end, carrier.parentJoint, place, pin.OP_FRAME))
+    x, xd, xdd = np.array(MOTION)[:, None]
+    return float(Loops(model, [(ends[0], ends[1])], ["motor"]).torque(x, xd, xdd, near)[0])
 
 
 @pytest.mark.parametrize("name", GOOD)

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-import yourdfpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,7 +21,6 @@ from redundancy_pin.loading import propose_robot
 from redundancy_pin.robot.formats.mechanism import MOST_FREEDOMS, MOST_LINKS
 from redundancy_pin.robot.formats.urdf import DEEPEST_CHAIN, read_urdf, urdf_mechanism
 from redundancy_pin.robot.formats.xml_files import MOST_BYTES
-from redundancy_pin.robot.shipped import shipped_robots
 
 INERTIAL = """<inertial><origin xyz="0.25 0 0"/><mass value="1.0"/>
     <inertia ixx="0" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>"""
@@ -83,36 +81,6 @@ def test_large_robots_within_the_limits_are_read(tmp_path: Path) -> None:
 
 
 # ---- the model is what the file says --------------------
-
-
-@pytest.mark.parametrize("name", shipped_robots())
-def test_shipped_models_are_those_of_another_reader(name: str, tmp_path: Path) -> None:
-    """Places of all links at random positions, masses and centres: yourdfpy reads the same text by itself."""
-    robot = load_robot(name)
-    model, data = robot.model, robot.model.createData()
-    (tmp_path / "r.urdf").write_text(robot.urdf)
-    other = yourdfpy.URDF.load(str(tmp_path / "r.urdf"), load_meshes=False)
-    q = pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
-    indices = {joint: model.joints[model.getJointId(joint)] for joint in other.actuated_joint_names}
-    angles = {
-        joint: np.arctan2(q[at.idx_q + 1], q[at.idx_q]) if at.nq == 2 else q[at.idx_q] for joint, at in indices.items()
-    }
-    other.update_cfg(angles)
-    pin.framesForwardKinematics(model, data, q)
-    carried = np.zeros(4)
-    for link in other.robot.links:
-        frame = model.getFrameId(link.name, pin.FrameType.BODY)
-        place = data.oMf[frame].homogeneous
-        np.testing.assert_allclose(other.get_transform(link.name), place, atol=1e-12)
-        if link.inertial is not None and model.frames[frame].parentJoint:
-            origin = np.eye(4) if link.inertial.origin is None else link.inertial.origin
-            carried += link.inertial.mass * (place @ origin)[:, 3]
-    mass = sum(inertia.mass for inertia in list(model.inertias)[1:])
-    assert mass == pytest.approx(carried[3], rel=1e-12)
-    np.testing.assert_allclose(pin.centerOfMass(model, data, q) * mass, carried[:3], atol=1e-12)
-    for name, joint in other.joint_map.items():
-        if name in indices and joint.type != "continuous":
-            assert model.upperPositionLimit[indices[name].idx_q] == joint.limit.upper
 
 
 def _numbers(row: list[float]) -> str:
