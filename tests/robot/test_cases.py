@@ -1,8 +1,9 @@
 """Files that say what they mean: their first comment lists what is loaded, asked or refused of them, one case a line.
 
 A case has the arguments of ``load_robot`` (``with``) or of ``propose_robot`` (``new``), texts that are replaced in the
-file before (``replace``), and what comes of it: facts of the robot (``facts``, below), parts of one note each
-(``notes``; of none, ``silent``), of the questions (``asks``, none if it is empty), or of the error (``raises``).
+file before (``replace``), arguments of ``with_parameters`` (``change``), and what comes of it: facts of the robot
+(``facts``, below), parts of one note each (``notes``; of none, ``silent``), of the questions (``asks``, none if it is
+empty), or of the error (``raises``).
 """
 
 from __future__ import annotations
@@ -105,6 +106,8 @@ def test_a_file_means_what_its_comment_says(path: Path, case: dict[str, Any], tm
         return
     if decided is None:
         robot = rp.load_robot(own, **given)
+        if change := expected.pop("change", None):
+            robot = rp.with_parameters(robot, **change)
     else:
         proposal, robot = propose_robot(own, **decided)
         asked, parts = " ".join(proposal.questions), expected.pop("asks", [])

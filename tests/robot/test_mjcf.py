@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from mjcf_models import FOUR_BAR, FREE, RSSR, SPATIAL, Engine, write
-from zoo import home_of
+from zoo import home_of, places_of
 
 import redundancy_pin as rp
 from redundancy_pin.errors import RedundancyPinError
@@ -215,12 +215,10 @@ def test_free_bodies_start_where_mujoco_has_them_and_may_be_held_there(root, key
     mujoco.mj_forward(engine, data)
     for base, n in (("free", 7), ("fixed", 1)):
         robot = rp.load_robot(path, base=base, keyframe="lying")
-        own = robot.model.createData()
-        pin.framesForwardKinematics(robot.model, own, np.array(robot.q_reference))
-        place = own.oMf[robot.model.getFrameId("upper", pin.BODY)]
+        (place,) = places_of(robot.model, robot.q_reference, "upper")
         np.testing.assert_allclose(place.translation, data.body("upper").xpos, atol=1e-12)
         np.testing.assert_allclose(place.rotation, data.body("upper").xmat.reshape(3, 3), atol=1e-12)
-        weight = pin.computeGeneralizedGravity(robot.model, own, np.array(robot.q_reference))
+        weight = pin.computeGeneralizedGravity(robot.model, robot.model.createData(), np.array(robot.q_reference))
         assert weight[-1] == pytest.approx(data.qfrc_bias[-1], abs=1e-10)
         assert (robot.n, robot.actuated) == (n, ("hip",))
         if base == "free" and "freejoint" in root:
@@ -381,10 +379,8 @@ def test_a_weld_that_holds_no_rotation_is_a_ball(tmp_path):
         model, q = mechanism.model, np.array(mechanism.start) + 0.3
         (joint,) = mechanism.loop_joints
         engine.set(mechanism, q)
-        data = model.createData()
-        pin.framesForwardKinematics(model, data, q)
-        ends = zip(joint.links, joint.placements, strict=True)
-        one, other = (data.oMf[model.getFrameId(link, pin.BODY)] * pin.SE3(place) for link, place in ends)
+        ends = zip(places_of(model, q, *joint.links), joint.placements, strict=True)
+        one, other = (link * pin.SE3(place) for link, place in ends)
         rows = engine.data.efc_pos[engine.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
         assert joint.kind == "ball"
         np.testing.assert_allclose(rows[3:6], 0.0, atol=1e-15)

@@ -14,7 +14,7 @@ import pinocchio as pin
 import pytest
 from test_urdf_dialects import FILES as URDFS
 from test_urdf_dialects import GRAVITY, MOTION, torque, torque_by_kkt
-from zoo import home_of
+from zoo import home_of, places_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
@@ -44,9 +44,7 @@ def written(folder: Path, *parts: str, version: str = "1.9", more: str = "") -> 
 
 
 def placed(model: pin.Model, name: str, q: Array) -> Array:
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, np.array(q))
-    return data.oMf[model.getFrameId(name, pin.FrameType.BODY)].homogeneous
+    return places_of(model, q, name)[0].homogeneous
 
 
 def efforts(robot: rp.Robot, x: float, xd: float, xdd: float) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from loop_oracle import Loops
+from zoo import places_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
@@ -51,9 +52,7 @@ def test_torques_are_those_of_the_closed_loop(name: str) -> None:
     text, points = path.read_text(), {"bar": np.array([0.25, 0.0, 0.0]), "arm": np.array([0.2, 0.0, 0.0])}
     if name == "gazebo":  # its joint is where its child is at zero
         model = pin.buildModelFromXML(text)
-        data = model.createData()
-        pin.framesForwardKinematics(model, data, pin.neutral(model))
-        bar, arm = (data.oMf[model.getFrameId(link, pin.BODY)] for link in ("bar", "arm"))
+        bar, arm = places_of(model, pin.neutral(model), "bar", "arm")
         points["bar"] = bar.actInv(arm).act(points["arm"])
     q = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[MOTION[0]]], [[0.0]], [[0.0]])).q[0]
     names, own = list(pin.buildModelFromXML(text).names)[1:], list(robot.model.names)[1:]

@@ -51,6 +51,13 @@ def index(robot: Robot, name: str) -> int:
     return int(robot.model.joints[robot.model.getJointId(name)].idx_q)
 
 
+def places_of(model: pin.Model, q: Array, *links: str) -> list[pin.SE3]:
+    """Return where links are at a configuration (nq,)."""
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.array(q))
+    return [pin.SE3(data.oMf[model.getFrameId(name, pin.FrameType.BODY)]) for name in links]
+
+
 def driven_by(robot: Robot, *joints: str) -> Robot:
     """Return a robot with other main actuators."""
     return robot_from_model(
