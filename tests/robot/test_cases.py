@@ -58,6 +58,7 @@ def facts(robot: rp.Robot) -> dict[str, Any]:
         "closures": len(robot.closures),
         "couplings": [[each.joint, each.of, *each.polynomial] for each in robot.couplings],
         "loads": [repr(load) for load in robot.loads],
+        "positions": {name: q[joint.idx_q] for name, joint in single.items() if joint.nq == 1},
         "ranges": ends("Position", "idx_q"),
         "efforts": ends("Effort", "idx_v"),
         "speeds": {name: model.upperVelocityLimit[joint.idx_v] for name, joint in single.items()},

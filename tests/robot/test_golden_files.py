@@ -129,19 +129,7 @@ def test_a_declaration_that_cannot_be_meant_is_refused_by_name(message: str, tmp
 def test_a_name_that_the_model_does_not_have_is_refused_at_its_line(
     right: str, wrong: str, line: int, tmp_path: Path
 ) -> None:
-    text = """urdf: bar.urdf
-gravity: [0, -9.81, 0]
-closures:
-- {frames: [tip1, tip2], axes: [x, y]}
-actuated: [a1, a2]
-carriers:
-- {joint: slider, position: [-0.2, 0.4], acceleration: 5.0}
-independent: {platform: tip1, axes: [x, y]}
-reference:
-  platform: [0.25, 0.7]
-  guess: {a1: 2.0,
-    b1: -1.0, a2: 1.0, b2: 1.0}
-"""
+    text = (FILES / "declaration" / "robot.yaml").read_text()
     assert right in text
     (tmp_path / "bar.urdf").write_text((FILES / "declaration" / "bar.urdf").read_text())
     (tmp_path / "robot.yaml").write_text(text.replace(right, wrong))

@@ -158,31 +158,6 @@ def test_a_tendon_that_drives_is_a_joint_without_mass():
     assert (length.of, length.polynomial, length.also) == ("left", (0.0, 0.5), (("right", -0.7),))
 
 
-def test_a_keyframe_decides_the_branch(tmp_path):
-    """A four-bar that is flat where it starts: with links of 0.1, 0.3, 0.2 and 0.2 m both branches are known."""
-    pivot = 0.1 * np.exp(1j)
-    away = abs(0.2 - pivot)
-    along = (0.3**2 - 0.2**2 + away**2) / (2.0 * away)
-    tips = [pivot + (0.2 - pivot) / away * (along + side * np.sqrt(along**2 - 0.3**2 + 0j)) for side in (1, -1)]
-    keys = [(1.0, np.angle(tip - pivot) - 1.0, np.angle(tip - 0.2)) for tip in tips]
-    named = "".join(f'<key name="k{k}" qpos="{" ".join(map(str, key))}"/>' for k, key in enumerate(keys))
-    body = '<inertial pos="0.1 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>'
-    path = write(
-        tmp_path,
-        f"""<mujoco><compiler angle="radian"/><worldbody>
-        <body name="crank"><joint name="drive" axis="0 0 1"/>{body}
-          <body name="bar" pos="0.1 0 0"><joint name="knee" axis="0 0 1"/>{body}<site name="a" pos="0.3 0 0"/></body>
-        </body>
-        <body name="arm" pos="0.2 0 0"><joint name="foot" axis="0 0 1"/>{body}<site name="b" pos="0.2 0 0"/></body>
-        </worldbody><equality><connect site1="a" site2="b"/></equality><actuator><motor joint="drive"/></actuator>
-        <keyframe>{named}</keyframe></mujoco>""",
-    )
-    with pytest.raises(RedundancyPinError, match=r"Which branch\?.* --guess .*keyframe="):
-        rp.load_robot(path)
-    for k, key in enumerate(keys):
-        np.testing.assert_allclose(rp.load_robot(path, keyframe=f"k{k}").q_reference, key, atol=1e-9)
-
-
 IS_RECENT = int(mujoco.__version__.partition(".")[0]) >= 4
 """Springs that yield, and what is behind an actuator, came with MuJoCo 4."""
 
