@@ -70,12 +70,6 @@ def facts(robot: rp.Robot) -> dict[str, Any]:
     }
 
 
-def efforts(robot: rp.Robot, x: list[float], xd: list[float], xdd: list[float]) -> list[float]:
-    motion = rp.PlatformMotion([0.0], [x], [xd], [xdd])
-    tau: list[float] = rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[0].tolist()
-    return tau
-
-
 def require_same(found: Any, expected: Any) -> None:
     """Numbers agree to 1e-9."""
     if isinstance(expected, dict):
@@ -121,6 +115,6 @@ def test_a_file_means_what_its_comment_says(path: Path, case: dict[str, Any], tm
         assert sum(part in note for note in robot.notes) == 1
     assert not [note for part in expected.pop("silent", []) for note in robot.notes if part in note]
     if torque := expected.pop("torque", None):
-        require_same(efforts(robot, *torque[:3]), torque[3])
+        require_same(rp.RneaDynamics(robot).torque(*torque[:3]).tau, torque[3])
     if expected:
         require_same(facts(robot), expected)

@@ -48,8 +48,7 @@ def placed(model: pin.Model, name: str, q: Array) -> Array:
 
 
 def efforts(robot: rp.Robot, x: float, xd: float, xdd: float) -> Array:
-    motion = rp.PlatformMotion([0.0], [[x]], [[xd]], [[xdd]])
-    return rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[0]
+    return rp.RneaDynamics(robot).torque([x], [xd], [xdd]).tau
 
 
 # --- what each file means ---------------------------------------------------------------------------------------------

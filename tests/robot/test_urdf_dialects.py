@@ -24,8 +24,7 @@ MOTION = (0.3, 1.7, -4.0)
 
 
 def torque(robot: rp.Robot) -> float:
-    x, xd, xdd = (np.array([[value]]) for value in MOTION)
-    return float(rp.distribute(rp.RneaDynamics(robot).reduce(rp.PlatformMotion([0.0], x, xd, xdd))).tau[0, 0])
+    return float(rp.RneaDynamics(robot).torque(*([value] for value in MOTION)).tau[0])
 
 
 def torque_by_kkt(text: str, points: dict[str, Array], near: Array) -> float:
