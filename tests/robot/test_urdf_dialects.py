@@ -96,13 +96,6 @@ def changed(folder: Path, *changes: tuple[str, str], name: str = "urdf_plus") ->
     return path
 
 
-def test_a_rotor_of_drake_adds_its_inertia_by_the_square_of_its_gear(tmp_path: Path) -> None:
-    rotor = '<actuator name="m"><drake:rotor_inertia value="2e-5"/><drake:gear_ratio value="30"/></actuator>'
-    plain = rp.load_robot(FILES / "good" / "urdf_plus.urdf", gravity=GRAVITY)
-    robot = rp.load_robot(changed(tmp_path, ('<actuator name="m"/>', rotor)), gravity=GRAVITY)
-    assert torque(robot) - torque(plain) == pytest.approx(30.0**2 * 2e-5 * MOTION[2], rel=1e-9)
-
-
 @pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])
 @pytest.mark.parametrize(("one", "other", "factor"), [("bar", "arm", 2.0), ("arm", "bar", 0.5)])
 def test_a_coupling_is_of_sums_of_angles(backend: type, one: str, other: str, factor: float, tmp_path: Path) -> None:
@@ -149,14 +142,6 @@ def test_the_branch_of_loops_that_lie_in_a_line_is_asked_for(side: int, tmp_path
     assert robot is not None
     found = {name: joint_position(robot, name, robot.q_reference[None])[0] for name in angles}
     assert found == pytest.approx(angles, abs=0.02)
-
-
-def test_the_world_of_drake_needs_no_link(tmp_path: Path) -> None:
-    plain = rp.load_robot(FILES / "good" / "urdf_plus.urdf", gravity=GRAVITY)
-    onto_world = [('<parent link="ground"/>', '<parent link="world"/>')] * 2
-    robot = rp.load_robot(changed(tmp_path, ('<link name="ground"/>', ""), *onto_world), gravity=GRAVITY)
-    assert torque(robot) == torque(plain)
-    assert "The link 'world', which the file does not have, is the ground." in robot.notes
 
 
 @pytest.mark.parametrize(
