@@ -21,7 +21,7 @@ import pinocchio as pin
 import redundancy_pin as rp
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.robot.lookup import find_joint, find_link
-from redundancy_pin.robot.urdf import shipped_robots
+from redundancy_pin.robot.shipped import shipped_robots
 from redundancy_pin.simulation import closed_state
 from redundancy_pin.writers import mjcf
 

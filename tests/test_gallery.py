@@ -13,7 +13,7 @@ from doc_blocks import Block, blocks_of, example_script
 from test_writers import MOTION_TOLERANCE, run
 from zoo import SHIPPED, robot_of
 
-from redundancy_pin.robot.urdf import shipped_robots
+from redundancy_pin.robot.shipped import shipped_robots
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "gallery.md"
 BLOCKS = [block for block in blocks_of(PAGE, "gallery") if block.language == "python"]

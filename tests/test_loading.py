@@ -16,7 +16,7 @@ import redundancy_pin as rp
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
 from redundancy_pin.kinematics.coordinates import gravity_acts
 from redundancy_pin.robot.declaration import Declaration
-from redundancy_pin.robot.urdf import declaration_path, models_root, shipped_robots, source_in
+from redundancy_pin.robot.shipped import declaration_path, models_root, shipped_robots, source_in
 
 FILES = Path(__file__).parent / "robot" / "files" / "declaration"
 DECLARATION: dict[str, Any] = yaml.safe_load((FILES / "robot.yaml").read_text())

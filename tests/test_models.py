@@ -18,7 +18,7 @@ from command_line import call
 
 import redundancy_pin as rp
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.urdf import shipped_robots
+from redundancy_pin.robot.shipped import shipped_robots
 
 ROUNDING = 1e-12
 """Both sides evaluate the same closed formula on numbers of order one; chains are at most nine joints long."""

@@ -66,7 +66,7 @@ def test_installed_wheel_loads_its_own_models(wheel: Path, tmp_path: Path) -> No
         assert b"Root-Is-Purelib: true" in archive.read(metadata)
     # one of the robots: the files of the others are there as well, by the test above
     program = (
-        "import redundancy_pin, redundancy_pin.robot.urdf as files\n"
+        "import redundancy_pin, redundancy_pin.robot.shipped as files\n"
         "redundancy_pin.load_robot('2rpr')\n"
         "print(redundancy_pin.__file__, files.models_root(), *files.shipped_robots(), sep='\\n')\n"
     )

@@ -23,7 +23,7 @@ from redundancy_pin.errors import (
 )
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.urdf import models_root
+from redundancy_pin.robot.shipped import models_root
 from redundancy_pin.simulation import load_simulation, plan_reference
 from redundancy_pin.simulation.controllers import ComputedTorque, FeedForward
 

@@ -14,7 +14,7 @@ from redundancy_pin.cli.output import TextTable, report, row
 from redundancy_pin.errors import InputError, ModelFileError
 from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.robot import Load, Robot
-from redundancy_pin.robot.urdf import declaration_path, shipped_robots
+from redundancy_pin.robot.shipped import declaration_path, shipped_robots
 from redundancy_pin.studies.table import json_data
 
 _LIMITS = ("speed", "acceleration", "force")
@@ -150,8 +150,7 @@ def _joint(robot: Robot, index: int) -> dict[str, Any]:
         limits = [end if np.isfinite(end) and abs(end) < 1e300 else None for end in ends]
     at = float(joint_position(robot, name, robot.q_reference[None])[0]) if joint.nv == 1 else None
     kind = known.get(kind[: len("JointModelP")], kind)
-    ranges = (own for own in all_ranges(robot) if own.name == name)
-    outside = any(bool(own.is_left(robot.q_reference[None, own.at], False)[0]) for own in ranges)
+    outside = any(not own.holds(float(robot.q_reference[own.at])) for own in all_ranges(robot) if own.name == name)
     return {"name": name, "type": kind, "role": role, "limits": limits, "reference": at, "outside": outside}
 
 

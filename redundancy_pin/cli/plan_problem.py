@@ -24,7 +24,7 @@ from redundancy_pin.planners.options import CALM, FEWEST_STEPS, LARGEST_STEP
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon import RecedingHorizon
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.urdf import source_in
+from redundancy_pin.robot.shipped import source_in
 from redundancy_pin.studies.case import BACKENDS, GROUPS, in_groups
 from redundancy_pin.studies.case import PLANNERS as AT_A_SPEED
 from redundancy_pin.trajectory import Trajectory

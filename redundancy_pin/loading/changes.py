@@ -27,7 +27,8 @@ from redundancy_pin.robot.loads import Load
 from redundancy_pin.robot.lookup import find_joint, find_link, has_joint, joint_names
 from redundancy_pin.robot.model_files import is_model_file, is_urdf, mechanism_of_urdf
 from redundancy_pin.robot.propose import propose
-from redundancy_pin.robot.urdf import declaration_path
+from redundancy_pin.robot.rebuild import LIMITS
+from redundancy_pin.robot.shipped import declaration_path
 
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _CARRIER_LIMITS = ("lower", "upper", "speed", "acceleration", "force")
@@ -122,9 +123,8 @@ def with_parameters(
             closed_form=None,  # it is written in the arguments, which say something else now
             notes=(*robot.notes, f"{_CHANGED} {', '.join([*masses, *lengths])}", *_lengths_only(robot, lengths)),
         )
-        for bound in ("lower", "upper"):
-            for what in ("Position", "Velocity", "Effort"):
-                setattr(new.model, f"{bound}{what}Limit", getattr(robot.model, f"{bound}{what}Limit"))
+        for attribute in LIMITS:
+            setattr(new.model, attribute, getattr(robot.model, attribute))
         if lengths:
             _require_still_joined(robot, new)
             new = close_reference(new, declaration, robot.parameters, dropped)

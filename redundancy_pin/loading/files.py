@@ -19,9 +19,10 @@ from redundancy_pin.robot.checks import too_few_motors
 from redundancy_pin.robot.declaration import read_declaration, require_conditions
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
 from redundancy_pin.robot.formats.urdf import WITHOUT_INERTIAL
+from redundancy_pin.robot.formats.xacro_file import known_values
 from redundancy_pin.robot.model_files import is_model_file, open_model
 from redundancy_pin.robot.propose import propose
-from redundancy_pin.robot.urdf import declaration_path, is_shipped, known_values
+from redundancy_pin.robot.shipped import declaration_path, is_shipped
 
 RobotLike: TypeAlias = Robot | str | Path
 """A robot, the name of a shipped one, or the path of a declaration or of its folder."""

@@ -20,9 +20,10 @@ from redundancy_pin.robot import Closure, Robot
 from redundancy_pin.robot.build import read_robot
 from redundancy_pin.robot.declaration import Declaration, parse
 from redundancy_pin.robot.formats.mechanism import Mechanism
+from redundancy_pin.robot.formats.xacro_file import Argument
 from redundancy_pin.robot.model_files import is_urdf, states_gravity
 from redundancy_pin.robot.rebuild import span
-from redundancy_pin.robot.urdf import Argument, source_of
+from redundancy_pin.robot.shipped import source_of
 
 
 def build_robot(

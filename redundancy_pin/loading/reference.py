@@ -25,10 +25,10 @@ from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.build import characteristic_length, configuration
 from redundancy_pin.robot.declaration import Declaration
+from redundancy_pin.robot.formats.xacro_file import Argument
 from redundancy_pin.robot.joint_ranges import meet_limits
 from redundancy_pin.robot.lookup import find_joint, joint_names
 from redundancy_pin.robot.scales import closure_tolerance, is_revolute
-from redundancy_pin.robot.urdf import Argument
 
 
 def close_reference(robot: Robot, declaration: Declaration, parameters: Mapping[str, Argument], dropped: bool) -> Robot:

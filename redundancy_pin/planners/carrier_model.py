@@ -23,7 +23,6 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, terms_along
 from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot

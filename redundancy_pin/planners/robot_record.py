@@ -21,10 +21,11 @@ from redundancy_pin.io.schema import Schema, validated
 from redundancy_pin.loading import RobotLike, as_robot, load_with
 from redundancy_pin.robot import CarrierLimits, Coupling, Robot
 from redundancy_pin.robot.declaration import read_declaration
+from redundancy_pin.robot.formats.xacro_file import known_values
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.model_files import is_model_file
 from redundancy_pin.robot.scales import is_revolute
-from redundancy_pin.robot.urdf import declaration_path, known_values, shipped_sources
+from redundancy_pin.robot.shipped import declaration_path, shipped_sources
 
 _SAME_NUMBERS = 1e-9
 """Relative deviation that arithmetic may show between two machines. It is rounding, also in the last step of Newton's

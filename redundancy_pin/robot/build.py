@@ -15,12 +15,12 @@ from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array, read_on
 from redundancy_pin.errors import DeclarationError, InputError, shown
 from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES, CLOSED_FORMS, CarrierEntry, Declaration
 from redundancy_pin.robot.formats.mechanism import MOST_FREEDOMS, Mechanism
+from redundancy_pin.robot.formats.xacro_file import Argument
 from redundancy_pin.robot.joint_ranges import ROUNDING
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link, find_link_index
 from redundancy_pin.robot.loop_joints import add_frames, ends_of
 from redundancy_pin.robot.types import CarrierLimits, Closure, Coupling, Platform, Robot, slides
-from redundancy_pin.robot.urdf import Argument
 
 
 def read_robot(

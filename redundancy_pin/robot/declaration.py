@@ -26,11 +26,11 @@ from redundancy_pin.io.schema import Schema, bad_value, require_known_keys, vali
 from redundancy_pin.io.yaml_file import LARGEST_FILE, YamlFile, parse_yaml
 from redundancy_pin.robot.formats.expressions import FUNCTIONS, Evaluator
 from redundancy_pin.robot.formats.urdf import KINDS
+from redundancy_pin.robot.formats.xacro_file import Argument
 from redundancy_pin.robot.formats.xml_files import format_of, remedy_of_format
 from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring, Wrench
 from redundancy_pin.robot.loop_joints import LoopJoint, joint_between, placed
 from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform, WorkingModes
-from redundancy_pin.robot.urdf import Argument
 
 CLOSED_FORMS: Mapping[str, tuple[str, ...]] = {
     "2rpr": (
@@ -152,6 +152,11 @@ class ClosureEntry(Schema):
             raise ValueError(f"a joint: {error.message} {error.remedy}") from error
         return self
 
+    @property
+    def kind(self) -> str:
+        """The kind of the joint, or "frames"."""
+        return next(kind for kind in _TAKES if getattr(self, kind))
+
     def _directions(self) -> tuple[Array, Array]:
         """Return the axis of the joint in each of its frames."""
         axis = "z" if self.axis is None else self.axis
@@ -161,19 +166,17 @@ class ClosureEntry(Schema):
 
     def default_name(self) -> str:
         """Return what the closure is called where it has no name: its kind and its links, or its frames."""
-        kind = next(kind for kind in _TAKES if getattr(self, kind))
-        ends = " = ".join(getattr(self, kind))
-        return ends if kind == "frames" else f"{kind} {ends}"
+        ends = " = ".join(getattr(self, self.kind))
+        return ends if self.kind == "frames" else f"{self.kind} {ends}"
 
     def joint(self) -> LoopJoint | None:
         """Return the joint; None where frames and axes are given."""
-        kind = next(kind for kind in _TAKES if getattr(self, kind))
-        if kind == "frames":
+        if self.kind == "frames":
             return None
-        links = getattr(self, kind)
+        links = getattr(self, self.kind)
         places = [placed(pin.rpy.rpyToMatrix(*rpy), at) for at, rpy in zip(self.at, self.rpy, strict=True)]
         name = self.name or self.default_name()
-        return joint_between(name, kind, links, places, self._directions(), self.length or 0.0)
+        return joint_between(name, self.kind, links, places, self._directions(), self.length or 0.0)
 
     def closure(self) -> Closure:
         """Return the closure, with a name."""

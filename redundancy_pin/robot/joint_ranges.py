@@ -5,6 +5,7 @@ All comparisons of positions with limits allow the same slack, ``JointRange.slac
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import FILE_TOLERANCE, Array, BoolArray, IntArray, frozen, read_only
+from redundancy_pin.arrays import FILE_TOLERANCE, Array, BoolArray, frozen, read_only
 from redundancy_pin.robot.types import Robot, slides
 
 ROUNDING = 1e-9
@@ -21,7 +22,9 @@ ROUNDING = 1e-9
 Newton's method closes loops to 1e-11 of that length."""
 
 
-_A_TURN = 2.0 * np.pi + 0.01
+_TURN = 2.0 * np.pi
+
+_WITHIN_A_TURN = _TURN + 0.01
 """rad; limits farther apart count turns."""
 
 
@@ -55,41 +58,39 @@ class JointExcess:
 
 
 class JointRange(NamedTuple):
-    """The range of a joint of one freedom: places among the joints and in q, whether it turns, ends and slack."""
+    """The range of a joint of one freedom: place among the joints and in q, whether it turns, ends and slack.
+
+    Positions a whole turn apart count as one (``repeats``) of a joint that turns within a range of a turn, unless it is
+    a carrier.
+    """
 
     column: int
     name: str
     at: int
     turns: bool
+    repeats: bool
     lower: float
     upper: float
     slack: float
 
-    @property
-    def repeats(self) -> bool:
-        """Whether positions a whole turn apart count as one: those of a joint that turns within a range of a turn."""
-        return self.turns and self.upper - self.lower <= _A_TURN
-
-    def is_left(self, value: Array, motion: bool) -> BoolArray:
-        """Return (N,) whether positions are beyond an end by more than the slack."""
-        return np.asarray(self.excess(value, motion) > self.slack)
+    def holds(self, value: float) -> bool:
+        """Return whether a position is within the ends and their slack."""
+        if self.repeats:
+            middle = 0.5 * (self.lower + self.upper)
+            value = middle + math.remainder(value - middle, _TURN)
+        return self.lower - self.slack <= value <= self.upper + self.slack
 
     def excess(self, value: Array, motion: bool) -> Array:
         """Return (N,) how far positions are beyond, rad or m; see ``range_excess``."""
         counted = self.counted(value, motion)
         return np.maximum(self.lower - counted, counted - self.upper)
 
-    def holds(self, value: Array) -> bool:
-        """Return whether all positions (N,) of a motion are known and within the ends, by their extremes alone."""
-        ends = np.array([value.min(), value.max()] if len(value) else [])
-        return bool((self.excess(ends, True) <= self.slack).all())
-
     def counted(self, value: Array, motion: bool) -> Array:
         """Return (N,) positions, whole turns taken off where that brings them into a range within a turn."""
         if not self.repeats or not len(value):
             return value
         middle = 0.5 * ((value.max() + value.min() if motion else 2.0 * value) - self.lower - self.upper)
-        return np.asarray(value - 2.0 * np.pi * np.round(middle / (2.0 * np.pi)))
+        return np.asarray(value - _TURN * np.round(middle / _TURN))
 
 
 @lru_cache(maxsize=64)
@@ -106,8 +107,10 @@ def all_ranges(robot: Robot) -> tuple[JointRange, ...]:
         if name in tracks:
             lower, upper = tracks[name].lower, tracks[name].upper
         if lower < upper:
-            slack = ROUNDING * (robot.characteristic_length if slides(joint) else 1.0)
-            ranges.append(JointRange(column, str(name), int(joint.idx_q), not slides(joint), lower, upper, slack))
+            turns = not slides(joint)
+            repeats = turns and upper - lower <= _WITHIN_A_TURN and name not in tracks
+            slack = ROUNDING * (1.0 if turns else robot.characteristic_length)
+            ranges.append(JointRange(column, str(name), int(joint.idx_q), turns, repeats, lower, upper, slack))
     return tuple(ranges)
 
 
@@ -147,28 +150,14 @@ def meet_limits(robot: Robot) -> Robot:
 @lru_cache(maxsize=64)
 def range_table(robot: Robot) -> Array:
     """Return (r, 5) of each range and track: index in q, whether turns count as none (0 or 1), ends and slack."""
-    rows = [
-        (one.at, one.repeats and one.name not in robot.carriers, one.lower, one.upper, one.slack)
-        for one in all_ranges(robot)
-    ]
+    rows = [(one.at, one.repeats, one.lower, one.upper, one.slack) for one in all_ranges(robot)]
     return read_only(np.array(rows, dtype=np.float64).reshape(-1, 5))
-
-
-@lru_cache(maxsize=64)
-def _range_columns(robot: Robot) -> tuple[IntArray, Array, Array, Array, Array]:
-    """Return of each range (r,): index in q, turns that count as none (0 or 2π), its middle there, ends with slack."""
-    at, repeats, lower, upper, slack = range_table(robot).T
-    middle = np.zeros(len(at))
-    np.add(0.5 * lower, 0.5 * upper, out=middle, where=repeats > 0.0)  # other ranges may have no end
-    return at.astype(np.intp), 2.0 * np.pi * repeats, middle, lower - slack, upper + slack
 
 
 def is_in_range(robot: Robot, q: Array) -> bool:
     """Return whether all joints of one configuration (nq,) are in their ranges, carriers on their tracks."""
-    at, turns, middle, lower, upper = _range_columns(robot)
-    value = q[at]
-    value -= turns * np.rint((value - middle) / (2.0 * np.pi))
-    return bool(((lower <= value) & (value <= upper)).all())
+    positions = q.tolist()
+    return all(joint.holds(positions[joint.at]) for joint in all_ranges(robot))
 
 
 @lru_cache(maxsize=64)
@@ -203,9 +192,12 @@ def range_excess(robot: Robot, q: Array, *, motion: bool = True) -> Array:
 
 def out_of_range(robot: Robot, q: Array, *, motion: bool = True) -> BoolArray:
     """Return (N,) whether some joint is beyond its range by more than its slack, as ``range_excess`` counts."""
-    if motion and all(joint.holds(q[:, joint.at]) for joint in joint_ranges(robot)):
-        return read_only(np.zeros(len(q), dtype=bool))
-    return read_only(np.asarray((range_excess(robot, q, motion=motion) > range_slack(robot)).any(axis=1)))
+    if motion and len(q):
+        ends = np.array([q.min(axis=0), q.max(axis=0)])  # a motion is within its ranges where its extremes are
+        if np.isfinite(ends).all() and not (range_excess(robot, ends) > range_slack(robot)).any():
+            return read_only(np.zeros(len(q), dtype=bool))
+    beyond = range_excess(robot, q, motion=motion) > range_slack(robot)
+    return read_only(np.asarray(beyond.any(axis=1)))
 
 
 def beyond_limits(robot: Robot, q: Array, t: Array) -> tuple[JointExcess, ...]:

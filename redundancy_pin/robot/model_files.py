@@ -14,8 +14,8 @@ from redundancy_pin.robot.formats.mjcf import read_mjcf
 from redundancy_pin.robot.formats.parallel_yaml import is_parallel_yaml, read_parallel_yaml
 from redundancy_pin.robot.formats.sdf import read_sdf
 from redundancy_pin.robot.formats.urdf import SEVERAL_FREEDOMS, read_urdf, urdf_mechanism
+from redundancy_pin.robot.formats.xacro_file import Argument, known_values, render
 from redundancy_pin.robot.formats.xml_files import FORMATS, format_of, read_model, remedy_of_format
-from redundancy_pin.robot.urdf import Argument, known_values, render
 
 _URDF = (".urdf", ".xacro")
 _YAML = (".yaml", ".yml")

@@ -11,7 +11,8 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, shown
 
 _OF_VELOCITIES = ("armature", "rotorInertia", "rotorGearRatio")
-_OF_LIMITS = tuple(f"{bound}{what}Limit" for bound in ("lower", "upper") for what in ("Position", "Velocity", "Effort"))
+LIMITS = tuple(f"{bound}{what}Limit" for bound in ("lower", "upper") for what in ("Position", "Velocity", "Effort"))
+"""Attributes of a model that are limits of its joints."""
 
 _ALONG = {
     "revolute": (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelRevoluteUnaligned),
@@ -72,9 +73,9 @@ def rebuilt(
         at[index], places[index] = carrier, place
         if model.inertias[index].mass or np.any(model.inertias[index].inertia):
             new.appendBodyToJoint(carrier, model.inertias[index], place)
-    for attribute in (*_OF_VELOCITIES, *_OF_LIMITS):
+    for attribute in (*_OF_VELOCITIES, *LIMITS):
         values, kind = getattr(new, attribute), "q" if "Position" in attribute else "v"
-        if attribute in _OF_LIMITS:
+        if attribute in LIMITS:
             values[:] = -np.inf if attribute.startswith("lower") else np.inf
         for index in order:
             stands = replaced.get(str(model.names[index]))

@@ -16,7 +16,7 @@ import numpy as np
 import redundancy_pin
 from redundancy_pin.arrays import Array, whole
 from redundancy_pin.errors import InputError
-from redundancy_pin.robot.urdf import models_root
+from redundancy_pin.robot.shipped import models_root
 from redundancy_pin.simulation.controllers.by_name import DRIVES, Drive
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders

@@ -12,7 +12,7 @@ from command_line import call, refused
 import redundancy_pin
 from redundancy_pin import load_robot
 from redundancy_pin.io import limited
-from redundancy_pin.robot.urdf import shipped_robots
+from redundancy_pin.robot.shipped import shipped_robots
 
 COMMANDS = ("reproduce", "inverse-dynamics", "singularities", "validate", "info")
 

@@ -49,28 +49,6 @@ def test_what_is_asked_is_in_the_file_until_it_is_decided(urdf, tmp_path):
     assert rp.load_robot(tmp_path).n == 1
 
 
-@pytest.mark.parametrize("elbow", [-0.5, -2.5])
-def test_a_guess_decides_the_branch_of_a_model_that_starts_open(elbow, tmp_path):
-    """A four-bar of MuJoCo whose sites are apart where it starts; by the law of cosines both branches are known."""
-    body = '<inertial pos="0.05 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>'
-    path = tmp_path / "four.xml"
-    path.write_text(
-        f"""<mujoco><compiler angle="radian"/><worldbody>
-        <body name="crank"><joint name="drive" axis="0 -1 0"/>{body}
-          <body pos="0.1 0 0"><joint name="elbow" axis="0 -1 0"/>{body}<site name="a" pos="0.35 0 0"/></body>
-        </body>
-        <body name="rocker" pos="0.4 0 0"><joint name="pin" axis="0 -1 0"/>{body}<site name="b" pos="0.25 0 0"/></body>
-        </worldbody><equality><connect site1="a" site2="b"/></equality>
-        <actuator><motor joint="drive"/></actuator></mujoco>"""
-    )
-    pin = 1.7 if elbow > -1 else -2.4
-    assert call("new", path, "--guess", f"drive=1,elbow={elbow},pin={pin}").exit_code == 0
-    drive, knee, rocker = rp.load_robot(tmp_path).q_reference
-    tip = 0.1 * np.exp(1j * drive) + 0.35 * np.exp(1j * (drive + knee))
-    assert tip == pytest.approx(0.4 + 0.25 * np.exp(1j * rocker), abs=1e-10)
-    assert np.angle(np.exp(1j * (knee - elbow))) == pytest.approx(0.0, abs=0.5)
-
-
 def test_what_is_decided_loads_and_is_closed(urdf, tmp_path):
     branch = call("new", urdf, *DECIDED[:4])
     assert (branch.exit_code, "undecided: Which branch?" in branch.stderr) == (2, True)
@@ -203,6 +181,11 @@ def test_carriers_are_declared(tmp_path):
     assert (run.exit_code, facts["carriers"], facts["actuated"]) == (0, ["car"], ["left", "right"])
     robot = rp.load_robot(tmp_path)
     assert (robot.n, robot.m, robot.carriers) == (2, 2, ("car",))
+    # bars of 0.4 and 0.5 m on feet that are 0.3 m apart; the branch is that of the guess
+    left, _, elbow, right, knee = robot.q_reference
+    tips = [0.4 * np.exp(1j * base) + 0.5 * np.exp(1j * (base + bend)) for base, bend in ((left, elbow), (right, knee))]
+    assert tips[0] == pytest.approx(0.3 + tips[1], abs=1e-10)
+    assert [left, elbow, right, knee] == pytest.approx([1.8, -1.2, 1.2, 1.2], abs=0.2)
     mistake = refused("new", path, "--carrier", "cat", "--out", tmp_path / "other.yaml")
     assert "no moving joint 'cat'. Did you mean 'car'?" in mistake
 

@@ -11,7 +11,7 @@ from command_line import call, refused
 
 import redundancy_pin as rp
 from redundancy_pin import cli
-from redundancy_pin.robot.urdf import models_root
+from redundancy_pin.robot.shipped import models_root
 
 
 @pytest.fixture

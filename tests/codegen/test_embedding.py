@@ -24,7 +24,7 @@ import redundancy_pin as rp
 from redundancy_pin.errors import CompilerError
 from redundancy_pin.machine_code import CACHE, find_compiler
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.urdf import shipped_robots
+from redundancy_pin.robot.shipped import shipped_robots
 from redundancy_pin.status import SampleStatus
 
 pytestmark = pytest.mark.skipif("gcc" not in COMPILERS, reason="gcc is not installed")

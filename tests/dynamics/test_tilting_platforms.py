@@ -33,7 +33,7 @@ from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import velocity_unit
-from redundancy_pin.robot.urdf import models_root
+from redundancy_pin.robot.shipped import models_root
 from redundancy_pin.status import SampleStatus
 
 AZIMUTHS = 2.0 * np.pi / 3.0 * np.arange(3)

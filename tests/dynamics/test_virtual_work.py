@@ -17,7 +17,7 @@ from redundancy_pin.dynamics.virtual_work import two_rpr
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry, inverse_displacement
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics.branch import follower
-from redundancy_pin.robot.urdf import models_root
+from redundancy_pin.robot.shipped import models_root
 
 ROUNDING = 1e-13
 """A few hundred roundings of lengths of a few metres."""

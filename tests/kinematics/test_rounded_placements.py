@@ -24,7 +24,7 @@ import redundancy_pin as rp
 from redundancy_pin.errors import DeclarationError, UnreachablePoseError
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.urdf import declaration_path
+from redundancy_pin.robot.shipped import declaration_path
 from redundancy_pin.status import ResultStatus, SampleStatus
 
 MACHINES = ("four_bar", "five_bar", "2rpr", "3rrr", "excavator")

@@ -19,7 +19,7 @@ from command_line import call, refused
 import redundancy_pin as rp
 from redundancy_pin.errors import PlanFileError
 from redundancy_pin.planners.plan import Plan, load_plan, load_robot_of
-from redundancy_pin.robot.urdf import models_root
+from redundancy_pin.robot.shipped import models_root
 
 
 @pytest.fixture(scope="module")

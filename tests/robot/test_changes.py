@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from written import FOUR_BAR, J, urdf_of, write_robot
+from zoo import index, places_of
 
 import redundancy_pin as rp
 from redundancy_pin.errors import DeclarationError, InputError, UnsupportedRobotError
@@ -54,10 +54,8 @@ def test_lengths_move_the_joints(robot: Robot) -> None:
     assert np.abs(reduced(changed).W - reduced(robot).W).max() > 0.01
     masses = [[body.mass for body in list(one.model.inertias)[1:]] for one in (changed, robot)]
     assert masses[0] == masses[1]
-    data = changed.model.createData()  # closed anew
-    pin.framesForwardKinematics(changed.model, data, np.array(changed.q_reference))
-    tips = [data.oMf[changed.model.getFrameId(name)].translation for name in ("end_effector", "tip_2")]
-    np.testing.assert_allclose(tips[0][:2], tips[1][:2], atol=1e-10)
+    tips = places_of(changed.model, changed.q_reference, "end_effector", "tip_2")  # closed anew
+    np.testing.assert_allclose(tips[0].translation[:2], tips[1].translation[:2], atol=1e-10)
     assert np.abs(changed.q_reference - robot.q_reference).max() > 0.05
     with pytest.raises(DeclarationError, match="does not close"):
         rp.with_parameters(robot, lengths={"elbow_1": 0.1})
@@ -92,10 +90,8 @@ def test_lengths_may_not_part_a_tool_from_its_closure(tmp_path: Path) -> None:
     changed = rp.with_parameters(
         robot, lengths={"coupler_end": 0.32, "tool_mount": 0.32, "far_mount": 0.5, "knee": 0.11}
     )
-    data = changed.model.createData()
-    pin.framesForwardKinematics(changed.model, data, np.array(changed.q_reference))
-    tips = [data.oMf[changed.model.getFrameId(name)].translation for name in ("coupler_tip", "tool", "rocker_tip")]
-    np.testing.assert_allclose(tips[1:], [tips[0]] * 2, atol=1e-10)
+    tips = places_of(changed.model, changed.q_reference, "coupler_tip", "tool", "rocker_tip")
+    np.testing.assert_allclose([tip.translation for tip in tips[1:]], [tips[0].translation] * 2, atol=1e-10)
 
 
 def test_arguments_are_those_of_load_robot(robot: Robot) -> None:
@@ -146,7 +142,7 @@ def test_plain_urdfs_take_changes(tmp_path: Path) -> None:
     np.testing.assert_allclose(frame.placement.translation, [0.7, 0.0, 0.0])
     limited = rp.with_limits(heavy, {"crank": {"lower": -1.0, "upper": 2.0, "speed": 3.0, "effort": 4.0}})
     again = rp.with_parameters(limited, masses={"arm": 1.0})
-    crank = heavy.model.joints[heavy.model.getJointId("crank")].idx_q
+    crank = index(heavy, "crank")
     for model in (limited.model, again.model):
         assert (model.lowerPositionLimit[crank], model.upperPositionLimit[crank]) == (-1.0, 2.0)
         efforts = model.lowerEffortLimit[crank], model.upperEffortLimit[crank]
@@ -169,44 +165,37 @@ def test_limits_of_carriers(robot: Robot) -> None:
     assert robot.carrier_limits == own
 
 
-MISTAKES: dict[str, tuple[Callable[[Robot], Any], str]] = {
-    "mass of a joint": (
-        lambda r: rp.with_parameters(r, masses={"elbow_1": 1.0}),
-        "no link 'elbow_1'.*The joint elbow_1 moves distal_1",
-    ),
-    "link": (lambda r: rp.with_parameters(r, masses={"proximal": 1.0}), "no link 'proximal'.*Did you mean 'proximal_"),
-    "joint": (lambda r: rp.with_parameters(r, lengths={"elbow": 1.0}), "no joint 'elbow'"),
-    "negative mass": (lambda r: rp.with_parameters(r, masses={"distal_1": -1.0}), "mass of distal_1 is -1.0"),
-    "text": (lambda r: rp.with_parameters(r, masses={"distal_1": "1 kg"}), "mass of distal_1 is '1 kg'"),
-    "massless": (lambda r: rp.with_parameters(r, masses={"tip_2": 1.0}), "'tip_2' has no mass"),
-    "no mapping": (lambda r: rp.with_parameters(r, masses=[1.0]), "masses is"),
-    "direction": (lambda r: rp.with_parameters(r, lengths={"base_1": 0.1}), "no direction"),
-    "place": (lambda r: rp.with_parameters(r, lengths={"elbow_1": (0.1, 0.2)}), r"shape \(2,\)"),
-    "track": (lambda r: rp.with_limits(r, lower=1.0, upper=0.5), "runs from 1 to 0.5"),
-    "speed": (lambda r: rp.with_limits(r, speed=0.0), "speed of carrier_1 is 0.0"),
-    "three": (lambda r: rp.with_limits(r, speed=[1.0] * 3), "2 carrier"),
-    "unknown": (lambda r: rp.with_limits(r, {"carrier_3": {}}), "no moving joint 'carrier_3'"),
-    "unknown limit": (lambda r: rp.with_limits(r, {"carrier_1": {"effort": 1.0}}), "no limit 'effort'"),
-    "backwards": (lambda r: rp.with_limits(r, {"elbow_1": {"lower": 9.0, "upper": -9.0}}), "runs from"),
-    "effort": (lambda r: rp.with_limits(r, {"elbow_1": {"effort": -1.0}}), "effort of elbow_1 is -1.0"),
-    "ragged speeds": (lambda r: rp.with_limits(r, speed=[[1], [2, 3]]), r"speed of carrier_1 is \[1\]"),
-    "ragged place": (
-        lambda r: rp.with_parameters(r, lengths={"elbow_1": [1, [2]]}),
-        "place of elbow_1 is not an array",
-    ),
-}
+MISTAKES: list[tuple[Callable[..., Robot], dict[str, Any], str]] = [
+    (rp.with_parameters, {"masses": {"elbow_1": 1.0}}, "no link 'elbow_1'.*The joint elbow_1 moves distal_1"),
+    (rp.with_parameters, {"masses": {"proximal": 1.0}}, "no link 'proximal'.*Did you mean 'proximal_"),
+    (rp.with_parameters, {"lengths": {"elbow": 1.0}}, "no joint 'elbow'"),
+    (rp.with_parameters, {"masses": {"distal_1": -1.0}}, "mass of distal_1 is -1.0"),
+    (rp.with_parameters, {"masses": {"distal_1": "1 kg"}}, "mass of distal_1 is '1 kg'"),
+    (rp.with_parameters, {"masses": {"tip_2": 1.0}}, "'tip_2' has no mass"),
+    (rp.with_parameters, {"masses": [1.0]}, "masses is"),
+    (rp.with_parameters, {"lengths": {"base_1": 0.1}}, "no direction"),
+    (rp.with_parameters, {"lengths": {"elbow_1": (0.1, 0.2)}}, r"shape \(2,\)"),
+    (rp.with_parameters, {"lengths": {"elbow_1": [1, [2]]}}, "place of elbow_1 is not an array"),
+    (rp.with_limits, {"lower": 1.0, "upper": 0.5}, "runs from 1 to 0.5"),
+    (rp.with_limits, {"speed": 0.0}, "speed of carrier_1 is 0.0"),
+    (rp.with_limits, {"speed": [1.0] * 3}, "2 carrier"),
+    (rp.with_limits, {"speed": [[1], [2, 3]]}, r"speed of carrier_1 is \[1\]"),
+    (rp.with_limits, {"limits": {"carrier_3": {}}}, "no moving joint 'carrier_3'"),
+    (rp.with_limits, {"limits": {"carrier_1": {"effort": 1.0}}}, "no limit 'effort'"),
+    (rp.with_limits, {"limits": {"elbow_1": {"lower": 9.0, "upper": -9.0}}}, "runs from"),
+    (rp.with_limits, {"limits": {"elbow_1": {"effort": -1.0}}}, "effort of elbow_1 is -1.0"),
+]
 
 
-@pytest.mark.parametrize("name", MISTAKES)
-def test_mistakes_are_named(name: str, robot: Robot) -> None:
-    change, says = MISTAKES[name]
-    with pytest.raises(InputError, match=says):
-        change(robot)
+@pytest.mark.parametrize(("change", "given", "message"), MISTAKES)
+def test_mistakes_are_named(change: Callable[..., Robot], given: dict[str, Any], message: str, robot: Robot) -> None:
+    with pytest.raises(InputError, match=message):
+        change(robot, **given)
 
 
 def test_both_ends_of_a_joint_are_set_before_they_are_compared() -> None:
     once = rp.with_limits(rp.load_robot("four_bar"), {"rocker": {"lower": -1.0, "upper": 1.0}})
-    at = once.model.joints[once.model.getJointId("rocker")].idx_q
+    at = index(once, "rocker")
     for ends in ({"lower": 2.0, "upper": 3.0}, {"upper": -2.0, "lower": -3.0}):
         model = rp.with_limits(once, {"rocker": ends}).model
         assert (model.lowerPositionLimit[at], model.upperPositionLimit[at]) == (ends["lower"], ends["upper"])
@@ -223,7 +212,7 @@ def test_loads_of_the_files_are_there_once(tmp_path: Path) -> None:
     """Those declared, and those added since; a payload twice would be twice its mass."""
     import shutil
 
-    from redundancy_pin.robot.urdf import declaration_path
+    from redundancy_pin.robot.shipped import declaration_path
 
     folder = tmp_path / "bar"
     shutil.copytree(declaration_path("four_bar").parent, folder)
@@ -267,13 +256,3 @@ def test_balls_that_became_hinges_stay_hinges(tmp_path: Path) -> None:
     f = [rp.RneaDynamics(each).reduce(rp.PlatformMotion([0.0], *state)).f for each in (changed, expected)]
     np.testing.assert_allclose(f[0], f[1], rtol=1e-12)
     np.testing.assert_array_equal(changed.model.jointPlacements[1].translation, [0.7, 0.0, 0.0])
-
-
-def test_joints_of_drake_have_lengths_too() -> None:
-    """Their wrist is 0.4 m from the knee, not at it."""
-    path = Path(__file__).parent / "files" / "urdf" / "other" / "joints_of_drake.urdf"
-    changed = rp.with_parameters(rp.load_robot(path), lengths={"knee": (0.3, 0.0, 0.0), "wrist": (0.4, 0.0, 0.0)})
-    data = changed.model.createData()
-    pin.framesForwardKinematics(changed.model, data, pin.neutral(changed.model))
-    places = [data.oMf[changed.model.getFrameId(name, pin.BODY)].translation for name in ("ball", "cross")]
-    np.testing.assert_allclose(places, [[0.3, 0.0, 0.0], [0.7, 0.0, 0.0]], atol=1e-12)

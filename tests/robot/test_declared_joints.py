@@ -12,6 +12,7 @@ import pytest
 import yaml
 from spatial_chains import RCCC_TWISTS, ball
 from written import J, urdf_of, write_robot
+from zoo import index, places_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
@@ -156,12 +157,10 @@ def test_efforts_are_those_of_the_joint_that_the_kind_names(kind: str, tmp_path:
 def test_a_length_that_is_left_out_is_measured_where_the_reference_puts_the_joints(tmp_path: Path) -> None:
     """And stays as it is where other lengths change."""
     robot = declared(tmp_path, "rod", length=None)
-    model, q = robot.model, pin.neutral(robot.model)
-    q[model.joints[model.getJointId("crank")].idx_q] = 0.6
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
+    q = pin.neutral(robot.model)
+    q[index(robot, "crank")] = 0.6
     (rod,) = robot.closures
-    one, other = (data.oMf[model.getFrameId(name)].translation for name in (rod.frame_a, rod.frame_b))
+    one, other = (end.translation for end in places_of(robot.model, q, rod.frame_a, rod.frame_b))
     assert rod.length == pytest.approx(np.linalg.norm(other - one), rel=1e-14)
     assert f"The rod {rod.name!r} is {rod.length:.6g} m long, as its ends are apart at the reference." in robot.notes
     assert rp.with_parameters(robot, lengths={"rocker": 0.6}).closures == robot.closures

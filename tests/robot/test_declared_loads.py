@@ -11,7 +11,7 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.robot import JointForces, Payload, Robot, Spring, Wrench
-from redundancy_pin.robot.urdf import declaration_path
+from redundancy_pin.robot.shipped import declaration_path
 
 DECLARED = """
 joint_forces:

@@ -12,11 +12,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from mjcf_models import FOUR_BAR, FREE, RSSR, SPATIAL, Engine, write
-from zoo import home_of
+from zoo import home_of, places_of
 
 import redundancy_pin as rp
 from redundancy_pin.errors import RedundancyPinError
-from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
 from redundancy_pin.robot.formats.mjcf import read_mjcf
 from redundancy_pin.robot.loads import JointForces
 
@@ -159,31 +158,6 @@ def test_a_tendon_that_drives_is_a_joint_without_mass():
     assert (length.of, length.polynomial, length.also) == ("left", (0.0, 0.5), (("right", -0.7),))
 
 
-def test_a_keyframe_decides_the_branch(tmp_path):
-    """A four-bar that is flat where it starts: with links of 0.1, 0.3, 0.2 and 0.2 m both branches are known."""
-    pivot = 0.1 * np.exp(1j)
-    away = abs(0.2 - pivot)
-    along = (0.3**2 - 0.2**2 + away**2) / (2.0 * away)
-    tips = [pivot + (0.2 - pivot) / away * (along + side * np.sqrt(along**2 - 0.3**2 + 0j)) for side in (1, -1)]
-    keys = [(1.0, np.angle(tip - pivot) - 1.0, np.angle(tip - 0.2)) for tip in tips]
-    named = "".join(f'<key name="k{k}" qpos="{" ".join(map(str, key))}"/>' for k, key in enumerate(keys))
-    body = '<inertial pos="0.1 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>'
-    path = write(
-        tmp_path,
-        f"""<mujoco><compiler angle="radian"/><worldbody>
-        <body name="crank"><joint name="drive" axis="0 0 1"/>{body}
-          <body name="bar" pos="0.1 0 0"><joint name="knee" axis="0 0 1"/>{body}<site name="a" pos="0.3 0 0"/></body>
-        </body>
-        <body name="arm" pos="0.2 0 0"><joint name="foot" axis="0 0 1"/>{body}<site name="b" pos="0.2 0 0"/></body>
-        </worldbody><equality><connect site1="a" site2="b"/></equality><actuator><motor joint="drive"/></actuator>
-        <keyframe>{named}</keyframe></mujoco>""",
-    )
-    with pytest.raises(RedundancyPinError, match=r"Which branch\?.* --guess .*keyframe="):
-        rp.load_robot(path)
-    for k, key in enumerate(keys):
-        np.testing.assert_allclose(rp.load_robot(path, keyframe=f"k{k}").q_reference, key, atol=1e-9)
-
-
 IS_RECENT = int(mujoco.__version__.partition(".")[0]) >= 4
 """Springs that yield, and what is behind an actuator, came with MuJoCo 4."""
 
@@ -216,12 +190,10 @@ def test_free_bodies_start_where_mujoco_has_them_and_may_be_held_there(root, key
     mujoco.mj_forward(engine, data)
     for base, n in (("free", 7), ("fixed", 1)):
         robot = rp.load_robot(path, base=base, keyframe="lying")
-        own = robot.model.createData()
-        pin.framesForwardKinematics(robot.model, own, np.array(robot.q_reference))
-        place = own.oMf[robot.model.getFrameId("upper", pin.BODY)]
+        (place,) = places_of(robot.model, robot.q_reference, "upper")
         np.testing.assert_allclose(place.translation, data.body("upper").xpos, atol=1e-12)
         np.testing.assert_allclose(place.rotation, data.body("upper").xmat.reshape(3, 3), atol=1e-12)
-        weight = pin.computeGeneralizedGravity(robot.model, own, np.array(robot.q_reference))
+        weight = pin.computeGeneralizedGravity(robot.model, robot.model.createData(), np.array(robot.q_reference))
         assert weight[-1] == pytest.approx(data.qfrc_bias[-1], abs=1e-10)
         assert (robot.n, robot.actuated) == (n, ("hip",))
         if base == "free" and "freejoint" in root:
@@ -230,20 +202,6 @@ def test_free_bodies_start_where_mujoco_has_them_and_may_be_held_there(root, key
             np.testing.assert_allclose(weight[:3], data.qfrc_bias[:3], atol=1e-10)
     with pytest.raises(RedundancyPinError, match=r"no keyframe 'lyin'.*'lying'"):
         rp.load_robot(path, keyframe="lyin")
-
-
-def test_a_ball_that_carries_a_hinge_is_no_rod(tmp_path):
-    """It moves freely, as three hinges, whose damping is no longer that of a ball; an armature is refused."""
-    text = """<mujoco><worldbody><body name="arm"><joint name="ball" type="ball" damping="0.1" range="0 60"/>
-      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/><body name="hand" pos="0.3 0 0">
-      <joint name="hinge" axis="0 1 0" damping="0.2"/><geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02"/>
-      </body></body></worldbody><actuator><motor joint="hinge"/></actuator></mujoco>"""
-    robot = rp.load_robot(write(tmp_path, text))
-    assert robot.independent_joints == ("hinge", "ball_rz", "ball_ry", "ball_rx")
-    assert robot.loads == (JointForces("hinge", 0.2),)
-    assert {f"{NOT_IN_FORCE} range of ball.", f"{NOT_IN_FORCE} damping of ball."} < set(robot.notes)
-    with pytest.raises(RedundancyPinError, match=r"ball joint of .* that moves freely has an armature"):
-        rp.load_robot(write(tmp_path, text.replace('damping="0.1"', 'armature="0.01"')))
 
 
 def test_a_rod_off_its_line_is_noted(tmp_path):
@@ -329,30 +287,12 @@ def test_limits_of_efforts_are_what_mujoco_reaches(motors, driven, tmp_path):
         assert again.effort_limits[:, 0].tolist() == sorted(reached)
 
 
-@pytest.mark.parametrize(
-    ("law", "servo"),
-    [
-        ('gainprm="90" biasprm="0 -90 -9" biastype="affine" ctrlrange="-1 1"', True),
-        ('gainprm="9 0 -1" gaintype="affine" ctrlrange="-1 1"', True),
-        ('gainprm="9" dyntype="integrator" ctrlrange="-1 1"', False),
-        ('gainprm="9" ctrlrange="-1 1" ctrllimited="false"', False),
-    ],
-)
-def test_controls_that_bound_no_force(law, servo, tmp_path):
-    robot = rp.load_robot(write(tmp_path, hinge(motor=f'<general joint="j" {law}/>')))
-    assert np.isinf(robot.effort_limits).all()
-    assert any(note == "Servos count as motors, their control law is left out: j." for note in robot.notes) is servo
-
-
 @pytest.mark.skipif(not IS_RECENT, reason="of MuJoCo 4")
-def test_what_is_behind_an_actuator_and_between_limits(tmp_path):
+def test_what_is_behind_an_actuator(tmp_path):
     motor = '<motor joint="j" gear="3" armature="0.1" damping="0.7"/>'
-    robot = rp.load_robot(write(tmp_path, hinge('armature="0.2" damping="0.1" range="-1 2"', motor)))
+    robot = rp.load_robot(write(tmp_path, hinge('armature="0.2" damping="0.1"', motor)))
     assert robot.model.armature[0] == pytest.approx(0.2 + 9.0 * 0.1)
     assert robot.loads == (JointForces("j", 0.1 + 9.0 * 0.7),)
-    assert (robot.model.lowerPositionLimit[0], robot.model.upperPositionLimit[0]) == (-1.0, 2.0)
-    free = rp.load_robot(write(tmp_path, hinge())).model
-    assert (free.lowerPositionLimit[0], free.upperPositionLimit[0]) == (-np.inf, np.inf)
 
 
 # --- files as data ----------------------------------------------------------------------------------------------------
@@ -414,10 +354,8 @@ def test_a_weld_that_holds_no_rotation_is_a_ball(tmp_path):
         model, q = mechanism.model, np.array(mechanism.start) + 0.3
         (joint,) = mechanism.loop_joints
         engine.set(mechanism, q)
-        data = model.createData()
-        pin.framesForwardKinematics(model, data, q)
-        ends = zip(joint.links, joint.placements, strict=True)
-        one, other = (data.oMf[model.getFrameId(link, pin.BODY)] * pin.SE3(place) for link, place in ends)
+        ends = zip(places_of(model, q, *joint.links), joint.placements, strict=True)
+        one, other = (link * pin.SE3(place) for link, place in ends)
         rows = engine.data.efc_pos[engine.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
         assert joint.kind == "ball"
         np.testing.assert_allclose(rows[3:6], 0.0, atol=1e-15)

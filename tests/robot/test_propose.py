@@ -17,11 +17,11 @@ from written import J, urdf_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import DeclarationError, InputError
+from redundancy_pin.errors import DeclarationError
 from redundancy_pin.loading import propose_robot
 from redundancy_pin.robot.model_files import open_model
 from redundancy_pin.robot.propose import propose
-from redundancy_pin.robot.urdf import shipped_robots
+from redundancy_pin.robot.shipped import shipped_robots
 
 
 @dataclass(frozen=True)
@@ -170,38 +170,6 @@ def test_linkages_with_marks_are_right_or_undecided(tmp_path_factory, ends, moto
 FIVE_BAR = loop(("left_tip", "right_tip"), ("motor_1", "motor_2"))
 
 
-def test_one_of_two_loops_is_not_enough(tmp_path: Path) -> None:
-    loops = [loop((f"left{k}", f"right{k}"), (f"motor_{k}", f"b{k}"), links=(1, 2), tag=k, seed=int(k)) for k in "12"]
-    path = written(tmp_path, *(joint for each in loops for joint in displaced(each.joints, 0.05)))
-    asked, _ = propose_robot(path, close=["left1,right1"])
-    assert "of the links left2, right2 close loops: --close left2,right2" in " ".join(asked.questions)
-    decided, robot = propose_robot(path, close=["left1,right1", "left2,right2"])
-    assert (decided.questions, robot.n) == ((), 2)
-
-
-SPARE = J("s", "fixed", "link_l0", "spare")
-
-
-def renamed(names: dict[str, str], *more: J, by: float = 0.0) -> tuple[J, ...]:
-    """Return the joints of the five-bar with other names of joints and links, and more joints."""
-    joints = displaced(FIVE_BAR.joints, by)
-    new = [
-        replace(j, **{key: names.get(getattr(j, key), getattr(j, key)) for key in ("name", "parent", "child")})
-        for j in joints
-    ]
-    return (*new, *more)
-
-
-def test_a_link_that_is_cut_in_two_is_asked_about_where_motors_are_too_few(tmp_path: Path) -> None:
-    """The pins of a four-bar are all in the tree, and its coupler is cut: a ball would leave two degrees of freedom."""
-    path = written(tmp_path, *FIVE_BAR.joints, SPARE, J("t", "fixed", "link_r1", "camera"))
-    proposal, _ = propose_robot(path, actuate=["motor_1"], close=["left_tip,right_tip"], is_open=True)
-    assert "2 DOF and 1 motor(s): --close left_tip,right_tip,ball or" in " ".join(proposal.questions)
-    assert proposal.questions[0].endswith(",weld, or --close A,B of another loop, of spare.")
-    proposal, robot = propose_robot(path, actuate=["motor_1"], close=["left_tip,right_tip,weld"], is_open=True)
-    assert (proposal.questions, robot.n) == ((), 1)
-
-
 @pytest.mark.parametrize("tilt", [0.0, 0.3, -1.2])
 def test_a_hinge_about_another_axis_than_the_loops_is_asked_about_with_its_angle(tilt: float, tmp_path: Path) -> None:
     """Both marks of a planar five-bar lean by one angle: their hinge would hold both links like a weld."""
@@ -233,73 +201,6 @@ def test_shipped_urdfs_are_closed_as_declared_or_asked(name: str, tmp_path: Path
     assert found == declared or proposal.questions or not proposal.motors
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"close": ["left_tip,right_top"]}, "Did you mean 'right_tip'"),
-        ({"close": ["left_tip"]}, "names no joint between two links"),
-        ({"close": ["left_tip,right_tip,glue"]}, "names no joint between two links"),
-        ({"actuate": ["motor_3"]}, "Did you mean 'motor_"),
-    ],
-)
-def test_unknown_names_are_refused(given: dict, message: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=message):
-        propose_robot(written(tmp_path, *FIVE_BAR.joints), **given)
-
-
-@pytest.mark.parametrize("by", [0.0, 0.0005])
-def test_a_loop_between_driven_joints_is_asked_about(by: float, tmp_path: Path) -> None:
-    """Two arms whose tips meet at zero have four motors; closed there they had two degrees of freedom."""
-    names = {"left_tip": "arm_loop", "right_tip": "rod_loop"} if by else {}
-    path = written(tmp_path, *renamed(names, by=by))
-    motors = ["motor_1", "pin_l1", "motor_2", "pin_r1"]
-    proposal, _ = propose_robot(path, actuate=motors)
-    assert "Closing it leaves 2 DOF to 4 motors" in " ".join(proposal.questions)
-    assert propose_robot(path, actuate=motors, is_open=True)[1].n == 4
-    closed, robot = propose_robot(path, actuate=motors, close=[",".join(names.values()) or "left_tip,right_tip"])
-    assert (closed.questions, robot.n, robot.m) == ((), 2, 4)
-
-
-@pytest.mark.parametrize(
-    ("marks", "asked_of"),
-    [
-        ((("l2", "plate", 0.1),), ()),
-        ((("l2", "arm_tip", 0.1),), ("no motors",)),
-        ((("l0", "rib_2", 0.1), ("l2", "rib_3", 0.1)), ("no motors",)),
-        ((("l0", "pin_a", 0.3), ("l1", "pin_b", 0.0)), ("no motors",)),  # on one axis, wherever the joints are
-        ((("l0", "loop_a", 0.1), ("l2", "loop_b", 0.1)), ("no motors", "all motors")),
-    ],
-)
-def test_frames_of_an_open_arm(marks, asked_of: tuple[str, ...], tmp_path: Path) -> None:
-    """Loops are asked about where names or places suggest any; where all joints are driven, only named ends do."""
-    links = ["base", "l0", "l1", "l2"]
-    joints = [J(f"j{k}", "revolute", *links[k : k + 2], (0.3 * (k > 0), 0.0, 0.0), (0.0, 0.0, 0.4)) for k in range(3)]
-    path = written(tmp_path, *joints, *(J(f"at_{name}", "fixed", link, name, (x, 0, 0)) for link, name, x in marks))
-    for motors, actuate in (("no motors", ()), ("all motors", ("j0", "j1", "j2"))):
-        proposal, _ = propose_robot(path, actuate=actuate)
-        assert any("loops cut" in each for each in proposal.questions) is (motors in asked_of)
-        assert bool(proposal.questions) is (not actuate or motors in asked_of)
-        assert actuate or asked_of or "3 DOF. --actuate j0,j1,j2 (all)." in proposal.questions[0]
-
-
-def test_motors_that_suggest_themselves_twice_are_listed_once(tmp_path: Path) -> None:
-    """Two turntables on the ground: they are all joints there are, and all of them are on the ground."""
-    path = written(tmp_path, J("a", "revolute", "base", "one"), J("b", "revolute", "base", "two", (1.0, 0.0, 0.0)))
-    (question,) = propose_robot(path)[0].questions
-    assert question.endswith("2 DOF. --actuate a,b (all, on the ground).")
-
-
-def test_fewer_motors_than_freedoms_are_asked_about(tmp_path: Path) -> None:
-    """A loop that is drawn without marks leaves no other trace."""
-    joints = tuple(j for j in renamed({}) if j.kind != "fixed")
-    path = written(tmp_path, *joints)
-    motor = '<transmission name="t"><joint name="motor_1"/></transmission>'
-    path.write_text(path.read_text().replace("</robot>", motor + "</robot>"))
-    assert "4 DOF and 1 motor(s): --close A,B" in " ".join(propose_robot(path)[0].questions)
-    assert propose_robot(path, is_open=True)[0].questions == ()
-    assert propose_robot(path, actuate=["motor_1"])[0].questions == ()
-
-
 def test_a_file_of_many_marks_is_asked_about_in_time(tmp_path: Path) -> None:
     """0.4 s of 800 marks; comparing them one by one took 8 s."""
     joints = [J("drive", "revolute", "base", "arm"), J("elbow", "revolute", "arm", "hand", (0.3, 0.0, 0.0))]
@@ -310,33 +211,3 @@ def test_a_file_of_many_marks_is_asked_about_in_time(tmp_path: Path) -> None:
     with pytest.raises(DeclarationError, match=r"Where are loops cut\?.* tip_0, tip_2, "):
         rp.load_robot(path)
     assert time.process_time() - begun < 3.0
-
-
-def test_joints_that_a_file_marks_as_independent_are_its_motors(tmp_path: Path) -> None:
-    path = written(tmp_path, J("a", "revolute", "base", "one"), J("b", "revolute", "one", "two", (1.0, 0.0, 0.0)))
-    path.write_text(path.read_text().replace('name="b" type', 'independent="false" name="b" type'))
-    proposal, _ = propose_robot(path, is_open=True)
-    assert (proposal.mechanism.actuated, proposal.motors) == (("a",), "marked as independent by the file")
-
-
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        (
-            "welded.urdf",
-            '<robot name="r"><link name="a"/><link name="b"/><joint name="weld" type="fixed"><parent link="a"/>'
-            '<child link="b"/></joint></robot>',
-        ),
-        ("welded.xml", '<mujoco><worldbody><body name="b"><geom size="0.1"/></body></worldbody></mujoco>'),
-        (
-            "welded.sdf",
-            '<sdf version="1.9"><model name="r"><link name="a"/><link name="b"/><joint name="weld" type="fixed">'
-            "<parent>a</parent><child>b</child></joint></model></sdf>",
-        ),
-    ],
-)
-def test_a_file_without_a_moving_joint_is_refused(tmp_path: Path, name: str, text: str) -> None:
-    file = tmp_path / name
-    file.write_text(text)
-    with pytest.raises(DeclarationError, match=f"{name} drives no joint. It has no joint that could be: add one"):
-        rp.load_robot(file)

@@ -14,11 +14,11 @@ import pinocchio as pin
 import pytest
 from test_urdf_dialects import FILES as URDFS
 from test_urdf_dialects import GRAVITY, MOTION, torque, torque_by_kkt
-from zoo import home_of
+from zoo import home_of, places_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
+from redundancy_pin.errors import DeclarationError, ModelFileError
 from redundancy_pin.robot.formats.mechanism import Mechanism
 from redundancy_pin.robot.formats.sdf import read_sdf
 from redundancy_pin.robot.loads import JointForces
@@ -44,14 +44,11 @@ def written(folder: Path, *parts: str, version: str = "1.9", more: str = "") -> 
 
 
 def placed(model: pin.Model, name: str, q: Array) -> Array:
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, np.array(q))
-    return data.oMf[model.getFrameId(name, pin.FrameType.BODY)].homogeneous
+    return places_of(model, q, name)[0].homogeneous
 
 
 def efforts(robot: rp.Robot, x: float, xd: float, xdd: float) -> Array:
-    motion = rp.PlatformMotion([0.0], [[x]], [[xd]], [[xdd]])
-    return rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[0]
+    return rp.RneaDynamics(robot).torque([x], [xd], [xdd]).tau
 
 
 # --- what each file means ---------------------------------------------------------------------------------------------
@@ -72,18 +69,6 @@ def test_torques_are_those_of_the_closed_loop(name: str) -> None:
     assert torque(robot) == pytest.approx(torque_by_kkt(text, points, near), rel=1e-9)
     if name == "world":
         assert any("model://ground_plane, which comes with Gazebo" in note for note in robot.notes)
-
-
-def test_objects_beside_the_machine_are_passed_over(tmp_path: Path) -> None:
-    """A world has its own gravity, 9.8 m/s² where it says none."""
-    path = written(tmp_path, link("base", "0 0 0 0 0 0"), link("arm", "0 0 0 0 0 0"), joint("j", "ball", "base", "arm"))
-    boxes = "".join(f'<model name="{name}"><link name="l"/></model>' for name in ("box", "can"))
-    text = path.read_text().replace("<model", f'<world name="w">{boxes}<model', 1)
-    path.write_text(text.replace("</sdf>", "</world></sdf>"))
-    mechanism = read_sdf(path)
-    assert [str(name) for name in mechanism.model.names] == ["universe", "j"]
-    assert "Passed over: the models without joints, box, can." in mechanism.notes
-    np.testing.assert_array_equal(mechanism.model.gravity.linear, [0.0, 0.0, -9.8])
 
 
 def turned(roll: float, pitch: float, yaw: float) -> Array:
@@ -166,27 +151,6 @@ def test_frames_are_where_the_specification_puts_them(seed: int, tmp_path: Path)
         turn = np.array(pin.exp3(angle * axes[carrier]))
         expected[:3, :3], expected[:3, 3] = turn @ place[:3, :3], point + turn @ (place[:3, 3] - point)
         np.testing.assert_allclose(placed(model, full, q), expected, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("version", "given", "expected"),
-    [
-        ("1.4", "<xyz>1 0 0</xyz>", [1.0, 0.0, 0.0]),
-        ("1.5", "<xyz>1 0 0</xyz>", [np.cos(0.9), np.sin(0.9), 0.0]),
-        ("1.6", "<xyz>1 0 0</xyz>", [np.cos(0.9), np.sin(0.9), 0.0]),
-        ("1.6", "<xyz>1 0 0</xyz><use_parent_model_frame>1</use_parent_model_frame>", [1.0, 0.0, 0.0]),
-        ("1.7", "<xyz>1 0 0</xyz>", [np.cos(0.9), np.sin(0.9), 0.0]),
-        ("1.8", '<xyz expressed_in="__model__">3 0 0</xyz>', [1.0, 0.0, 0.0]),
-        ("1.8", "", [0.0, 0.0, 1.0]),
-    ],
-)
-def test_axes_of_every_version(version: str, given: str, expected: list[float], tmp_path: Path) -> None:
-    text = joint("turn", "revolute", "base", "crank", more=f"<axis>{given}</axis>")
-    parts = link("base", "0 0 0.1 0 0 0"), link("crank", "0 0 0.1 0 0 0.9")
-    model = read_sdf(written(tmp_path, *parts, text, version=version)).model
-    data = model.createData()
-    pin.computeJointJacobians(model, data, np.zeros(1))
-    np.testing.assert_allclose(np.ravel(data.J)[3:], expected, atol=1e-12)
 
 
 # --- loops ------------------------------------------------------------------------------------------------------------
@@ -357,30 +321,6 @@ def test_a_gearbox_couples_angles_from_its_reference_body(
 # --- numbers ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("kind", "text", "end", "most"),
-    [
-        ("revolute", "1.5", 1.5, 1.5),
-        ("prismatic", "-1.5", -1.5, np.inf),  # a speed or effort below zero is none
-        ("revolute", "0", 0.0, 0.0),
-        ("prismatic", "9.9e14", 9.9e14, 9.9e14),
-        ("revolute", "-1e15", None, np.inf),
-        ("revolute", "1.79769e+308", None, np.inf),
-        ("prismatic", "-Infinity", None, np.inf),
-        ("continuous", "1.5", None, 1.5),  # it turns for ever
-    ],
-)
-def test_limits_hold_up_to_1e15(kind: str, text: str, end: float | None, most: float, tmp_path: Path) -> None:
-    none = {"lower": -np.inf, "upper": np.inf, "effort": np.inf, "velocity": np.inf}
-    for key in none:
-        turn = joint("turn", kind, "base", "crank", f"<limit><{key}>{text}</{key}></limit>")
-        model = read_sdf(written(tmp_path, link("base", "0 0 0 0 0 0"), link("crank", "0 0 0 0 0 0"), turn)).model
-        limits = model.lowerPositionLimit, model.upperPositionLimit, model.upperEffortLimit, model.upperVelocityLimit
-        found = dict(zip(none, (float(limit[0]) for limit in limits), strict=True))
-        assert found == none | {key: (none[key] if end is None else end) if key in ("lower", "upper") else most}
-        np.testing.assert_array_equal(model.lowerEffortLimit, -model.upperEffortLimit)
-
-
 def test_masses_are_placed_by_the_pose_of_the_inertial(tmp_path: Path) -> None:
     parts = link("base", "0 0 0 0 0 0"), link("rod", "0.3 0 0 0 0 -0.2", 0.5)
     own = read_sdf(written(tmp_path, *parts, joint("j", "revolute", "base", "rod"))).model.inertias[1]
@@ -392,46 +332,6 @@ def test_masses_are_placed_by_the_pose_of_the_inertial(tmp_path: Path) -> None:
     np.testing.assert_allclose(own.inertia, about @ tensor @ about.T, atol=1e-12)
     bare = read_sdf(FILES / "noted" / "masses_of_the_specification.sdf").model.inertias[1]
     assert (bare.mass, bare.inertia.tolist()) == (1.0, np.eye(3).tolist())
-
-
-@pytest.mark.parametrize(("least", "right"), [(-0.9e-6, True), (-2e-6, False)])
-def test_a_moment_may_be_negative_by_what_files_round(least: float, right: bool, tmp_path: Path) -> None:
-    path = tmp_path / "pendulum.sdf"
-    inertia = f"<inertia><ixx>1</ixx><iyy>1</iyy><izz>{least!r}</izz></inertia>"
-    path.write_text(
-        f"<sdf version='1.9'><model name='arm'><link name='rod'><inertial><mass>1</mass>{inertia}</inertial></link>"
-        "<joint name='pin' type='revolute'><parent>world</parent><child>rod</child>"
-        "<axis><xyz>0 1 0</xyz></axis></joint></model></sdf>"
-    )
-    if right:
-        robot = rp.load_robot(path, actuated="pin")
-        np.testing.assert_array_equal(robot.model.inertias[1].inertia, np.diag([1.0, 1.0, least]))
-    else:
-        with pytest.raises(ModelFileError, match="a negative one"):
-            rp.load_robot(path, actuated="pin")
-
-
-def test_base_and_driven_joints(tmp_path: Path) -> None:
-    path = written(
-        tmp_path,
-        "<pose>0 0 1 0.1 0.2 0.3</pose>",
-        *(link(name, "0 0 0.1 0 0 0") for name in ("base", "crank", "rocker")),
-        *(joint(f"to_{name}", "revolute", "base", name) for name in ("crank", "rocker")),
-    )
-    assert rp.load_robot(path, actuated="to_rocker").actuated == ("to_rocker",)
-    free = rp.load_robot(path, base="free", actuated="to_crank")
-    assert (free.n, free.m) == (8, 1)
-    expected = np.eye(4)
-    expected[:3, :3] = turned(0.1, 0.2, 0.3)
-    expected[:3, 3] = expected[:3, :3] @ [0.0, 0.0, 0.1] + [0.0, 0.0, 1.0]
-    np.testing.assert_allclose(placed(free.model, "base", free.q_reference), expected, atol=1e-12)
-    with pytest.raises(DeclarationError, match=r"no moving joint 'to_krank'. Did you mean 'to_crank'"):
-        rp.load_robot(path, actuated="to_krank")
-    with pytest.raises(InputError, match="no argument 'keyframe'"):
-        rp.load_robot(path, keyframe="home")
-    asked = r"Which joints are driven, of to_crank, to_rocker\? .* 2 DOF\. --actuate to_crank,to_rocker \(all, on"
-    with pytest.raises(DeclarationError, match=rf'{asked}.*actuated="a,b"'):
-        rp.load_robot(path)
 
 
 # --- other files ------------------------------------------------------------------------------------------------------

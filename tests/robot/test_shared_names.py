@@ -16,7 +16,7 @@ import redundancy_pin as rp
 from redundancy_pin.dynamics.reactions import joint_reactions
 from redundancy_pin.robot import JointForces, Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.lookup import find_link, link_names
-from redundancy_pin.robot.urdf import declaration_path, shipped_robots
+from redundancy_pin.robot.shipped import declaration_path, shipped_robots
 
 ROUNDING = 1e-8
 """Relative: both robots are one machine, but Pinocchio orders joints by the names of links, and Newton's method ends

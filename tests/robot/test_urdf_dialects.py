@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from loop_oracle import Loops
+from zoo import places_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
@@ -22,53 +24,23 @@ MOTION = (0.3, 1.7, -4.0)
 
 
 def torque(robot: rp.Robot) -> float:
-    x, xd, xdd = (np.array([[value]]) for value in MOTION)
-    return float(rp.distribute(rp.RneaDynamics(robot).reduce(rp.PlatformMotion([0.0], x, xd, xdd))).tau[0, 0])
+    return float(rp.RneaDynamics(robot).torque(*([value] for value in MOTION)).tau[0])
 
 
 def torque_by_kkt(text: str, points: dict[str, Array], near: Array) -> float:
     """Return the torque of the motor of a planar four-bar that is closed at a point of each of two links.
 
-    The tree is Pinocchio's own; its passive joints follow from two equations of Newton's method, the torque and both
-    forces at the pin from the equations of motion, and nothing is this package's.
+    The tree is Pinocchio's own, and nothing is this package's.
     """
     model = pin.buildModelFromXML(text)
     model.gravity.linear = np.array(GRAVITY)
-    frames = []
-    for link, at in points.items():
+    ends = [f"point of {link}" for link in points]
+    for end, (link, at) in zip(ends, points.items(), strict=True):
         carrier = model.frames[model.getFrameId(link, pin.BODY)]
         place = carrier.placement * pin.SE3(np.eye(3), at)
-        frames.append(model.addFrame(pin.Frame(f"point of {link}", carrier.parentJoint, place, pin.OP_FRAME)))
-    data = model.createData()
-    aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-
-    def rows(q: Array) -> tuple[Array, Array]:
-        pin.computeJointJacobians(model, data, q)
-        pin.updateFramePlacements(model, data)
-        one, other = (data.oMf[frame].translation[:2].copy() for frame in frames)
-        jacobians = [pin.getFrameJacobian(model, data, frame, aligned)[:2].copy() for frame in frames]
-        return one - other, jacobians[0] - jacobians[1]
-
-    names = list(model.names)[1:]
-    motor = names.index("motor")
-    passive = [index for index in range(model.nv) if index != motor]
-    q = near.copy()
-    for _ in range(20):
-        gap, jacobian = rows(q)
-        step = np.zeros(model.nv)
-        step[passive] = -np.linalg.solve(jacobian[:, passive], gap)
-        q = pin.integrate(model, q, step)
-    gap, jacobian = rows(q)
-    assert np.abs(gap).max() < 1e-14
-    v, a = np.zeros(model.nv), np.zeros(model.nv)
-    v[motor], a[motor] = MOTION[1:]
-    v[passive] = -np.linalg.solve(jacobian[:, passive], jacobian[:, motor] * v[motor])
-    pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-    bias = [pin.getFrameClassicalAcceleration(model, data, frame, aligned).linear[:2].copy() for frame in frames]
-    a[passive] = -np.linalg.solve(jacobian[:, passive], jacobian[:, motor] * a[motor] + bias[0] - bias[1])
-    forces = pin.rnea(model, model.createData(), q, v, a)
-    unknown = np.column_stack([np.eye(model.nv)[motor], jacobian.T])
-    return float(np.linalg.solve(unknown, forces)[0])
+        model.addFrame(pin.Frame(end, carrier.parentJoint, place, pin.OP_FRAME))
+    x, xd, xdd = np.array(MOTION)[:, None]
+    return float(Loops(model, [(ends[0], ends[1])], ["motor"]).torque(x, xd, xdd, near)[0])
 
 
 @pytest.mark.parametrize("name", GOOD)
@@ -79,9 +51,7 @@ def test_torques_are_those_of_the_closed_loop(name: str) -> None:
     text, points = path.read_text(), {"bar": np.array([0.25, 0.0, 0.0]), "arm": np.array([0.2, 0.0, 0.0])}
     if name == "gazebo":  # its joint is where its child is at zero
         model = pin.buildModelFromXML(text)
-        data = model.createData()
-        pin.framesForwardKinematics(model, data, pin.neutral(model))
-        bar, arm = (data.oMf[model.getFrameId(link, pin.BODY)] for link in ("bar", "arm"))
+        bar, arm = places_of(model, pin.neutral(model), "bar", "arm")
         points["bar"] = bar.actInv(arm).act(points["arm"])
     q = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[MOTION[0]]], [[0.0]], [[0.0]])).q[0]
     names, own = list(pin.buildModelFromXML(text).names)[1:], list(robot.model.names)[1:]
@@ -126,18 +96,6 @@ def changed(folder: Path, *changes: tuple[str, str], name: str = "urdf_plus") ->
     return path
 
 
-def test_a_rotor_of_drake_adds_its_inertia_by_the_square_of_its_gear(tmp_path: Path) -> None:
-    rotor = '<actuator name="m"><drake:rotor_inertia value="2e-5"/><drake:gear_ratio value="30"/></actuator>'
-    plain = rp.load_robot(FILES / "good" / "urdf_plus.urdf", gravity=GRAVITY)
-    robot = rp.load_robot(changed(tmp_path, ('<actuator name="m"/>', rotor)), gravity=GRAVITY)
-    assert torque(robot) - torque(plain) == pytest.approx(30.0**2 * 2e-5 * MOTION[2], rel=1e-9)
-
-
-def test_joints_of_drake() -> None:
-    names = list(rp.load_robot(FILES / "other" / "joints_of_drake.urdf").model.names)[2:]
-    assert names == ["knee_rz", "knee_ry", "knee_rx", "wrist_rx", "wrist_ry"]
-
-
 @pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])
 @pytest.mark.parametrize(("one", "other", "factor"), [("bar", "arm", 2.0), ("arm", "bar", 0.5)])
 def test_a_coupling_is_of_sums_of_angles(backend: type, one: str, other: str, factor: float, tmp_path: Path) -> None:
@@ -162,15 +120,6 @@ def test_a_coupling_is_of_sums_of_angles(backend: type, one: str, other: str, fa
     np.testing.assert_allclose(tau, [alone[index] + factor * alone[foot] for index in own], rtol=1e-9)
 
 
-def test_the_base_of_a_plain_file_may_move() -> None:
-    path = FILES / "good" / "urdf_plus.urdf"
-    assert rp.load_robot(path, actuated="foot").actuated == ("foot",)
-    free = rp.load_robot(path, base="free")
-    assert (free.n, free.m) == (7, 1)
-    with pytest.raises(RedundancyPinError, match="'base' is 'loose'"):
-        rp.load_robot(path, base="loose")
-
-
 @pytest.mark.parametrize("side", [1, -1])
 def test_the_branch_of_loops_that_lie_in_a_line_is_asked_for(side: int, tmp_path: Path) -> None:
     """A four-bar, flat at zero, where its branches meet: both are known, as two circles that meet."""
@@ -193,57 +142,6 @@ def test_the_branch_of_loops_that_lie_in_a_line_is_asked_for(side: int, tmp_path
     assert robot is not None
     found = {name: joint_position(robot, name, robot.q_reference[None])[0] for name in angles}
     assert found == pytest.approx(angles, abs=0.02)
-
-
-def test_a_planar_joint_holds_a_body_on_a_plane() -> None:
-    """Its efforts are those of a free body in the plane."""
-    robot = rp.load_robot(FILES / "other" / "puck.urdf", actuated="free_x,free_y,free_rz")
-    assert robot.n == 3
-    motion = rp.PlatformMotion([0.0], [[0.1, 0.2, 0.3]], [[1.0, 2.0, 3.0]], [[4.0, 5.0, 6.0]])
-    tau = rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[0]
-    np.testing.assert_allclose(tau, [8.0, 10.0, 1.8], atol=1e-12)
-
-
-def test_a_continuous_joint_that_is_coupled_keeps_its_limits_of_speed_and_effort() -> None:
-    """Counting its turns takes none of them away, nor its friction."""
-    robot = rp.load_robot(FILES / "other" / "gears.urdf", actuated="a")
-    column = robot.model.joints[robot.model.getJointId("a")].idx_v
-    assert (robot.model.upperEffortLimit[column], robot.model.upperVelocityLimit[column]) == (9.0, 7.0)
-    motion = rp.PlatformMotion([0.0], [[0.1]], [[2.0]], [[3.0]])
-    tau = rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[0, 0]
-    assert tau == pytest.approx(3.0 * (1.0 + 9.0) + 0.5 * 2.0)
-
-
-def test_the_world_of_drake_needs_no_link(tmp_path: Path) -> None:
-    plain = rp.load_robot(FILES / "good" / "urdf_plus.urdf", gravity=GRAVITY)
-    onto_world = [('<parent link="ground"/>', '<parent link="world"/>')] * 2
-    robot = rp.load_robot(changed(tmp_path, ('<link name="ground"/>', ""), *onto_world), gravity=GRAVITY)
-    assert torque(robot) == torque(plain)
-    assert "The link 'world', which the file does not have, is the ground." in robot.notes
-
-
-def test_a_motor_of_a_joint_that_is_fixed_is_noted(tmp_path: Path) -> None:
-    more = """<link name="cover"/><joint name="lid" type="fixed"><parent link="bar"/><child link="cover"/></joint>
-    <transmission name="opens"><joint name="lid"/></transmission></robot>"""
-    robot = rp.load_robot(changed(tmp_path, ("</robot>", more)))
-    assert robot.actuated == ("motor",)
-    assert any("'lid', which a transmission" in note for note in robot.notes)
-
-
-@pytest.mark.parametrize(
-    ("tag", "meant"), [("loopjoint", "loop_joint"), ("loops", "loop"), ("ball_constraint", "drake:ball_constraint")]
-)
-def test_misspelt_loops_are_errors(tag: str, meant: str, tmp_path: Path) -> None:
-    with pytest.raises(RedundancyPinError, match=f"<{tag}> in line 20.*Did you mean '{meant}'"):
-        rp.load_robot(changed(tmp_path, ("</robot>", f"<{tag}/></robot>")))
-
-
-@pytest.mark.parametrize("word", ["false", "False"])
-def test_marks_of_independent_joints(word: str, tmp_path: Path) -> None:
-    """With or without capitals."""
-    marks = [(f'<joint name="{name}"', f'<joint name="{name}" independent="{word}"') for name in ("motor", "foot")]
-    path = changed(tmp_path, *marks, ('<joint name="knee"', '<joint name="knee" independent="True"'))
-    assert rp.load_robot(path).independent_joints == ("knee",)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-import yourdfpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,7 +21,6 @@ from redundancy_pin.loading import propose_robot
 from redundancy_pin.robot.formats.mechanism import MOST_FREEDOMS, MOST_LINKS
 from redundancy_pin.robot.formats.urdf import DEEPEST_CHAIN, read_urdf, urdf_mechanism
 from redundancy_pin.robot.formats.xml_files import MOST_BYTES
-from redundancy_pin.robot.urdf import shipped_robots
 
 INERTIAL = """<inertial><origin xyz="0.25 0 0"/><mass value="1.0"/>
     <inertia ixx="0" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>"""
@@ -39,21 +37,6 @@ def arm(folder: Path, more: str = "", **given: str) -> Path:
     path = folder / "arm.urdf"
     path.write_text(ARM.format(**parts | given).replace("</robot>", f"{more}</robot>"), encoding="utf-8")
     return path
-
-
-def test_what_the_specification_leaves_out_has_its_default(tmp_path: Path) -> None:
-    inertial = INERTIAL.replace('<origin xyz="0.25 0 0"/>', "")
-    model = load_robot(arm(tmp_path, kind="prismatic", axis="", inertial=inertial)).model
-    np.testing.assert_array_equal(model.inertias[1].lever, 0.0)
-    for axis, expected in (("", [1, 0, 0]), ('<axis xyz="0 3 4"/>', [0, 0.6, 0.8])):
-        model = load_robot(arm(tmp_path, kind="prismatic", axis=axis)).model
-        data = model.createData()
-        pin.computeJointJacobians(model, data, np.zeros(1))
-        np.testing.assert_allclose(np.ravel(data.J)[:3], expected, atol=1e-15)
-
-
-def test_names_may_be_of_any_language(tmp_path: Path) -> None:
-    assert load_robot(arm(tmp_path, name="関節 ü [1]")).actuated == ("関節 ü [1]",)
 
 
 # ---- sizes --------------------
@@ -98,36 +81,6 @@ def test_large_robots_within_the_limits_are_read(tmp_path: Path) -> None:
 
 
 # ---- the model is what the file says --------------------
-
-
-@pytest.mark.parametrize("name", shipped_robots())
-def test_shipped_models_are_those_of_another_reader(name: str, tmp_path: Path) -> None:
-    """Places of all links at random positions, masses and centres: yourdfpy reads the same text by itself."""
-    robot = load_robot(name)
-    model, data = robot.model, robot.model.createData()
-    (tmp_path / "r.urdf").write_text(robot.urdf)
-    other = yourdfpy.URDF.load(str(tmp_path / "r.urdf"), load_meshes=False)
-    q = pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
-    indices = {joint: model.joints[model.getJointId(joint)] for joint in other.actuated_joint_names}
-    angles = {
-        joint: np.arctan2(q[at.idx_q + 1], q[at.idx_q]) if at.nq == 2 else q[at.idx_q] for joint, at in indices.items()
-    }
-    other.update_cfg(angles)
-    pin.framesForwardKinematics(model, data, q)
-    carried = np.zeros(4)
-    for link in other.robot.links:
-        frame = model.getFrameId(link.name, pin.FrameType.BODY)
-        place = data.oMf[frame].homogeneous
-        np.testing.assert_allclose(other.get_transform(link.name), place, atol=1e-12)
-        if link.inertial is not None and model.frames[frame].parentJoint:
-            origin = np.eye(4) if link.inertial.origin is None else link.inertial.origin
-            carried += link.inertial.mass * (place @ origin)[:, 3]
-    mass = sum(inertia.mass for inertia in list(model.inertias)[1:])
-    assert mass == pytest.approx(carried[3], rel=1e-12)
-    np.testing.assert_allclose(pin.centerOfMass(model, data, q) * mass, carried[:3], atol=1e-12)
-    for name, joint in other.joint_map.items():
-        if name in indices and joint.type != "continuous":
-            assert model.upperPositionLimit[indices[name].idx_q] == joint.limit.upper
 
 
 def _numbers(row: list[float]) -> str:
@@ -178,32 +131,6 @@ def test_random_trees_are_those_of_pinocchio(joints: list[Any]) -> None:
             for model, own in zip((ours, theirs), data, strict=True)
         )
         np.testing.assert_array_equal(one.homogeneous, other.homogeneous)
-
-
-@pytest.mark.parametrize(
-    ("kind", "given", "expected"),
-    [
-        ("revolute", 'lower="-1" upper="2"', (-1.0, 2.0)),
-        ("revolute", 'lower="0" upper="0"', (-np.inf, np.inf)),  # what urdfdom makes of no limits
-        ("prismatic", "", (-np.inf, np.inf)),
-        ("continuous", 'lower="-1" upper="2"', None),
-    ],
-)
-def test_ranges_of_joints_are_those_of_the_file(kind: str, given: str, expected: Any, tmp_path: Path) -> None:
-    robot = load_robot(arm(tmp_path, kind=kind, limit=f'<limit {given} effort="3" velocity="4"/>'))
-    assert robot.effort_limits[1] == 3.0
-    assert robot.model.upperVelocityLimit[0] == 4.0
-    if expected:
-        assert (robot.model.lowerPositionLimit[0], robot.model.upperPositionLimit[0]) == expected
-    else:
-        assert robot.model.nq == 2
-
-
-@pytest.mark.parametrize("key", ["effort", "velocity"])
-@pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic"])
-def test_a_negative_limit_is_named(kind: str, key: str, tmp_path: Path) -> None:
-    with pytest.raises(ModelFileError, match=rf"joint 'turn' of .*negative {key} limit, -7 \(line"):
-        load_robot(arm(tmp_path, kind=kind, limit=LIMIT.replace(f'{key}="9"', f'{key}="-7"')))
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0, 1e3])

@@ -12,7 +12,7 @@ import pytest
 
 import redundancy_pin
 from redundancy_pin.errors import InputError, OutputError
-from redundancy_pin.robot.urdf import models_root
+from redundancy_pin.robot.shipped import models_root
 from redundancy_pin.simulation.controllers import NoisyAmplifier
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders

@@ -14,7 +14,7 @@ class Loops:
     """A tree with loops: frames in pairs that coincide along two axes of the world, and joints that are driven.
 
     Args:
-        model: the tree; joints of one degree of freedom, at zero near the closed configuration.
+        model: the tree; joints of one degree of freedom.
         ends: names of the frames of each pair.
         driven: names of the driven joints, as many as there are degrees of freedom.
         axes: the two axes of the plane.
@@ -25,7 +25,8 @@ class Loops:
     ) -> None:
         self.model, self.data, self.axes = model, model.createData(), list(axes)
         self.ends = [tuple(model.getFrameId(name) for name in pair) for pair in ends]
-        self.driven = [model.joints[model.getJointId(name)].idx_v for name in driven]
+        joints = [model.joints[model.getJointId(name)] for name in driven]
+        self.driven, self.places = [each.idx_v for each in joints], [each.idx_q for each in joints]
 
     def rows(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
         """Return residuals, Jacobian and its rate times v of the loops, then of the driven joints."""
@@ -42,12 +43,16 @@ class Loops:
         rows.append(np.eye(model.nv)[self.driven])
         return np.concatenate(gaps), np.concatenate(rows), np.concatenate([*bias, np.zeros(len(self.driven))])
 
-    def torque(self, x: Array, xd: Array, xdd: Array) -> Array:
-        """Return efforts of the driven joints at their positions, rates and second rates: Kᵀ (λ, τ) = rnea."""
-        q, still, n = np.zeros(self.model.nq), np.zeros(self.model.nv), len(x)
+    def torque(self, x: Array, xd: Array, xdd: Array, near: Array | None = None) -> Array:
+        """Return efforts of the driven joints at their positions, rates and second rates: Kᵀ (λ, τ) = rnea.
+
+        ``near``: (nq,) a configuration near the closed one, all joints at zero when left out.
+        """
+        q, still, n = pin.neutral(self.model) if near is None else near, np.zeros(self.model.nv), len(x)
         for _ in range(20):
             gap, K, _ = self.rows(q, still)
-            q = q + np.linalg.solve(K, np.concatenate([-gap, x - q[self.driven]]))
+            q = pin.integrate(self.model, q, np.linalg.solve(K, np.concatenate([-gap, x - q[self.places]])))
+        assert np.abs(self.rows(q, still)[0]).max() < 1e-14
         v = np.linalg.solve(K, np.concatenate([np.zeros(len(K) - n), xd]))
         _, K, bias = self.rows(q, v)
         a = np.linalg.solve(K, np.concatenate([np.zeros(len(K) - n), xdd]) - bias)

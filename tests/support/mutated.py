@@ -27,7 +27,8 @@ from parked_plans import parked_plan
 
 import redundancy_pin as rp
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.robot.urdf import models_root, render
+from redundancy_pin.robot.formats.xacro_file import render
+from redundancy_pin.robot.shipped import models_root
 
 Files = Mapping[str, bytes]
 Dice = random.Random

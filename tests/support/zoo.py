@@ -17,7 +17,7 @@ from redundancy_pin.kinematics.coordinates import coordinates, moved
 from redundancy_pin.loading import robot_from_model
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import row_scale
-from redundancy_pin.robot.urdf import shipped_robots
+from redundancy_pin.robot.shipped import shipped_robots
 
 SHIPPED = shipped_robots(gallery=False)
 """Those that every test of all robots takes; those of the gallery have ``test_gallery.py``."""
@@ -59,6 +59,13 @@ def home_of(robot: Robot) -> Array:
 def index(robot: Robot, name: str) -> int:
     """Return where the position of a joint begins in q."""
     return int(robot.model.joints[robot.model.getJointId(name)].idx_q)
+
+
+def places_of(model: pin.Model, q: Array, *links: str) -> list[pin.SE3]:
+    """Return where links are at a configuration (nq,)."""
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.array(q))
+    return [pin.SE3(data.oMf[model.getFrameId(name, pin.FrameType.BODY)]) for name in links]
 
 
 def driven_by(robot: Robot, *joints: str) -> Robot:

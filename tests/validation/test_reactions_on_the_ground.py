@@ -81,7 +81,7 @@ def test_what_is_bolted_to_the_base_is_not_the_mechanism(tmp_path):
     """A heavy link fixed to the base changes nothing the robot does to it."""
     import yaml
 
-    from redundancy_pin.robot.urdf import models_root
+    from redundancy_pin.robot.shipped import models_root
 
     source = models_root() / "four_bar"
     text = (source / "four_bar.urdf.xacro").read_text()

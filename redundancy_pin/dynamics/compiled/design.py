@@ -25,7 +25,7 @@ from redundancy_pin.robot.declaration import parse, read_declaration
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.lookup import find_link, has_link
 from redundancy_pin.robot.model_files import open_model
-from redundancy_pin.robot.urdf import declaration_path
+from redundancy_pin.robot.shipped import declaration_path
 
 _STEP = 0.01
 """Step of the differences, relative to the parameter: of order six they err by 1e-12/140 of its seventh derivative, and

@@ -147,7 +147,7 @@ class VirtualWorkAlongMotion(Frozen):
         for joint in joint_ranges(self.robot):
             value = self._dynamics.joint(joint.name, still).position[self._reachable]
             value = np.unwrap(value) if joint.turns else value  # a closed form has angles in (−π, π]
-            beyond[self._reachable] |= joint.is_left(value, True)
+            beyond[self._reachable] |= joint.excess(value, True) > joint.slack
         return read_only(beyond)
 
     def carrier_derivatives(self, carriers: CarrierMotion | None = None) -> CarrierDerivatives:

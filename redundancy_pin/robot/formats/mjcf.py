@@ -55,9 +55,6 @@ _FORCES = {
 }
 """Forces of joints, the flags that disable them, and what ``JointForces`` calls them."""
 
-_FLAGS = ("spring", "damper", "frictionloss")
-"""Forces that flags of the model disable."""
-
 
 def read_mjcf(
     path: Path, *, keyframe: str = "", base: str = "free", trust: bool = False, untrusted: bool = False
@@ -87,7 +84,7 @@ class _Reader:
         self._require_rigid()
         self.model = pin.Model()
         self.model.name = compiled["name"] if compiled["name"] != _UNNAMED else path.stem
-        self.disabled = {flag for flag in _FLAGS if self._is_disabled(flag)}
+        self.disabled = {flag for flag, _ in _FORCES.values() if self._is_disabled(flag)}
         self.qpos: Array = self._start(keyframe)
         self.links: list[str] = []
         self.sites: list[str] = []

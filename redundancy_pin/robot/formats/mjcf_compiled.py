@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import math
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -74,8 +74,7 @@ def compile_mjcf(path: Path, *, trust: bool = False, untrusted: bool = False) ->
     """
     optional(*MUJOCO)
     if not untrusted:
-        _require_bounded(path, trust)
-        return _compiled(path, trust)
+        return _compiled(path, trust, _require_bounded(path, trust))
     content = run_limited("redundancy_pin.robot.formats.mjcf_compiled", [str(path)], str(path))
     with np.load(io.BytesIO(content), allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
@@ -91,24 +90,28 @@ def _packed(path: str) -> bytes:
 # --- before MuJoCo sees it --------------------------------------------------------------------------------------------
 
 
-def _require_bounded(path: Path, trust: bool) -> None:
-    """Require that a file includes files of its folder only, and count what it multiplies."""
+def _require_bounded(path: Path, trust: bool) -> tuple[str, ...]:
+    """Return the files that a file includes, by their paths from its folder.
+
+    Raises:
+        ModelFileError: it includes files of other folders, or multiplies its elements beyond ``MOST_ELEMENTS``.
+    """
     folder = path.resolve().parent
-    total, read = 0, set[Path]()
+    total, read, included = 0, set[Path](), list[str]()
     waiting = [(path, 1)]
     while waiting:
         file, times = waiting.pop()
         if file.resolve() in read:
             continue
         read.add(file.resolve())
-        for element, count in _multiplied(parsed(file), times):
+        root = parsed(file)
+        included.append(Part(root, file, "", top=path).file)
+        for element, count in _multiplied(root, times):
             total += count
-            part = Part(element, file, file.name)
+            part = Part(element, file, "", top=path)
             if total > MOST_ELEMENTS:
-                part.refuse(
-                    f"{file.name} has more than {MOST_ELEMENTS} elements, counted as often as they are made",
-                    "Make it smaller.",
-                )
+                what = f"{part.file} has more than {MOST_ELEMENTS} elements, counted as often as they are made"
+                part.refuse(what, "Make it smaller.")
             if element.tag == "flexcomp":
                 part.refuse("<flexcomp> is a soft body, which is not covered", "Take it out.")
             if element.tag in ("include", "model") and (named := element.get("file")):
@@ -117,6 +120,7 @@ def _require_bounded(path: Path, trust: bool) -> None:
                 if not (trust or is_within(place, (folder,))):
                     part.refuse(f"file={shown(named)} {_OUTSIDE}", _MOVE)
                 waiting.append((place, count))
+    return tuple(included[1:])
 
 
 _OUTSIDE = "is outside of the model's folder"
@@ -137,7 +141,7 @@ def _multiplied(element: Element, times: int) -> Iterator[tuple[Element, int]]:
 # --- MuJoCo -----------------------------------------------------------------------------------------------------------
 
 
-def _compiled(path: Path, trust: bool) -> Compiled:
+def _compiled(path: Path, trust: bool, included: Sequence[str]) -> Compiled:
     mujoco = optional(*MUJOCO)
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)  # it writes a file otherwise, and warns of the same in Python
@@ -155,6 +159,8 @@ def _compiled(path: Path, trust: bool) -> Compiled:
             model = spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         said = " ".join(str(error).split()).removeprefix("Error: ").removeprefix("XML Error: ")
+        if included and ", line 0" in said:  # MuJoCo counts no lines there, and names no file
+            said += f" (in a file that it includes: {', '.join(included)})"
         remedy = "Correct it there: MuJoCo does not run it either."
         raise ModelFileError(
             f"{path}: MuJoCo refuses it: {said.rstrip('.!')}.", remedy=remedy, path=str(path)

@@ -261,23 +261,25 @@ class Frames:
     def _top_of(self, path: Path) -> SdfPart:
         """Return the world or model of a file, or a light or actor where it holds nothing else."""
         if path not in self._files:
-            root = SdfPart(parsed(path), path, path.name)
+            root = SdfPart(parsed(path), path, "", top=self._open[0])
+            root = replace(root, owner=root.file)
             if root.tag != "sdf":
-                root.refuse(f"The top element of {path.name} is <{short(root.tag)}>, not <sdf>", "Pass an SDF model.")
+                root.refuse(f"The top element of {root.file} is <{short(root.tag)}>, not <sdf>", "Pass an SDF model.")
             major, minor, *_ = (*_version(root.text_of("version")), 0, 0)
             if major != 1 or not _OLDEST <= minor < 100:
-                what = f"{path.name} is SDF of version {shown(root.text_of('version'))}"
+                what = f"{root.file} is SDF of version {shown(root.text_of('version'))}"
                 root.refuse(what, f"Write it as version 1.{_OLDEST} or newer.")
             tops = replace(root, version=minor).parts()
             tops = [top for top in tops if top.tag in ("world", "model")] or tops
             if len(tops) != 1 or tops[0].tag not in ("world", "model", "light", "actor"):
                 names = ", ".join(f"<{short(top.tag)}>" for top in tops[:5]) or "nothing"
-                root.refuse(f"{path.name} holds {names}", "Pass a file with one <model> or one <world>.")
+                root.refuse(f"{root.file} holds {names}", "Pass a file with one <model> or one <world>.")
             self._files[path] = tops[0]
         self._elements += sum(1 for _ in self._files[path].element.iter())
         if self._elements > MOST_ELEMENTS:
-            what = f"{path.name} makes it more than {MOST_ELEMENTS} elements with all that is included"
-            self._files[path].refuse(what, "A model has no use for so many.")
+            part = self._files[path]
+            what = f"{part.file} makes it more than {MOST_ELEMENTS} elements with all that is included"
+            part.refuse(what, "A model has no use for so many.")
         return self._files[path]
 
     def _include(self, scope: Scope, part: SdfPart) -> None:
@@ -290,12 +292,12 @@ class Frames:
         if path is None:
             return
         if path in self._open:
-            part.refuse(f"{path.name} includes itself", "Take the include out.")
+            part.refuse(f"{self._files[path].file} includes itself", "Take the include out.")
         top = self._top_of(path)
         if top.tag in ("light", "actor") and scope.frame == WORLD:
             return
         if top.tag != "model":
-            part.refuse(f"{path.name}, which it includes, holds <{short(top.tag)}>", "Include a model.")
+            part.refuse(f"{top.file}, which it includes, holds <{short(top.tag)}>", "Include a model.")
         self._open.append(path)
         self._add_model(scope, top, part)
         self._open.pop()
@@ -397,7 +399,7 @@ class Frames:
         if frame.full in self._frames:
             part.refuse(f"{part.owner} has a name that is taken", "Choose another.")
         if len(self._frames) >= 3 * MOST_LINKS:
-            part.refuse(f"{part.path.name} has more than {3 * MOST_LINKS} frames", "Take out what is not needed.")
+            part.refuse(f"{part.file} has more than {3 * MOST_LINKS} frames", "Take out what is not needed.")
         self._frames[frame.full] = frame
 
     def pass_over(self, part: SdfPart) -> None:
@@ -406,7 +408,7 @@ class Frames:
         Raises:
             ModelFileError: as ``SdfPart.unknown_parts``.
         """
-        self.notes += [f"{not_understood(each.place).rstrip('.')} ({each.path.name})." for each in part.unknown_parts()]
+        self.notes += [f"{not_understood(each.place).rstrip('.')} ({each.file})." for each in part.unknown_parts()]
 
     # --- both graphs --------------------------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ is no number, is there twice or is misspelt is an error with its file and line.
 from __future__ import annotations
 
 import math
+import os
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
@@ -187,12 +188,20 @@ class Part:
     """An element, the file that it is in, and the link or joint that it belongs to: for messages and their details.
 
     It is read strictly: what is no number, is there twice or is misspelt is an error with file and line.
+
+    Attributes:
+        element: the element.
+        path: the file that it is in.
+        owner: what messages call the link, joint or file that it belongs to.
+        details: of errors.
+        top: the file that includes the other ones; None where there is one file only.
     """
 
     element: Element
     path: Path
     owner: str
     details: Mapping[str, str] = field(default_factory=dict)
+    top: Path | None = None
     remedy: ClassVar[str] = "Correct the file."
     attributes_of: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """By element, the attributes that its format knows: one that is nearly called so is an error."""
@@ -202,13 +211,20 @@ class Part:
         line = self.element.line
         place = f"line {line}" + (" of what xacro makes of it" if self.path.suffix == ".xacro" else "")
         raise ModelFileError(
-            f"{message} ({place if self.path.name in message else f'{self.path.name}, {place}'}).",
+            f"{message} ({place if self.file in message else f'{self.file}, {place}'}).",
             remedy=remedy or self.remedy,
             path=str(self.path),
             line=line,
             **self.details,
             **details,
         )
+
+    @property
+    def file(self) -> str:
+        """The name of the file for messages: of an included file its path from the folder of the top file."""
+        if self.top is None or self.path == self.top:
+            return self.path.name
+        return os.path.relpath(self.path, self.top.resolve().parent)
 
     @property
     def tag(self) -> str:
@@ -241,7 +257,7 @@ class Part:
     def _named_by_itself(self: _P, element: Element) -> _P:
         label = str(element.tag).rpartition("}")[2]
         name = f" {element.get('name', '')!r}" if element.get("name") else ""
-        return replace(self, element=element, owner=f"The <{label}>{name} of {self.path.name}", details={})
+        return replace(self, element=element, owner=f"The <{label}>{name} of {self.file}", details={})
 
     def name(self) -> str:
         """Return the name of the element.

@@ -17,7 +17,7 @@ from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.planners.base_wrench import base_wrench
 from redundancy_pin.planners.carrier_model import carrier_model
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.urdf import models_root
+from redundancy_pin.robot.shipped import models_root
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, reference
 
 MASSES = {"arm_length": 0.15, "end_effector_mass": 0.5, "cylinder_mass": 0.3}
