@@ -152,7 +152,7 @@ def _scales(
     """Return sizes from the limits, and from the parked robot at a speed and acceleration along the path."""
     at_speed = at_pace(model, _powers(np.full(len(model.t), speed), acceleration))
     duration = 0.5 * np.pi * length / speed
-    scales = scales_of(at_speed, settings, parked.row_scale, duration, np.ones((1, 1)))
+    scales = scales_of(at_speed, settings, parked, duration, np.ones((1, 1)))
     near = settings.limits.effort[settings.limits.effort < FAR * scales.tau]
     tau = float(near.min()) if len(near) else scales.tau
     return replace(scales, tau=tau, row=scales.row * max(1.0, tau / scales.tau))

@@ -26,6 +26,7 @@ from redundancy_pin.dynamics.base import (
     Dynamics,
     DynamicsAlongMotion,
     ExactAlongMotion,
+    ReducedDynamics,
     has_expressions,
 )
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
@@ -253,7 +254,7 @@ def _read(task: Task, grid: Grid, read: Reader, scales: Scales | None) -> Proble
     lam = settings.lam if "tracking" in used else 0.0
     target, _ = target_effort(task.dynamics.robot, motion, lam, settings.baseline if lam else None)
     rate: Array = np.einsum("nim,ni->nm", model.W, motion.xd)
-    sizes = scales or scales_of(model, settings, along.reduce().row_scale, task.source.end - task.source.start, rate)
+    sizes = scales or scales_of(model, settings, along.reduce(), task.source.end - task.source.start, rate)
     base = None
     if set(BASE) & used:
         if read is linear_model:
@@ -269,8 +270,9 @@ def _read(task: Task, grid: Grid, read: Reader, scales: Scales | None) -> Proble
     return Problem(grid, model, singular, read_only(rate), read_only(target), settings, sizes, exact, base)
 
 
-def scales_of(model: CarrierModel, settings: Settings, row_scale: Array, duration: float, rate: Array) -> Scales:
+def scales_of(model: CarrierModel, settings: Settings, parked: ReducedDynamics, duration: float, rate: Array) -> Scales:
     """Return sizes from the limits, and from the parked robot where there are none."""
+    row_scale, columns = parked.row_scale, parked.column_scale
     (lower, upper), speed, acceleration = settings.limits.track.T, settings.limits.speed, settings.limits.acceleration
     s = np.where(np.isfinite(upper - lower), 0.5 * (upper - lower), 1.0)
     sd = np.where(np.isfinite(speed), speed, 10.0 * s / duration)
@@ -282,13 +284,14 @@ def scales_of(model: CarrierModel, settings: Settings, row_scale: Array, duratio
         )
     if size == 0.0:
         size = float(np.abs(model.f_terms[..., SDD] / row_scale[:, None] * sdd).max()) or 1.0
-    largest = np.linalg.svd(model.W / row_scale[:, None], compute_uv=False)[:, 0]
-    tau = size / float(np.median(largest))
+    rows = model.W / row_scale[:, None]
+    tau, unit = (
+        size / float(np.median(np.linalg.svd(part, compute_uv=False)[:, 0])) for part in (rows, rows * columns)
+    )
     force = np.abs(model.force0).max(axis=0) + np.abs(model.force_terms[..., SDD]).max(axis=0) * sdd
     power = tau * (float(np.abs(rate).max()) or 1.0)
-    return Scales(
-        s, sd, sdd, tau, size * row_scale, np.where(force > 0.0, force, 1.0), power, duration, np.ones(6), 1.0
-    )
+    force = np.where(force > 0.0, force, 1.0)
+    return Scales(s, sd, sdd, tau, unit * columns, size * row_scale, force, power, duration, np.ones(6), 1.0)
 
 
 def singular_nodes(task: Task, grid: Grid, read: Reader) -> tuple[SingularNode, ...]:

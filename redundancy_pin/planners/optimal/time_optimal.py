@@ -64,7 +64,8 @@ def plan_time_optimal(
     At places p on the path, type II singularities and jumps of the curvature among them, unknown are ṗ, p̈, s, ṡ, s̈ and
     τ, and between them the durations of the steps, in which p̈ and s̈ are linear. W is known at each place and may lose
     rank there; the rest is as in ``plan_whole_trajectory``: a plan within limits exceeds none by more than 0.1 %,
-    between the nodes too. p̈ and s̈ jump where the curvature does.
+    between the nodes too. p̈ and s̈ jump where the curvature does. Efforts that neither W τ = f nor the least time
+    determines are the smallest ones.
 
     Args:
         dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
