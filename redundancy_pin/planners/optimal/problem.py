@@ -90,7 +90,8 @@ class PathTiming:
 
     ``begin``: how the carriers begin: "datum", "rest" or "free"; ``lap``: the platform goes on at the end as it began;
     ``speed``, ``acceleration``: sizes of ṗ and p̈, m/s and m/s²; ``h`` (M − 1,) of the durations of the steps, s;
-    ``fastest`` (M,) largest ṗ that limits of the actuators' rates allow, m/s.
+    ``fastest`` (M,) largest ṗ that limits of the actuators' rates allow, m/s; ``exceeded_parked``: kinds of limits
+    ("effort", "force") of which the robot with parked carriers exceeds one at any speed, as under gravity.
     """
 
     begin: str
@@ -99,6 +100,7 @@ class PathTiming:
     acceleration: float
     h: Array
     fastest: Array
+    exceeded_parked: tuple[str, ...]
 
     def powers(self, values: Mapping[str, Array]) -> Array:
         """Return (M, 4) 1, ṗ, ṗ² and p̈ of scaled variables."""

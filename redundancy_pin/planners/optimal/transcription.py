@@ -39,6 +39,10 @@ KIND_OF = {"s": "track", "sd": "speed", "sdd": "acceleration", "tau": "effort", 
 ELASTIC_OBJECTIVE = 1e-6
 """Weight of the objective beside the fractions by which limits are exceeded: it decides only between equal ones."""
 
+ELASTIC_DURATION = 1e-3
+"""The same of the duration, over its size, where that is the objective. Under gravity efforts come near those at rest
+as the duration grows: it ends at a few times its size, and what would suffice is 1e-4 to 1e-3 more than at rest."""
+
 REGULARISATION = 1e-5
 """Weight of the mean square of s̈ over its limit beside an objective of size one: where the objective leaves the
 carriers open they take the gentlest motion, and the plan is unique. It is also that of the part of τ that W τ = f
@@ -438,8 +442,8 @@ class PathTranscription(Transcription):
         """Add the duration over its size, and the regularisation."""
         gentle = ca.sumsqr(self.nlp.blocks["sdd"]) / (max(self._problem.model.k, 1) * self.nlp.size)
         duration: Expression = ca.sum1(self.h)
-        self.nlp.cost += duration / self.scales.duration + REGULARISATION_OF_TIME * gentle
-        self.nlp.cost += REGULARISATION * self._open_efforts()
+        cost = duration / self.scales.duration + REGULARISATION_OF_TIME * gentle + REGULARISATION * self._open_efforts()
+        self.nlp.cost += (ELASTIC_DURATION if self._slack else 1.0) * cost
 
 
 class Evaluation(Quantities):

@@ -275,3 +275,63 @@ def test_a_bound_finds_what_a_weight_finds(x: str, y: str, weight: float) -> Non
     assert bounded[x] <= weighted[x] * (1.0 + 1e-8)
     # the bound is what holds it back
     assert values(y)[y] < 0.99 * weighted[y]
+
+
+DOWN = (0.0, -9.81, 0.0)
+
+
+def raised(robot: rp.Robot) -> Any:
+    """A path from the home pose: a spatial platform is lifted, others move by a third of their reach."""
+    home = zoo.home_of(robot)
+    if home.ndim == 1:
+        return Line(home, home + 0.3 * zoo.reach_of(robot))
+    goal = np.array(home)
+    goal[:3, 3] += [0.05, 0.03, 0.05]
+    return reference.pose(home, goal).path
+
+
+HELD = {
+    "five_bar": (lambda: zoo.robot_of("five_bar", gravity=DOWN, carriers=False), lambda robot: raised(robot), {}),
+    "carriers": (
+        lambda: zoo.robot_of("3rrr", gravity=DOWN),
+        lambda robot: reference.corner().path,
+        {"mesh": rp.Mesh(steps=40)},
+    ),
+    "gough": (lambda: zoo.robot_of("gough"), lambda robot: raised(robot), {}),
+    "four_bar": (lambda: zoo.robot_of("four_bar"), lambda robot: Line((1.0,), (2.0,)), {}),
+    "redundant": (lambda: zoo.robot_of("two_arms"), lambda robot: raised(robot), {}),
+}
+
+
+@pytest.mark.long_for("carriers", "redundant", "four_bar")
+@pytest.mark.parametrize("name", HELD)
+def test_a_timing_under_efforts_that_do_not_hold_the_robot_names_those_that_would(name: str) -> None:
+    """What holding takes, by the statics of the platform on the way, suffices for a slow motion; less may do.
+
+    As for a throw, or where carriers are not parked.
+    """
+    make, path_of, options = HELD[name]
+    robot = make()
+    dynamics, path = rp.CompiledDynamics(robot), path_of(robot)
+    slow = Trajectory(path, SpeedProfile(path.length, 1e-4 * path.length, 1.0))
+    hold = rp.distribute(dynamics.reduce(slow.sample_at(np.linspace(0.0, slow.duration, 41)))).tau
+    parked = float(np.abs(hold).max())
+
+    def planned(effort: float) -> Any:
+        solver = rp.Solver(seconds=SECONDS)
+        return rp.plan_time_optimal(dynamics, path, limits=rp.Limits(effort=effort), solver=solver, **options)
+
+    given, began = 0.4 * parked, time.perf_counter()
+    with pytest.raises(InfeasiblePlanError) as caught:
+        planned(given)
+    assert time.perf_counter() - began < 2.0 * SECONDS
+    details = caught.value.details
+    assert "No timing keeps every limit. What would suffice: the effort of" in caught.value.message
+    assert f"{details['limit']:.6g} {details['unit']}" in caught.value.message
+    assert details["constraint"] == "effort"
+    assert details["carrier"] in robot.actuated
+    assert details["limit"] == pytest.approx((1.0 + details["fraction"]) * given, rel=1e-6)
+    assert details["limit"] < 1.01 * parked
+    assert planned(WIDER * details["limit"]).status is ResultStatus.OK
+    with pytest.raises(InfeasiblePlanError):
+        planned(NARROWER * details["limit"])
