@@ -11,7 +11,7 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.optimal import infeasible, whole_trajectory
+from redundancy_pin.planners.optimal import infeasible, nlp, solve, whole_trajectory
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
@@ -275,6 +275,46 @@ def test_a_bound_finds_what_a_weight_finds(x: str, y: str, weight: float) -> Non
     assert bounded[x] <= weighted[x] * (1.0 + 1e-8)
     # the bound is what holds it back
     assert values(y)[y] < 0.99 * weighted[y]
+
+
+def counted_iterations(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Return a list that the iterations of each solution are added to."""
+    counts: list[int] = []
+
+    def solve_nlp(*given: Any) -> nlp.Solution:
+        solution = nlp.solve_nlp(*given)
+        counts.append(solution.iterations)
+        return solution
+
+    monkeypatch.setattr(solve, "solve_nlp", solve_nlp)
+    return counts
+
+
+def test_a_search_that_comes_no_closer_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The circle with half the efforts that it takes; the refutation took 179 iterations."""
+    counts = counted_iterations(monkeypatch)
+    dynamics, circle = rp.CompiledDynamics(zoo.robot_of("2rpr")), reference.circle(0.5, 0.2, 0.05)
+    mesh, limits = rp.Mesh(dt=0.03, refinements=0), rp.Limits(effort=0.05)
+    with pytest.raises(InfeasiblePlanError, match="What would suffice"):
+        rp.plan_whole_trajectory(dynamics, circle, limits=limits, mesh=mesh)
+    assert counts[0] < 100
+
+
+def test_a_plan_whose_search_was_ended_too_early_is_found_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search that is ended at once begins again where limits that give way need not."""
+    dynamics, motion = rp.CompiledDynamics(zoo.robot_of("five_bar")), straight((0.25, 0.6), (0.3, 0.3), 0.4)
+    usual = planned(dynamics, motion, {}, 16)
+    patience = [0]  # of the first search alone
+
+    def solve_nlp(*given: Any) -> nlp.Solution:
+        return nlp.solve_nlp(*given[:5], patience.pop() if patience else np.inf)
+
+    monkeypatch.setattr(solve, "solve_nlp", solve_nlp)
+    monkeypatch.setattr(nlp, "FAR", 0.0)
+    plan = planned(dynamics, motion, {}, 16)
+    assert plan.diagnostics["starts"]["messages"][0] == nlp.STALLED
+    assert plan.status is usual.status
+    assert plan.least_cost == pytest.approx(usual.least_cost, rel=1e-6)
 
 
 DOWN = (0.0, -9.81, 0.0)
