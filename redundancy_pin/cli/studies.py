@@ -14,11 +14,12 @@ from redundancy_pin.arrays import decimal
 from redundancy_pin.cli import options
 from redundancy_pin.cli.map import trajectory_of
 from redundancy_pin.cli.output import drawn, progress, report, resumable
-from redundancy_pin.cli.plan_problem import PARAMETERS, read_parameters
+from redundancy_pin.cli.plan_problem import PARAMETERS, PLANNERS, read_parameters
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import expanded, write_text
 from redundancy_pin.planners.optimal.co_design import DesignTask, compare_machines
-from redundancy_pin.studies.case import PLANNERS, VIRTUAL_WORK, WHOLE, Case, in_groups, load
+from redundancy_pin.planners.optimal.least_cost import TIME
+from redundancy_pin.studies.case import VIRTUAL_WORK, WHOLE, Case, in_groups, load
 from redundancy_pin.studies.case import options as as_options
 from redundancy_pin.studies.reproduce import reproduce as run_job
 from redundancy_pin.studies.reproduce import tables
@@ -28,6 +29,9 @@ from redundancy_pin.studies.table import Column, Table, json_data, table
 from redundancy_pin.studies.trade import BOUNDED, MINIMISED, trade_off
 from redundancy_pin.visualisation.figures.style import require_matplotlib, save
 from redundancy_pin.workers import cluster
+
+_LEAST_TIME = "time-optimal"
+"""Planner of paths, as the command line names it."""
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -182,7 +186,7 @@ def trade(**given: Any) -> None:
 
 
 @click.command()
-@_machine("such as objective=peak or acceleration=20; may be repeated")
+@_machine("such as objective=peak or acceleration=20, or with objective=time of `plan time-optimal`; may be repeated")
 @click.option("--task", "tasks", multiple=True, required=True, metavar="NAME|FILE[:KEY=VALUE,...]",
               help="Motion, as --trajectory of the other commands; may be repeated.")  # fmt: skip
 @click.option("--vary", "ranges", multiple=True, required=True, metavar="NAME=LOW:HIGH",
@@ -195,16 +199,18 @@ def design(**given: Any) -> None:
 
     Numbers of the robot between bounds and the plans of all tasks are optimised together: for each task alone, and for
     all with one machine. The table says what each task costs by each machine: peak effort, energy and its part for the
-    carriers, force of the carriers, stroke, moving mass.
+    carriers, force of the carriers, stroke, moving mass. With objective=time the durations of the paths are minimised.
 
     \b
-    Example:
+    Examples:
+      redundancy-pin design --robot 3rrr --task corner --vary carrier_mass=0.5:5 --parameter objective=time \
+        --parameter effort=3
       redundancy-pin design --robot 2rpr --set end_effector_mass=0.5 --task circle:speed=0.5 --task line:speed=0.2 \
         --vary carrier_mass=0.5:3 --vary track_offset=0.05:0.2 --parameter objective=peak --parameter dt=0.01
     """
     ranges = dict(map(_range, given["ranges"]))
-    parameters = _planner_parameters(given["parameters"])
-    grouped = in_groups(PLANNERS[WHOLE], parameters)
+    planner, parameters = _design_parameters(given["parameters"])
+    grouped = in_groups(PLANNERS[planner], parameters) | ({"objective": TIME} if planner == _LEAST_TIME else {})
     folder = expanded(given["out"] or f"design-{Path(given['robot']).stem}")
     robot = load(given["robot"], given["mode"] or (), as_options(**given["settings"]), given["gravity"], given["trust"])
     dynamics = options.dynamics_of(robot, given["backend"] or (VIRTUAL_WORK if robot.closed_form else None))
@@ -242,8 +248,15 @@ def _write_json(path: Path, facts: Mapping[str, Any]) -> None:
     write_text(path, json.dumps(json_data(facts), indent=2, allow_nan=False) + "\n")
 
 
-def _planner_parameters(texts: tuple[str, ...], *refused: str) -> dict[str, Any]:
-    """Return parameters of the whole-trajectory planner from NAME=VALUE; several of one name where it takes several."""
+def _design_parameters(texts: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
+    """Return the planner of a design and its parameters: that of least time for objective=time, which stands alone."""
+    rest = tuple(text for text in texts if text.replace(" ", "") != f"objective={TIME}")
+    planner = WHOLE if len(rest) == len(texts) else _LEAST_TIME
+    return planner, _planner_parameters(rest, planner=planner)
+
+
+def _planner_parameters(texts: tuple[str, ...], *refused: str, planner: str = WHOLE) -> dict[str, Any]:
+    """Return parameters of a planner from NAME=VALUE; several of one name where it takes several."""
     values: dict[str, Any] = {}
     for text in texts:
         name, separator, value = (part.strip() for part in text.partition("="))
@@ -253,9 +266,9 @@ def _planner_parameters(texts: tuple[str, ...], *refused: str) -> dict[str, Any]
                 f"--parameter {shown(text)} is not NAME=VALUE of a parameter{rest}.",
                 remedy=f"Write --parameter end=free{'; the objective is --y' if refused else ''}.",
             )
-        known = PARAMETERS[WHOLE].get(name)
+        known = PARAMETERS[planner].get(name)
         values[name] = (*values.get(name, ()), value) if known and known.multiple else value
-    return read_parameters(WHOLE, values)
+    return read_parameters(planner, values)
 
 
 def _ends(text: str, flag: str, given: str, form: str, example: str) -> tuple[float, float]:

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from command_line import call, refused
 
+import redundancy_pin as rp
+
 MOTION = "circle:speed=0.5,ramp_time=0.2,ramp_length=0.05"
 SHORT = ("design", "--robot", "2rpr", "--task", MOTION, "--vary", "carrier_mass=0.9:2", "--iterations", "1",
          "--parameter", "dt=0.03", "--parameter", "refinements=0", "--parameter", "acceleration=20")  # fmt: skip
@@ -32,6 +34,29 @@ def test_files_and_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert json.loads((folder / "design.json").read_text())["records"] == [first, made]
 
 
+def test_the_objective_time_designs_for_the_least_time_of_a_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The records' values are the durations that the planner finds for the machines of the table by itself."""
+    monkeypatch.chdir(tmp_path)
+    result = call("design", "--robot", "2rpr", "--set", "end_effector_mass=0.5", "--set", "carriers=false",
+                  "--task", "polygon:vertices=0.2 0.4;0.3 0.4,radius=0.01,speed=0.4,ramp_time=0.2",
+                  "--vary", "end_effector_mass=0.2:1",
+                  "--iterations", "1", "--parameter", "objective=time", "--parameter", "effort=2",
+                  "--parameter", "steps=20", "--json")  # fmt: skip
+    assert (result.exit_code, result.stderr) == (0, "")
+    facts = json.loads(result.stdout)
+    first, made = facts["records"]
+    assert made["end_effector_mass"] < first["end_effector_mass"] == 0.5
+    path = rp.trajectory.reference.polygon(
+        vertices=[(0.2, 0.4), (0.3, 0.4)], radius=0.01, speed=0.4, ramp_time=0.2
+    ).path
+    for record in (first, made):
+        robot = rp.load_robot("2rpr", carriers=False, end_effector_mass=record["end_effector_mass"])
+        plan = rp.plan_time_optimal(robot, path, limits=rp.Limits(effort=2.0), mesh=rp.Mesh(steps=20))
+        assert record["value"] == pytest.approx(plan.t[-1], rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -40,6 +65,19 @@ def test_files_and_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         (("--task", "circel", "--vary", "carrier_mass=0.5:2"), "circel"),
         (("--task", "circle", "--vary", "carrier_mass=0.5:2", "--parameter", "objectiv=peak"), "objectiv"),
         (("--task", "circle", "--vary", "carrier_mass=0.5:2", "--iterations", "0"), "iterations"),
+        (
+            (
+                "--task",
+                "circle",
+                "--vary",
+                "carrier_mass=0.5:2",
+                "--parameter",
+                "objective=time",
+                "--parameter",
+                "dt=1",
+            ),
+            "dt",
+        ),
     ],
 )
 def test_mistakes(arguments: tuple[str, ...], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
 from redundancy_pin.planners.optimal.problem import Problem
-from redundancy_pin.planners.optimal.solve import solve
+from redundancy_pin.planners.optimal.solve import leaves_limits, solve
 from redundancy_pin.planners.optimal.transcription import (
     KIND_OF,
     KINDS,
@@ -31,11 +31,16 @@ SPARED = 15_000
 AGAIN = 2
 """The same in iterations of the first programme: rows between the nodes, which that has not, take a second solution."""
 
+ITERATIONS_OF_TIMING = 500
+"""Most iterations for the least relaxation that admits a timing: efforts alone take 30 to 230, with forces 300."""
+
 TOUCHED = 1e-4
 """Fraction of its range within which a limit counts as reached."""
 
 
-def relax(problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], message: str) -> Solution:
+def relax(
+    problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], message: str, kinds: Sequence[str] = KINDS
+) -> Solution:
     """Find the smallest relaxation of the limits that admits a plan, and return it where it is none.
 
     First all limits may give way at once, at the nodes alone. Then each of those that did, or that are touched, may by
@@ -44,28 +49,31 @@ def relax(problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], mess
     they do.
 
     ``problem``: the numbers; ``robot``: names of carriers and actuators, and which of them rotate; ``guess``: first
-    guess; ``message``: how the solver ended on the ordinary problem.
+    guess; ``message``: how the solver ended on the ordinary problem; ``kinds``: limits that may give way.
 
     Raises:
         InfeasiblePlanError: limits have to give way. It carries ``constraint`` (the limit of the smallest relaxation),
-            ``time`` and ``joint`` where it is exceeded most, ``amount`` of that, and ``limit`` that would suffice;
+            ``time`` (along a path, of a slow motion) and ``joint`` where it is exceeded most, ``amount`` of that,
+            and ``limit`` that would suffice;
             ``relaxations``, the same for every limit that gave way; ``together``, whether all of these are needed
             or one of them is enough; and ``untried``, limits of which it is not known whether they do by themselves.
             Or nothing admits a plan, or the time ran out.
     """
     problem, settings = replace(problem, shares=None), problem.settings.solver  # messages state the limits themselves
+    kinds = [kind for kind in kinds if _is_limited(problem, kind)]
     deadline = time.perf_counter() + settings.seconds
     # with limits at the nodes alone: most often one limit does by itself, and is held between the nodes then
-    elastic = solve(problem, guess, settings.seconds, lambda _: True, elastic=KINDS)
+    most = None if problem.timing is None else ITERATIONS_OF_TIMING
+    elastic = solve(problem, guess, settings.seconds, lambda _: True, elastic=kinds, most=most)
     if elastic.feasible and not _exceeded(elastic):
-        elastic = solve(problem, elastic.values, deadline - time.perf_counter(), elastic=KINDS)
+        elastic = solve(problem, elastic.values, deadline - time.perf_counter(), elastic=kinds)
     if not elastic.feasible:
         raise nothing_helps(problem, elastic, message)
     exceeded = _exceeded(elastic)
     if not exceeded:
         return elastic
     # one that is only touched may do as well by itself: with a price on all, others gave way in its place
-    touched = [kind for kind in KINDS if kind not in exceeded and is_touched(problem, robot, elastic, kind)]
+    touched = [kind for kind in kinds if kind not in exceeded and is_touched(problem, robot, elastic, kind)]
     candidates = sorted([*exceeded, *touched], key=lambda kind: (exceeded != [kind], kind != "effort"))
     alone: dict[str, Solution] = {}
     untried: list[str] = []
@@ -82,8 +90,8 @@ def relax(problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], mess
         elif not solution.infeasible:
             untried.append(kind)
     seconds = deadline - time.perf_counter()
-    if not alone and seconds > 0.0:
-        between = solve(problem, elastic.values, seconds, elastic=KINDS)
+    if not alone and seconds > 0.0 and leaves_limits(problem, elastic.values).any():
+        between = solve(problem, elastic.values, seconds, elastic=kinds)
         elastic = between if between.feasible and _exceeded(between) else elastic
         exceeded = _exceeded(elastic)
     relaxed = alone or dict.fromkeys(exceeded, elastic)
@@ -91,9 +99,10 @@ def relax(problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], mess
     events = [elastic_event(problem, robot, relaxed[kind], kind) for kind in order]
     text = ("; or " if alone else "; and ").join(str(event.pop("text")) for event in events)
     rest = f" Not tried to the end: {', '.join(untried)} alone." if untried else ""
+    what = "motion of the carriers" if problem.timing is None else "timing"
     raise InfeasiblePlanError(
-        f"No motion of the carriers keeps every limit. What would suffice: {text}.{rest}",
-        remedy=_REMEDY,
+        f"No {what} keeps every limit. What would suffice: {text}.{rest}",
+        remedy=_REMEDY if problem.timing is None else _REMEDY_OF_TIMING,
         relaxations=tuple(events),
         together=not alone and len(exceeded) > 1,
         untried=tuple(untried),
@@ -101,7 +110,17 @@ def relax(problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], mess
     )
 
 
+def _is_limited(problem: Problem, kind: str) -> bool:
+    """Return whether there is a limit of a kind: variables that let out none would only take time."""
+    settings, limits = problem.settings, problem.settings.limits
+    if kind in ("end", "at_most"):
+        return settings.end != "free" if kind == "end" else bool(settings.at_most)
+    return bool(np.isfinite(getattr(limits, "carrier_force" if kind == "force" else kind)).any())
+
+
 _REMEDY = "Widen these limits, slow the motion down, or leave the end free."
+
+_REMEDY_OF_TIMING = "Widen these limits, lead the path elsewhere, or leave the ends free."
 
 
 def require_bounds(problem: Problem, guess: Mapping[str, Array]) -> None:
@@ -147,7 +166,7 @@ def _slack(solution: Solution, kind: str) -> float:
 
 def _exceeded(elastic: Solution) -> list[str]:
     """Return the kinds of limits that gave way."""
-    return [kind for kind in KINDS if _slack(elastic, kind) > NOTHING]
+    return [kind for kind in KINDS if slack_name(kind) in elastic.values and _slack(elastic, kind) > NOTHING]
 
 
 def is_touched(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> bool:
@@ -170,9 +189,12 @@ def nothing_helps(problem: Problem, elastic: Solution, message: str) -> Infeasib
         remedy = "Allow more seconds, or a longer dt."
     else:
         constraint = "balance"
-        ends = f"the solver says {message}, then {elastic.message}; unbalanced by {elastic.violation:.2g} of f"
+        said = ", then ".join(filter(None, (message, elastic.message)))
+        ends = f"the solver says {said}; unbalanced by {elastic.violation:.2g} of f"
         text = f"No plan was found, nor one with relaxed limits ({ends})."
         remedy = "The actuators and carriers cannot balance this motion at all: lead the platform elsewhere."
+        if problem.timing is not None:
+            remedy = "Raise the limits of efforts or carriers, or leave the end free."
     amount, start = elastic.violation, float(problem.grid.t[0])
     return InfeasiblePlanError(text, remedy=remedy, constraint=constraint, time=start, amount=amount)
 
@@ -180,7 +202,7 @@ def nothing_helps(problem: Problem, elastic: Solution, message: str) -> Infeasib
 def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> dict[str, object]:
     """Return what is exceeded most, where, and what would suffice."""
     fraction = _slack(elastic, kind)
-    t = problem.grid.t
+    t = problem.times(elastic.values)
     if kind == "at_most":
         costs = objective_values(problem, elastic.values)
         name, _ = max(problem.settings.at_most.items(), key=lambda one: costs[one[0]] / one[1])
@@ -202,7 +224,9 @@ def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind:
         # a limit of the size, as users write it; the ends of a track are places
         limit, enough = abs(limit), abs(enough)
     percent = f"{100.0 * fraction:.3g}" if fraction < 1.0 else f"{100.0 * fraction:.0f}"
-    text = f"the {kind} of {names[j]}, from {limit:.6g} to {enough:.6g} {unit} ({percent} %), most at t = {t[i]:.6g} s"
+    where = f"t = {t[i]:.6g} s" if problem.timing is None else f"{100.0 * problem.grid.t[i] / problem.grid.t[-1]:.3g} %"
+    where += "" if problem.timing is None else " of the path"
+    text = f"the {kind} of {names[j]}, from {limit:.6g} to {enough:.6g} {unit} ({percent} %), most at {where}"
     return {
         "constraint": kind,
         "joint": names[j],
@@ -221,7 +245,8 @@ def _quantity(
     """Return the values of a limited quantity at the nodes, its bounds, and whose they are."""
     u = problem.scales
     if kind == "jerk":
-        h = np.where(problem.grid.h > 0.0, problem.grid.h, np.inf)[:, None]
+        h = np.diff(problem.times(elastic.values))
+        h = np.where(h > 0.0, h, np.inf)[:, None]
         jerk = np.diff(elastic.values["sdd"], axis=0) * u.sdd / h
         return jerk, -problem.settings.limits.jerk, problem.settings.limits.jerk, robot.carriers
     name = next(name for name, limit in KIND_OF.items() if limit == kind)

@@ -21,16 +21,18 @@ from redundancy_pin.planners.optimal.nlp import Expression
 class Scales:
     """Sizes that variables, equations and objectives are divided by.
 
-    ``s``, ``sd``, ``sdd`` (k,) of the carriers' motion, m, m/s, m/s²; ``tau``: of the main efforts, N or N·m; ``row``
-    (n,) of the rows of W τ = f, N or N·m; ``force`` (k,) of the carriers' forces, N; ``power``: of the main actuators,
-    W; ``duration``: of the motion, s; ``base`` (6,) of force and moment on the base, N and N·m; ``length``: the
-    characteristic one, m.
+    ``s``, ``sd``, ``sdd`` (k,) of the carriers' motion, m, m/s, m/s²; ``tau``: of the main efforts, N or N·m;
+    ``efforts`` (m,): of each of them, a torque counted as the force it exerts at the characteristic length, N or N·m;
+    ``row`` (n,) of the rows of W τ = f, N or N·m; ``force`` (k,) of the carriers' forces, N; ``power``: of the main
+    actuators, W; ``duration``: of the motion, s; ``base`` (6,) of force and moment on the base, N and N·m; ``length``:
+    the characteristic one, m.
     """
 
     s: Array
     sd: Array
     sdd: Array
     tau: float
+    efforts: Array
     row: Array
     force: Array
     power: float
@@ -101,13 +103,10 @@ class ObjectiveTerm:
     Attributes:
         formula: from the quantities to a scalar.
         size: from the sizes of the quantities to that of the objective: all are divided by theirs before weighting.
-        efforts: it says something of the main efforts. Where W τ = f leaves them a choice and no objective does, the
-            smallest ones are taken.
     """
 
     formula: Callable[[Quantities], Expression]
     size: Callable[[Scales], float]
-    efforts: bool = True
 
 
 def _energy(q: Quantities) -> Expression:
@@ -138,22 +137,15 @@ OBJECTIVES: dict[str, ObjectiveTerm] = {
     "effort": ObjectiveTerm(lambda q: q.integral(q.tau**2), lambda u: u.duration * u.tau**2),
     "peak": ObjectiveTerm(lambda q: q.largest(q.tau, q.scales.tau), lambda u: u.tau),
     "tracking": ObjectiveTerm(lambda q: q.integral((q.tau - q.tau_target) ** 2), lambda u: u.duration * u.tau**2),
-    "carrier_force": ObjectiveTerm(
-        lambda q: q.integral(q.force**2), lambda u: u.duration * float(u.force.max()) ** 2, efforts=False
-    ),
+    "carrier_force": ObjectiveTerm(lambda q: q.integral(q.force**2), lambda u: u.duration * float(u.force.max()) ** 2),
     "carrier_acceleration": ObjectiveTerm(
-        lambda q: q.integral(q.sdd**2), lambda u: u.duration * float(u.sdd.max()) ** 2, efforts=False
+        lambda q: q.integral(q.sdd**2), lambda u: u.duration * float(u.sdd.max()) ** 2
     ),
-    "base_force": ObjectiveTerm(
-        lambda q: q.integral(q.base_force**2), lambda u: u.duration * float(u.base[0]) ** 2, efforts=False
-    ),
-    "base_moment": ObjectiveTerm(
-        lambda q: q.integral(q.base_moment**2), lambda u: u.duration * float(u.base[3]) ** 2, efforts=False
-    ),
+    "base_force": ObjectiveTerm(lambda q: q.integral(q.base_force**2), lambda u: u.duration * float(u.base[0]) ** 2),
+    "base_moment": ObjectiveTerm(lambda q: q.integral(q.base_moment**2), lambda u: u.duration * float(u.base[3]) ** 2),
     "base_wrench": ObjectiveTerm(
         lambda q: q.integral(q.base_force**2) + q.integral((q.base_moment / q.scales.length) ** 2),
         lambda u: u.duration * float(u.base[0]) ** 2,
-        efforts=False,
     ),
     "effort_rate": ObjectiveTerm(lambda q: q.integral_over_steps(q.rate(q.tau) ** 2), lambda u: u.tau**2 / u.duration),
     "ripple": ObjectiveTerm(_ripple, lambda u: RIPPLE**2),

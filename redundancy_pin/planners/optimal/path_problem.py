@@ -100,11 +100,12 @@ def read_path_problem(task: Task, nodes: Grid, before: Problem | None = None) ->
     fastest = fastest_speed(rate, settings.limits)
     place = nodes.t / nodes.t[-1]
     if before is None or before.timing is None:
-        speed = _first_speed(model, parked, settings, place * unit.end, fastest)
+        speed, exceeded = _first_speed(model, parked, settings, place * unit.end, fastest)
         acceleration = 2.0 * speed**2 / unit.end
         scales = _scales(model, settings, parked, unit.end, speed, acceleration)
     else:
         speed, acceleration, scales = before.timing.speed, before.timing.acceleration, before.scales
+        exceeded = before.timing.exceeded_parked
     steps = np.where(nodes.h > 0.0, scales.duration * np.diff(np.arccos(1.0 - 2.0 * place)) / np.pi, scales.duration)
     return Problem(
         grid=nodes,
@@ -114,7 +115,7 @@ def read_path_problem(task: Task, nodes: Grid, before: Problem | None = None) ->
         target=np.zeros_like(rate),
         settings=settings,
         scales=scales,
-        timing=PathTiming(speed, acceleration, steps, fastest),
+        timing=PathTiming(speed, acceleration, steps, fastest, exceeded),
     )
 
 
@@ -126,8 +127,11 @@ def fastest_speed(rate: Array, limits: ResolvedLimits) -> Array:
 
 def _first_speed(
     model: CarrierModel, parked: ReducedDynamics, settings: Settings, places: Array, fastest: Array
-) -> float:
-    """Return the largest mean speed of a harmonic motion along the path that the parked robot can follow, m/s."""
+) -> tuple[float, tuple[str, ...]]:
+    """Return the largest mean speed of a harmonic motion along the path that the parked robot can follow, m/s.
+
+    Also returns the kinds of limits that may have to give way, as it exceeds one at any speed.
+    """
     length, regular = places[-1], ~near_singular(parked)
     inverse, place = np.linalg.pinv(model.W[regular]), places / places[-1]
     limit = np.where(np.isfinite(settings.limits.effort), settings.limits.effort, np.inf)
@@ -141,7 +145,10 @@ def _first_speed(
     speeds = length * SPEEDS
     uses = np.array([use(speed) for speed in speeds])
     # under gravity the load at rest may be more than that: the fastest speed that hardly needs more than the slowest
-    return float(speeds[np.flatnonzero(uses <= max(USED, AT_REST * uses.min()))[-1]])
+    speed = float(speeds[np.flatnonzero(uses <= max(USED, AT_REST * uses.min()))[-1]])
+    if (np.abs(model.force0[..., 0]) > settings.limits.carrier_force).any():
+        return speed, ("effort", "force")
+    return speed, () if uses.min() <= 1.0 else ("effort",)
 
 
 def _scales(
@@ -150,7 +157,7 @@ def _scales(
     """Return sizes from the limits, and from the parked robot at a speed and acceleration along the path."""
     at_speed = at_pace(model, stacked_powers(np.full(len(model.t), speed), acceleration))
     duration = 0.5 * np.pi * length / speed
-    scales = scales_of(at_speed, settings, parked.row_scale, duration, np.ones((1, 1)))
+    scales = scales_of(at_speed, settings, parked, duration, np.ones((1, 1)))
     near = settings.limits.effort[settings.limits.effort < FAR * scales.tau]
     tau = float(near.min()) if len(near) else scales.tau
     return replace(scales, tau=tau, row=scales.row * max(1.0, tau / scales.tau))

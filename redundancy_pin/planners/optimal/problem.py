@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ExactAlongMotion, has_expressions
+from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.base_wrench import BASE, BaseWrench, base_wrench, load_at_rest
@@ -83,13 +84,15 @@ class PathTiming:
     """The data that a least-time problem adds: its nodes are places on a path, m, and their times are unknown.
 
     ``speed``, ``acceleration``: sizes of ṗ and p̈, m/s and m/s²; ``h`` (M − 1,) of the durations of the steps, s;
-    ``fastest`` (M,) largest ṗ that limits of the actuators' rates allow, m/s.
+    ``fastest`` (M,) largest ṗ that limits of the actuators' rates allow, m/s; ``exceeded_parked``: kinds of limits
+    ("effort", "force") of which the robot with parked carriers exceeds one at any speed, as under gravity.
     """
 
     speed: float
     acceleration: float
     h: Array
     fastest: Array
+    exceeded_parked: tuple[str, ...]
 
     def powers(self, values: Mapping[str, Array]) -> Array:
         """Return (M, 4) 1, ṗ, ṗ² and p̈ of scaled variables."""
@@ -244,7 +247,7 @@ def read_problem(
     lam = settings.lam if "tracking" in used else 0.0
     target, _ = target_effort(task.dynamics.robot, motion, lam, settings.baseline if lam else None)
     rate: Array = np.einsum("nim,ni->nm", model.W, motion.xd)
-    sizes = scales or scales_of(model, settings, along.reduce().row_scale, task.source.end - task.source.start, rate)
+    sizes = scales or scales_of(model, settings, along.reduce(), task.source.end - task.source.start, rate)
     base = None
     if set(BASE) & used:
         if read is linear_model:
@@ -260,8 +263,9 @@ def read_problem(
     return Problem(grid, model, singular, read_only(rate), read_only(target), settings, sizes, exact, base), read
 
 
-def scales_of(model: CarrierModel, settings: Settings, row_scale: Array, duration: float, rate: Array) -> Scales:
+def scales_of(model: CarrierModel, settings: Settings, parked: ReducedDynamics, duration: float, rate: Array) -> Scales:
     """Return sizes from the limits, and from the parked robot where there are none."""
+    row_scale, columns = parked.row_scale, parked.column_scale
     (lower, upper), speed, acceleration = settings.limits.track.T, settings.limits.speed, settings.limits.acceleration
     s = np.where(np.isfinite(upper - lower), 0.5 * (upper - lower), 1.0)
     sd = np.where(np.isfinite(speed), speed, 10.0 * s / duration)
@@ -273,13 +277,14 @@ def scales_of(model: CarrierModel, settings: Settings, row_scale: Array, duratio
         )
     if size == 0.0:
         size = float(np.abs(model.f_terms[..., SDD] / row_scale[:, None] * sdd).max()) or 1.0
-    largest = np.linalg.svd(model.W / row_scale[:, None], compute_uv=False)[:, 0]
-    tau = size / float(np.median(largest))
+    rows = model.W / row_scale[:, None]
+    tau, unit = (
+        size / float(np.median(np.linalg.svd(part, compute_uv=False)[:, 0])) for part in (rows, rows * columns)
+    )
     force = np.abs(model.force0).max(axis=0) + np.abs(model.force_terms[..., SDD]).max(axis=0) * sdd
     power = tau * (float(np.abs(rate).max()) or 1.0)
-    return Scales(
-        s, sd, sdd, tau, size * row_scale, np.where(force > 0.0, force, 1.0), power, duration, np.ones(6), 1.0
-    )
+    force = np.where(force > 0.0, force, 1.0)
+    return Scales(s, sd, sdd, tau, unit * columns, size * row_scale, force, power, duration, np.ones(6), 1.0)
 
 
 def singular_nodes(task: Task, grid: Grid, read: Reader) -> tuple[SingularNode, ...]:

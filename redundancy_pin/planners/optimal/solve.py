@@ -16,7 +16,16 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.planners.optimal.mesh import Grid, widened
-from redundancy_pin.planners.optimal.nlp import FALLBACK, FIRST, LEAST_SECONDS, WARM, Options, Solution, solve_nlp
+from redundancy_pin.planners.optimal.nlp import (
+    FALLBACK,
+    FIRST,
+    LEAST_SECONDS,
+    PATIENCE,
+    WARM,
+    Options,
+    Solution,
+    solve_nlp,
+)
 from redundancy_pin.planners.optimal.problem import PathTiming, Problem
 from redundancy_pin.planners.optimal.transcription import RESERVE, relaxed_bounds, transcribe
 
@@ -52,9 +61,14 @@ def solve(
     """
     deadline = time.perf_counter() + seconds
     between: BoolArray = np.zeros(len(problem.grid.h), dtype=bool)
-    if "tau" in guess:
+    if elastic and problem.timing is not None:
+        # the least relaxation for a timing is a flat optimum: to find it again with more rows takes as long
+        between = np.ones_like(between)
+    elif "tau" in guess:
         between = widened(leaves_limits(problem, guess, CLOSE), AROUND)
     limit_force = bool(elastic) or "force" in guess
+    # where all limits give way there is a solution, and searches for a timing come closer after 90 iterations
+    patience = np.inf if problem.timing is not None or (elastic and most is None) else PATIENCE
     iterations, spent = 0, 0.0
     for added in range(ROUNDS + 2):
         nlp = transcribe(problem, elastic, between=between, limit_force=limit_force)
@@ -66,10 +80,10 @@ def solve(
         attempts: list[Solution] = []
         for options in (first,) if problem.settings.at_most or elastic else (first, FALLBACK):
             left = max(deadline - time.perf_counter(), LEAST_SECONDS)
-            attempt = solve_nlp(nlp, guess, left, options, problem.settings.solver.progress)
+            attempt = solve_nlp(nlp, guess, left, options, problem.settings.solver.progress, patience)
             iterations, spent = iterations + attempt.iterations, spent + attempt.seconds
             attempts.append(attempt)
-            if attempt.optimal or attempt.infeasible or time.perf_counter() > deadline:
+            if attempt.optimal or attempt.infeasible or attempt.stalled or time.perf_counter() > deadline:
                 break
             guess = attempt.values if attempt.feasible else guess
         solution = min(attempts, key=preference)

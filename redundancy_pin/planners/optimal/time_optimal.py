@@ -18,15 +18,18 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import IntersampleCheck
-from redundancy_pin.planners.optimal.mesh import first_mesh, steps_around, with_nodes
+from redundancy_pin.planners.optimal.infeasible import relax
+from redundancy_pin.planners.optimal.mesh import NEAR_SINGULAR, first_mesh, steps_around, with_nodes
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
 from redundancy_pin.planners.optimal.path_problem import read_path_problem
-from redundancy_pin.planners.optimal.problem import Problem, Task, required
+from redundancy_pin.planners.optimal.problem import Problem, Task, at_pace, required
 from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
 from redundancy_pin.planners.optimal.settings import Begin, End, Settings
-from redundancy_pin.planners.optimal.solve import Multistart, Outcome, multistart
+from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, with_seconds
+from redundancy_pin.planners.optimal.transcription import KIND_OF, scaled_bounds, slack_name
 from redundancy_pin.planners.options import FEWEST_STEPS, Limits, Mesh, Solver, group_of, refuse_fields
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory.continuous_motion import Motion, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Path
@@ -38,6 +41,9 @@ NEIGHBOURS = 2
 
 LONGEST_STEP = 0.05
 """Of the whole time, that a step may last when others are refined: where the platform nearly stands still."""
+
+NEVER_KEPT = ("effort", "force", "track")
+"""Limits that a motion may exceed however slow it is, as under gravity beside a singularity."""
 
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
@@ -58,7 +64,8 @@ def plan_time_optimal(
     At places p on the path, type II singularities and jumps of the curvature among them, unknown are ṗ, p̈, s, ṡ, s̈ and
     τ, and between them the durations of the steps, in which p̈ and s̈ are linear. W is known at each place and may lose
     rank there; the rest is as in ``plan_whole_trajectory``: a plan within limits exceeds none by more than 0.1 %,
-    between the nodes too. p̈ and s̈ jump where the curvature does.
+    between the nodes too. p̈ and s̈ jump where the curvature does. Efforts that neither W τ = f nor the least time
+    determines are the smallest ones.
 
     Args:
         dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
@@ -83,7 +90,8 @@ def plan_time_optimal(
         InputError: a setting out of its domain, or one that does not apply; neither an effort nor an actuator's speed
             is limited; a lap of a path that is not closed.
         UnsupportedRobotError: f has terms that are not covered, as of dry friction.
-        InfeasiblePlanError: no timing keeps the limits (constraint "effort"); or a singularity is touched.
+        InfeasiblePlanError: no timing keeps the limits, as under gravity where they are below what holding takes: it
+            names those that would suffice, as ``plan_whole_trajectory``. Or a singularity is touched.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
     return optimise_timing(path_task(as_dynamics(dynamics), path, limits, mesh, solver, begin, end, datum, lap))[0]
@@ -183,19 +191,51 @@ def optimise_timing(task: PathTask) -> tuple[Plan, Outcome, Motion]:
 def _solve(
     task: Task, problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Solution], bool]
 ) -> Multistart:
-    solutions = multistart(problem, guess, stop)
+    """Solve from a harmonic motion with parked carriers; ``guess``: scaled blocks by name in its place."""
+    deadline = time.perf_counter() + problem.settings.solver.seconds
+    exceeded, first = required(problem.timing).exceeded_parked, guess
+    if guess is None and exceeded:
+        # the weight is more than the motors hold: refuting that takes long, and this finds a motion where there is one
+        first = _within_limits(task, problem, exceeded, "").values
+    solutions = multistart(with_seconds(problem, deadline - time.perf_counter()), first, stop)
     solution, seconds = solutions.best.solution, task.settings.solver.seconds
     if solution.feasible:
         return solutions
     late = solution.message == OUT_OF_TIME
+    if guess is None and not exceeded and not late:
+        rest = with_seconds(problem, deadline - time.perf_counter())
+        _within_limits(task, rest, NEVER_KEPT if task.dynamics.robot.k else NEVER_KEPT[:1], solution.message)
     raise InfeasiblePlanError(
-        f"No timing was found{f' within {seconds:g} s' if late else ' that keeps the limits'} "
-        f"(the solver says {solution.message}; unbalanced by {solution.violation:.2g}).",
+        f"No timing was found{f' within {seconds:g} s' if late else ''} (the solver says {solution.message}; "
+        f"unbalanced by {solution.violation:.2g}), although none of the limits is known to be in the way.",
         remedy="Allow more seconds." if late else "Raise the limits of efforts or carriers, or leave the end free.",
         constraint="seconds" if late else "effort",
         time=0.0,
         amount=solution.violation,
     )
+
+
+def _within_limits(task: Task, problem: Problem, kinds: tuple[str, ...], message: str) -> Solution:
+    """Return a motion that keeps every limit; ``kinds``: limits that may be in the way, ``message``: as ``relax``.
+
+    Raises:
+        InfeasiblePlanError: there is none, as ``relax``.
+    """
+    return relax(problem, robot_record(task.dynamics.robot), _parked(problem, kinds), message, kinds)
+
+
+def _parked(problem: Problem, kinds: tuple[str, ...]) -> dict[str, Array]:
+    """Return a harmonic motion with parked carriers, its loads, and the fractions by which these exceed limits."""
+    guess, u = first_guess(problem), problem.scales
+    loads = at_pace(problem.model, required(problem.timing).powers(guess))
+    tau: Array = np.einsum("nmi,ni->nm", np.linalg.pinv(loads.W, rcond=NEAR_SINGULAR), loads.f0)
+    guess |= {"tau": tau / u.tau, "force": loads.force0 / u.force}
+    bounds = scaled_bounds(problem)
+    for name, kind in KIND_OF.items():
+        if kind in kinds and name in ("tau", "force"):
+            use = np.abs(guess[name]) / bounds[name][1]
+            guess[slack_name(kind)] = np.full((len(tau), 1), max(float(use.max(initial=0.0)) - 1.0, 0.0))
+    return guess
 
 
 def platform_of(path: Path, problem: Problem, solution: Solution) -> Motion:

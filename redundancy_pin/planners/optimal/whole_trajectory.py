@@ -69,6 +69,10 @@ def plan_whole_trajectory(
     Carriers that turn add waves of their angles. Where f has yet other terms, as with carriers on carriers, it is the
     expression of generated code (``CompiledDynamics``).
 
+    With more main actuators than degrees of freedom W τ = f leaves efforts a choice. Where the objective leaves it open
+    as well, as "energy" does at rest, where no effort takes power, the plan has the efforts of least Σ (τ_j / c_j)²,
+    c_j the characteristic length for torques and 1 for forces, as ``distribute``.
+
     The plan is then judged by the backend between the nodes, right beside the singularities included. Where efforts
     there exceed the peak at the nodes by more than 5 %, or efforts or carrier forces their limits by more than 2 %, the
     steps get a node in the middle across which the jerk is continuous, and the plan is made again

@@ -11,7 +11,7 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.optimal import infeasible, whole_trajectory
+from redundancy_pin.planners.optimal import infeasible, nlp, solve, whole_trajectory
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
@@ -275,3 +275,103 @@ def test_a_bound_finds_what_a_weight_finds(x: str, y: str, weight: float) -> Non
     assert bounded[x] <= weighted[x] * (1.0 + 1e-8)
     # the bound is what holds it back
     assert values(y)[y] < 0.99 * weighted[y]
+
+
+def counted_iterations(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Return a list that the iterations of each solution are added to."""
+    counts: list[int] = []
+
+    def solve_nlp(*given: Any) -> nlp.Solution:
+        solution = nlp.solve_nlp(*given)
+        counts.append(solution.iterations)
+        return solution
+
+    monkeypatch.setattr(solve, "solve_nlp", solve_nlp)
+    return counts
+
+
+def test_a_search_that_comes_no_closer_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The circle with half the efforts that it takes; the refutation took 179 iterations."""
+    counts = counted_iterations(monkeypatch)
+    dynamics, circle = rp.CompiledDynamics(zoo.robot_of("2rpr")), reference.circle(0.5, 0.2, 0.05)
+    mesh, limits = rp.Mesh(dt=0.03, refinements=0), rp.Limits(effort=0.05)
+    with pytest.raises(InfeasiblePlanError, match="What would suffice"):
+        rp.plan_whole_trajectory(dynamics, circle, limits=limits, mesh=mesh)
+    assert counts[0] < 100
+
+
+def test_a_plan_whose_search_was_ended_too_early_is_found_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search that is ended at once begins again where limits that give way need not."""
+    dynamics, motion = rp.CompiledDynamics(zoo.robot_of("five_bar")), straight((0.25, 0.6), (0.3, 0.3), 0.4)
+    usual = planned(dynamics, motion, {}, 16)
+    patience = [0]  # of the first search alone
+
+    def solve_nlp(*given: Any) -> nlp.Solution:
+        return nlp.solve_nlp(*given[:5], patience.pop() if patience else np.inf)
+
+    monkeypatch.setattr(solve, "solve_nlp", solve_nlp)
+    monkeypatch.setattr(nlp, "FAR", 0.0)
+    plan = planned(dynamics, motion, {}, 16)
+    assert plan.diagnostics["starts"]["messages"][0] == nlp.STALLED
+    assert plan.status is usual.status
+    assert plan.least_cost == pytest.approx(usual.least_cost, rel=1e-6)
+
+
+DOWN = (0.0, -9.81, 0.0)
+
+
+def raised(robot: rp.Robot) -> Any:
+    """A path from the home pose: a spatial platform is lifted, others move by a third of their reach."""
+    home = zoo.home_of(robot)
+    if home.ndim == 1:
+        return Line(home, home + 0.3 * zoo.reach_of(robot))
+    goal = np.array(home)
+    goal[:3, 3] += [0.05, 0.03, 0.05]
+    return reference.pose(home, goal).path
+
+
+HELD = {
+    "five_bar": (lambda: zoo.robot_of("five_bar", gravity=DOWN, carriers=False), lambda robot: raised(robot), {}),
+    "carriers": (
+        lambda: zoo.robot_of("3rrr", gravity=DOWN),
+        lambda robot: reference.corner().path,
+        {"mesh": rp.Mesh(steps=40)},
+    ),
+    "gough": (lambda: zoo.robot_of("gough"), lambda robot: raised(robot), {}),
+    "four_bar": (lambda: zoo.robot_of("four_bar"), lambda robot: Line((1.0,), (2.0,)), {}),
+    "redundant": (lambda: zoo.robot_of("two_arms"), lambda robot: raised(robot), {}),
+}
+
+
+@pytest.mark.long_for("carriers", "redundant", "four_bar")
+@pytest.mark.parametrize("name", HELD)
+def test_a_timing_under_efforts_that_do_not_hold_the_robot_names_those_that_would(name: str) -> None:
+    """What holding takes, by the statics of the platform on the way, suffices for a slow motion; less may do.
+
+    As for a throw, or where carriers are not parked.
+    """
+    make, path_of, options = HELD[name]
+    robot = make()
+    dynamics, path = rp.CompiledDynamics(robot), path_of(robot)
+    slow = Trajectory(path, SpeedProfile(path.length, 1e-4 * path.length, 1.0))
+    hold = rp.distribute(dynamics.reduce(slow.sample_at(np.linspace(0.0, slow.duration, 41)))).tau
+    parked = float(np.abs(hold).max())
+
+    def planned(effort: float) -> Any:
+        solver = rp.Solver(seconds=SECONDS)
+        return rp.plan_time_optimal(dynamics, path, limits=rp.Limits(effort=effort), solver=solver, **options)
+
+    given, began = 0.4 * parked, time.perf_counter()
+    with pytest.raises(InfeasiblePlanError) as caught:
+        planned(given)
+    assert time.perf_counter() - began < 2.0 * SECONDS
+    details = caught.value.details
+    assert "No timing keeps every limit. What would suffice: the effort of" in caught.value.message
+    assert f"{details['limit']:.6g} {details['unit']}" in caught.value.message
+    assert details["constraint"] == "effort"
+    assert details["carrier"] in robot.actuated
+    assert details["limit"] == pytest.approx((1.0 + details["fraction"]) * given, rel=1e-6)
+    assert details["limit"] < 1.01 * parked
+    assert planned(WIDER * details["limit"]).status is ResultStatus.OK
+    with pytest.raises(InfeasiblePlanError):
+        planned(NARROWER * details["limit"])

@@ -8,7 +8,14 @@ import pytest
 import yaml
 import zoo
 
-from redundancy_pin import RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
+from redundancy_pin import (
+    RneaDynamics,
+    VirtualWork,
+    distribute,
+    load_robot,
+    plan_time_optimal,
+    plan_whole_trajectory,
+)
 from redundancy_pin.planners.options import Limits, Mesh, Objective
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
@@ -176,3 +183,53 @@ def test_where_the_objective_leaves_the_efforts_open_they_are_the_smallest(objec
     loads = dynamics.reduce(plan.motion, plan.carriers)
     smallest = np.einsum("nmi,ni->nm", np.linalg.pinv(loads.W), loads.f)
     np.testing.assert_allclose(plan.tau, smallest, atol=1e-4 * np.abs(smallest).max())
+
+
+def smallest_of_least_power(loads, rate):
+    """Return (N,) the least Σ |τ_j q̇_j| over W τ = f, and (N, 3) the efforts of least norm that have it.
+
+    Three motors, two freedoms: τ = τ₀ + z d, and the power is a polygon in z with corners where an effort is zero. The
+    least power is that of the best corner; the corners that have it bound all z that do.
+    """
+    powers, efforts = [], []
+    for W, f, speed in zip(loads.W, loads.f, rate, strict=True):
+        least, d = np.linalg.pinv(W) @ f, np.linalg.svd(W)[2][2]
+        corners = np.append(-least / d, 0.0)
+        power = np.abs((least + corners[:, None] * d) * speed).sum(axis=1)
+        best = corners[power <= power.min() + 1e-9 * np.abs(least * speed).sum()]
+        powers.append(power.min())
+        efforts.append(least + np.clip(0.0, best.min(), best.max()) * d)
+    return np.array(powers), np.array(efforts)
+
+
+@pytest.mark.parametrize("limits", [None, Limits(effort=5.0)], ids=["unlimited", "limited"])
+def test_of_efforts_that_take_the_same_energy_the_plan_has_the_smallest(limits):
+    """At rest no effort takes power; elsewhere motors that drive share it at no cost. Up to 0.9 N·m were open."""
+    robot = zoo.robot_of("five_bar")
+    dynamics, path = RneaDynamics(replace(robot, actuated=(*robot.actuated, "elbow_1"))), Line((0.25, 0.6), (0.32, 0.3))
+    motion = Trajectory(path, SpeedProfile(path.length, 0.3, 0.2))
+    goal, mesh = Objective("energy", calm=0.0), Mesh(dt=0.04, refinements=0)
+    plan = plan_whole_trajectory(dynamics, motion, objective=goal, mesh=mesh, limits=limits)
+    loads = dynamics.reduce(plan.motion, plan.carriers)
+    rate = np.einsum("nim,ni->nm", loads.W, plan.motion.xd)
+    power, smallest = smallest_of_least_power(loads, rate)
+    size = np.abs(plan.tau).max()
+    at_rest = [0, -1]
+    np.testing.assert_allclose(plan.tau[at_rest], smallest[at_rest], atol=1e-6 * size)
+    # at the ends of the efforts that cost the same the solver's barrier rounds the corner
+    np.testing.assert_allclose(plan.tau, smallest, atol=1e-2 * size)
+    total = np.trapezoid(power + np.abs(plan.carrier_force * plan.carriers.sd).sum(axis=1), plan.t)
+    assert plan.diagnostics["objective"]["energy"] == pytest.approx(total, rel=1e-6)
+
+
+def test_least_time_takes_the_smallest_efforts_that_have_it():
+    """Where the motors' speeds limit the time, limits of efforts far off said which efforts balance each other."""
+    robot = zoo.robot_of("five_bar", carriers=False)
+    dynamics = RneaDynamics(replace(robot, actuated=(*robot.actuated, "elbow_1")))
+    path, limits = Line((0.25, 0.6), (0.32, 0.3)), Limits(effort=[50.0, 20.0, 30.0], actuator_speed=1.0)
+    plan = plan_time_optimal(dynamics, path, limits=limits, mesh=Mesh(steps=40, refinements=0))
+    loads = dynamics.reduce(plan.motion, plan.carriers)
+    smallest = np.einsum("nmi,ni->nm", np.linalg.pinv(loads.W), loads.f)
+    free = (np.abs(smallest) < 0.9 * np.asarray(limits.effort)).all(axis=1)
+    assert free.mean() > 0.5
+    np.testing.assert_allclose(plan.tau[free], smallest[free], atol=1e-3 * np.abs(plan.tau).max())
