@@ -315,3 +315,12 @@ def test_a_law_uses_its_limits_but_for_the_reserve(seed: int) -> None:
     xd, xdd = point.tangent * pd, point.curvature * pd**2 + point.tangent * pdd
     use = max((np.abs(xd) / speed).max(), np.sqrt((np.abs(xdd) / acceleration).max()))
     assert 1.0 - 1.5e-4 <= use <= 1.0
+
+
+@pytest.mark.parametrize("speed", [None, np.array([0.0, np.nan, 0.0])], ids=["none", "not finite"])
+def test_where_toppra_finds_no_law_the_limits_are_named(speed: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As under limits of two coordinates that are 1e8 apart; which ones is a matter of rounding."""
+    monkeypatch.setattr(TOPPRA, "compute_parameterization", lambda *_: (None, speed, None))
+    with pytest.raises(InputError, match="No timing law was found") as caught:
+        fastest_law(through_points([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]]), 1.0, 1e8)
+    assert "like limits" in caught.value.remedy

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -237,6 +238,31 @@ def test_what_was_not_tried_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         planned(dynamics, trajectory, limits, 16)
     assert set(caught.value.details["untried"]) >= {"effort"}
     assert caught.value.details["together"]
+
+
+def test_what_suffices_is_not_read_off_a_point_that_breaks_the_equations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no solution keeps limits between the nodes too, that with limits at the nodes is the one explained."""
+    monkeypatch.setattr(infeasible, "SPARED", 0)
+    dynamics, trajectory, limits = random_problem(6, 16)
+    solve, at_nodes, says = infeasible.solve, [], []
+
+    def found(*arguments: Any, **options: Any) -> Any:
+        if len(arguments) == 4:  # with limits at the nodes alone
+            at_nodes.append(solve(*arguments, **options))
+            return at_nodes[0]
+        if "most" in options:  # where one kind of limits gives way
+            return solve(*arguments, **options)
+        (first,) = at_nodes
+        doubled = {name: 2.0 * value if name.startswith("slack") else value for name, value in first.values.items()}
+        return first if solves else replace(first, values=doubled, feasible=False)
+
+    monkeypatch.setattr(infeasible, "solve", found)
+    for solves in (True, False):
+        at_nodes.clear()
+        with pytest.raises(InfeasiblePlanError, match="What would suffice") as caught:
+            planned(dynamics, trajectory, limits, 16)
+        says.append(str(caught.value))
+    assert says[0] == says[1]
 
 
 def test_a_bound_below_the_least_there_is_names_that_least_without_a_search(monkeypatch: pytest.MonkeyPatch) -> None:
