@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -246,7 +247,7 @@ def test_what_suffices_is_not_read_off_a_point_that_breaks_the_equations(monkeyp
     dynamics, trajectory, limits = random_problem(6, 16)
     solve, at_nodes, says = infeasible.solve, [], []
 
-    def found(*arguments: Any, **options: Any) -> Any:
+    def found(solves: bool, *arguments: Any, **options: Any) -> Any:
         if len(arguments) == 4:  # with limits at the nodes alone
             at_nodes.append(solve(*arguments, **options))
             return at_nodes[0]
@@ -256,8 +257,8 @@ def test_what_suffices_is_not_read_off_a_point_that_breaks_the_equations(monkeyp
         doubled = {name: 2.0 * value if name.startswith("slack") else value for name, value in first.values.items()}
         return first if solves else replace(first, values=doubled, feasible=False)
 
-    monkeypatch.setattr(infeasible, "solve", found)
     for solves in (True, False):
+        monkeypatch.setattr(infeasible, "solve", partial(found, solves))
         at_nodes.clear()
         with pytest.raises(InfeasiblePlanError, match="What would suffice") as caught:
             planned(dynamics, trajectory, limits, 16)
