@@ -86,6 +86,7 @@ SETTINGS: list[tuple[str, Callable[[], object]]] = [
     ("return_time", lambda: rp.plan_switch_off(two(), CIRCLE, return_time="soon")),  # type: ignore[arg-type]
     ("datum", lambda: rp.plan_switch_off(two(), CIRCLE, datum=[0.0, 0.0, 0.0])),
     ("datum", lambda: rp.plan_switch_off(two(), CIRCLE, datum=[[0.0], [0.0, 1.0]])),  # type: ignore[arg-type]
+    ("datum.*finite", lambda: rp.plan_switch_off(two(), CIRCLE, datum=INF)),
     ("dt", lambda: rp.plan_switch_off(two(), CIRCLE, dt=0.0)),
     ("single instant", lambda: rp.plan_switch_off(two(), CIRCLE.sample(1e-2)[:1])),
     ("speed", lambda: rp.plan_whole_trajectory(two(), CIRCLE, objective="speed")),

@@ -290,3 +290,17 @@ def test_no_argument_of_a_plan_is_one_of_load_robot(name: str, shipped_plan: Pla
     replace(shipped_plan, robot=robot).save(tmp_path / "plan.npz")
     with pytest.raises(PlanFileError, match=f"no argument '{name}'"):
         load_robot_of(load_plan(tmp_path / "plan.npz"))
+
+
+def test_text_is_no_number(shipped_plan: Plan, tmp_path: Path) -> None:
+    """Nothing is converted: a file that says "1.0" was not written by this package."""
+    path = tmp_path / "plan.npz"
+    shipped_plan.save(path)
+    with np.load(path) as file:
+        arrays = dict(file)
+    content = json.loads(str(arrays.pop("metadata")))
+    gravity = content["record"]["robot"]["gravity"]
+    content["record"]["robot"]["gravity"] = {key: [str(each) for each in values] for key, values in gravity.items()}
+    np.savez(path, metadata=np.array(json.dumps(content)), **arrays)
+    with pytest.raises(PlanFileError, match="gravity"):
+        load_plan(path)

@@ -99,3 +99,11 @@ def test_arguments_that_came_since_count_unless_they_are_as_usual() -> None:
     other = replace(robot, parameters={**robot.parameters, "end_effector_carriers": True})
     assert not older.describes(other)
     assert "arguments" in record_difference(older, robot_record(other))
+
+
+def test_loads_tell_robots_without_arguments_apart() -> None:
+    robot = coupled()
+    assert not robot_record(robot).arguments
+    loaded = robot_record(robot.loaded(rp.JointForces("motor", friction=1.0)))
+    assert record_difference(robot_record(robot), loaded).startswith("its loads were ()")
+    assert not record_difference(loaded, loaded)

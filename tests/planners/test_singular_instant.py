@@ -47,7 +47,7 @@ def turned(values: Array) -> Array:
     return left @ (values[:, :, None] * np.eye(n)) @ right
 
 
-@pytest.mark.parametrize("length", [1.0, 1e-3, 1e3])
+@pytest.mark.parametrize("length", [1.0, 1e-3, 1e3, 1e-6, 1e6])
 @pytest.mark.parametrize("pace", [1.0, 1e-4, 1e4])
 def test_the_efforts_are_those_that_a_motion_has_on_both_sides(length: float, pace: float) -> None:
     """One of three directions is lost, whatever the units of length and time."""

@@ -192,6 +192,38 @@ def test_a_plan_does_not_depend_on_when_it_begins(name: str) -> None:
     require_same(planner(later), planner(Units(origin=-1.0)), later, SAMPLED)
 
 
+LENGTHS_3RRR = ("base_radius", "platform_radius", "proximal_length", "distal_length", "tail_length")
+MASSES_3RRR = ("proximal_mass", "distal_mass", "platform_mass", "carrier_mass")
+
+
+def turning(units: Units) -> Plan:
+    """Return a plan of the 3-RRR, whose platform turns: its third equation is one of moments."""
+    shipped, L, T = rp.load_robot("3rrr").parameters, units.length, units.time
+    numbers = {name: float(shipped[name]) * L for name in LENGTHS_3RRR}
+    numbers |= {name: float(shipped[name]) * units.mass for name in MASSES_3RRR}
+    corner, sizes = rp.trajectory.reference.corner(radius=0.025).sample(0.03, two_sided=False), np.array([L, L, 1.0])
+    motion = rp.PlatformMotion(T * corner.t, corner.x * sizes, corner.xd * sizes / T, corner.xdd * sizes / T**2)
+    return rp.plan_whole_trajectory(
+        rp.RneaDynamics(rp.load_robot("3rrr", **numbers)),
+        motion,
+        objective=rp.Objective("effort", calm=0.0),
+        mesh=rp.Mesh(dt=0.03 * T, refinements=0),
+        limits=Limits(
+            track=(-0.3 * L, 0.3 * L), speed=5.0 * L / T, acceleration=20.0 * L / T**2, carrier_force=np.inf,
+            effort=np.inf, actuator_speed=np.inf,
+        ),
+    )  # fmt: skip
+
+
+def test_a_plan_of_a_platform_that_turns_does_not_depend_on_units() -> None:
+    units = Units(length=2.0**10, mass=2.0**20, time=2.0**4)
+    plan, expected = turning(units), turning(SI)
+    assert (plan.status, plan.diagnostics["iterations"]) == (expected.status, expected.diagnostics["iterations"])
+    same(plan.carriers.s, units.length * expected.carriers.s, ROUNDED)
+    same(plan.tau, units.force * units.length * expected.tau, ROUNDED)
+    same(plan.carrier_force, units.force * expected.carrier_force, ROUNDED)
+
+
 SMALL, SLOW = Units(2.0**-20, 2.0**-30, 1.0), Units(2.0**-20, 2.0**-20, 2.0**20)
 """A machine of a micrometre and a nanogram, and a slow one."""
 

@@ -302,3 +302,25 @@ def test_turned_paths_take_the_same_time_under_a_limit_of_the_norm(angle):
 def test_a_line_between_equal_poses_has_no_least_time() -> None:
     with pytest.raises(InputError, match=r"stands still.*RestToRest"):
         fastest_law(PoseLine(np.eye(4), np.eye(4)), [1.0, 1.0], [1.0, 1.0])
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_law_uses_its_limits_but_for_the_reserve(seed: int) -> None:
+    """1e-4 of the speed, by 100,000 samples: the largest use between the nodes is found, not estimated from above."""
+    points = np.cumsum(np.random.default_rng(seed).uniform(-0.5, 1.0, (6, 2)), axis=0)
+    path, speed, acceleration = through_points(points), np.array([1.0, 0.7]), np.array([2.0, 3.0])
+    law = fastest_law(path, speed, acceleration)
+    at = law.evaluate(np.linspace(0.0, law.duration, 100_001))
+    point, pd, pdd = path.evaluate(at.p), at.pd[:, None], at.pdd[:, None]
+    xd, xdd = point.tangent * pd, point.curvature * pd**2 + point.tangent * pdd
+    use = max((np.abs(xd) / speed).max(), np.sqrt((np.abs(xdd) / acceleration).max()))
+    assert 1.0 - 1.5e-4 <= use <= 1.0
+
+
+@pytest.mark.parametrize("speed", [None, np.array([0.0, np.nan, 0.0])], ids=["none", "not finite"])
+def test_where_toppra_finds_no_law_the_limits_are_named(speed: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As under limits of two coordinates that are 1e8 apart; which ones is a matter of rounding."""
+    monkeypatch.setattr(TOPPRA, "compute_parameterization", lambda *_: (None, speed, None))
+    with pytest.raises(InputError, match="No timing law was found") as caught:
+        fastest_law(through_points([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]]), 1.0, 1e8)
+    assert "like limits" in caught.value.remedy

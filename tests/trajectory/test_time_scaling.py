@@ -129,14 +129,16 @@ def test_poses_turn_at_the_rates_they_say() -> None:
     np.testing.assert_allclose(there.xdd, (after.xd - before.xd) / (2.0 * H), atol=1e-5)
 
 
-def test_a_jump_of_the_acceleration_keeps_both_its_sides() -> None:
-    """From an arc to a line it jumps; twice the same time asks for both."""
+@pytest.mark.parametrize("share", np.linspace(0.3, 0.9, 25))
+def test_a_jump_of_the_acceleration_keeps_both_its_sides(share) -> None:
+    """From an arc to a line it jumps; twice the same time asks for both, also where rounding moves it."""
     path = ChainedPath([Line((0.1, 0.0), (0.0, 0.0)), circle_path((0.0, 0.1), 0.1, start_angle=-np.pi / 2, sweep=-2.0)])
     motion = as_motion(Trajectory(path, SpeedProfile(path.length, 0.3, 0.2)))
-    slowed = ScaledMotion(motion, SLOWER)
+    slower = scaled([(0.2, share, 0.3), (0.4, 0.93, 0.25)])
+    slowed = ScaledMotion(motion, slower)
     assert len(motion.breaks) == 1
     (own,), (at,) = motion.breaks.tolist(), slowed.breaks.tolist()
-    sigma, rate, bend = (float(part[0]) for part in SLOWER.at([at]))
+    sigma, rate, bend = (float(part[0]) for part in slower.at([at]))
     assert sigma == pytest.approx(own, abs=1e-12)
     assert rate < 0.95
     both, source = slowed.sample_at([at, at]), motion.sample_at(np.array([own, own]))

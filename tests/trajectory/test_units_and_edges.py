@@ -219,3 +219,9 @@ def slopes_of(p: np.ndarray, v: np.ndarray) -> np.ndarray:
             one, other = 2.0 * h[i] + h[i - 1], h[i] + 2.0 * h[i - 1]
             slopes[i] = (one + other) / (one / a + other / b)
     return 0.5 * slopes
+
+
+@pytest.mark.parametrize("lengths", [[0.0], [0.0, 1.0, 1.0], [0.0, 2.0, 1.0]])
+def test_no_law_leads_through_places_that_do_not_increase(lengths: list[float]) -> None:
+    with pytest.raises(InputError, match="Arc lengths must increase"):
+        law_through_speeds(lengths, np.ones(len(lengths)))

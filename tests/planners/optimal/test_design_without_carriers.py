@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.optimal import refine, transcription
-from redundancy_pin.planners.optimal.co_design import DesignTask, Search
+from redundancy_pin.planners.optimal.co_design import DesignTask, Search, compare_machines
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory
 
 ROOT = Path(__file__).parents[3]
@@ -297,6 +297,14 @@ def test_a_robot_that_cannot_carry_out_its_task(name: str, motion: Any, options:
     assert (name == "five_bar") == ("type II" in raised.value.message)
 
 
+def test_of_two_singularities_the_first_is_named() -> None:
+    """There and back in 2 s: the line of the base hinges is crossed on both ways."""
+    there_and_back = rp.trajectory.from_points([*ACROSS, ACROSS[0]], [0.0, 1.0, 2.0])
+    with pytest.raises(InfeasiblePlanError, match="type II") as raised:
+        rp.co_design([("five_bar", there_and_back, {})], {"proximal_length": (0.01, 10.0)})
+    assert 0.0 < raised.value.details["time"] < 1.0
+
+
 def test_robots_that_do_not_close_are_passed_over(crank_and_rod: rp.Robot) -> None:
     """A rod that is shorter than the crank cannot turn with it."""
     task = DesignTask(rp.CompiledDynamics(crank_and_rod), turn(), {"objective": "peak"})
@@ -325,3 +333,17 @@ def test_a_condition_of_the_file_bounds_the_search(
 def test_what_costs_nothing_cannot_be_designed(crank_and_rod: rp.Robot) -> None:
     with pytest.raises(InputError, match="costs nothing"):
         rp.co_design([(crank_and_rod, turn(), {"objective": "carrier_force"})], {"rod_length": (0.2, 0.6)})
+
+
+def test_a_machine_that_cannot_do_one_task_is_compared_in_the_others(crank_and_rod: rp.Robot) -> None:
+    """A counterweight holds the rod, which a weak motor needs in a slow turn, and hinders a fast one."""
+    balanced = rp.with_parameters(crank_and_rod, counterweight=1.2)
+    fast = DesignTask(balanced, turn(0.4), {"objective": "effort"})
+    slow = DesignTask(balanced, turn(3.0), {"objective": "effort", "limits": rp.Limits(effort=0.4)})
+    assert np.abs(torque(0.4, 1.2, np.linspace(0.0, 3.0, 401), 3.0)).max() < 0.4
+    records = compare_machines({"slow": slow, "fast": fast}, {"counterweight": (0.0, 2.0)}, iterations=1)
+    made = {(record["machine"], record["task"]): record for record in records}
+    assert len(made) == len(records) == 8
+    assert "effort" in made["for fast", "slow"]["reason"]
+    assert made["for fast", "slow"]["value"] is None
+    assert made["for fast", "fast"]["value"] < made["to begin with", "fast"]["value"]

@@ -11,6 +11,7 @@ import symbolic_plans
 import yaml
 
 import redundancy_pin as rp
+from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.planners.optimal.settings import End
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory
@@ -128,3 +129,12 @@ def test_bounds_of_objectives_are_saved_and_lead_to_the_same_plan(tmp_path: Path
     )
     np.testing.assert_array_equal(again.tau, plan.tau)
     assert np.abs(free.carriers.s).max() < 1e-9 < np.abs(plan.carriers.s).max()
+
+
+def test_steps_of_least_effort_need_a_motor_for_each_carrier(tmp_path: Path) -> None:
+    """Two sliders have one torque to choose: there are many steps of the least one."""
+    robot = machine(tmp_path, ("bar", REACH), ("bar", -REACH))
+    with pytest.raises(UnsupportedRobotError, match="1 main actuators and 2 carriers") as caught:
+        rp.plan_stepwise(robot, TURN, dt=0.05)
+    assert (caught.value.details["m"], caught.value.details["k"]) == (1, 2)
+    assert rp.plan_whole_trajectory(robot, TURN, mesh=COARSE).findings.optimal

@@ -231,3 +231,12 @@ def test_a_singularity_is_crossed_at_the_limit_of_the_efforts() -> None:
         (beside,) = plan.efforts_at(plan.t[i : i + 1] + side, RneaDynamics(dynamics.robot))
         np.testing.assert_allclose(plan.tau[i], beside, atol=5e-3)
     assert check_plan(plan, RneaDynamics(dynamics.robot)).passed
+
+
+def test_a_limit_of_one_motor_alone_is_a_limit() -> None:
+    """The others have none: it takes the whole of its torque, and the motion less time than under three limits."""
+    plan = plan_time_optimal(bare(), CORNER, limits=Limits(effort=(EFFORT, np.inf, np.inf)), mesh=Mesh(steps=40))
+    assert plan.status is ResultStatus.OK
+    assert 0.999 * EFFORT <= np.abs(plan.tau[:, 0]).max() <= 1.001 * EFFORT
+    assert np.abs(plan.tau[:, 1:]).max() > 2.0 * EFFORT
+    assert plan.t[-1] < 0.9 * bare_least(np.inf)

@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from redundancy_pin.planners.base_wrench import base_wrench
 from redundancy_pin.planners.carrier_model import carrier_model
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.shipped import models_root
-from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, reference
+from redundancy_pin.trajectory import Arc, ChainedPath, Line, SpeedProfile, Trajectory, reference
 
 MASSES = {"arm_length": 0.15, "end_effector_mass": 0.5, "cylinder_mass": 0.3}
 LINE = Line((0.1, 0.45), (0.4, 0.25))
@@ -100,3 +101,27 @@ def test_expressions_of_f_lead_to_the_plan_of_its_terms(name: str, objective: st
 def test_other_backends_than_generated_code_refuse_carriers_whose_f_is_no_sum_and_say_what_plans_them() -> None:
     with unknown_terms(), pytest.raises(UnsupportedRobotError, match=r"no sum over its carriers.*CompiledDynamics"):
         rp.plan_whole_trajectory(rp.RneaDynamics(robot()), MOTION, mesh=rp.Mesh(dt=0.05))
+
+
+@pytest.mark.parametrize("plan", [rp.plan_stepwise, rp.plan_switch_off])
+def test_planners_for_straight_tracks_refuse_curved_ones(plan: Any) -> None:
+    """Their f is one of s and s², and not of sines of s."""
+    circle = reference.circle(0.5, 0.2, 0.05)  # through a singular pose, beside which carriers are switched off
+    motion = MOTION if plan is rp.plan_stepwise else circle
+    with pytest.raises(UnsupportedRobotError, match="terms of carriers that slide, each on a link of its own"):
+        plan(rp.RneaDynamics(robot()), motion, dt=0.05)
+
+
+def test_a_jump_on_a_singular_instant_has_two_limits() -> None:
+    """Down to the line of the base hinges and on along an arc: each node has the efforts of its side."""
+    path = ChainedPath([Line((0.2, 0.3), (0.2, 0.0)), Arc((0.25, 0.0), 0.05, (-1.0, 0.0), (0.0, -1.0), 1.2)])
+    motion = Trajectory(path, SpeedProfile(path.length, 0.3, 0.2))
+    dynamics = rp.RneaDynamics(robot())
+    plan = rp.plan_whole_trajectory(
+        dynamics, motion, objective=rp.Objective(calm=0.0), mesh=rp.Mesh(dt=0.02), limits=rp.Limits(effort=np.inf)
+    )
+    before, after = plan.diagnostics["singular_nodes"]  # type: ignore[misc]
+    assert plan.t[before] == plan.t[after]
+    for node, side in ((before, -1.0), (after, 1.0)):
+        beside = plan.efforts_at(plan.t[[node]] + side * 1e-5, dynamics)[0]
+        np.testing.assert_allclose(plan.tau[node], beside, atol=1e-3 * np.abs(plan.tau).max())

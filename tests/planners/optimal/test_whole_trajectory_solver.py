@@ -10,7 +10,7 @@ import redundancy_pin.planners.optimal.nlp as solver
 import redundancy_pin.planners.optimal.solve as constraint_generation
 from redundancy_pin import CompiledDynamics, RneaDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.planners.optimal import infeasible, refine, whole_trajectory
-from redundancy_pin.planners.options import Limits, Mesh, Solver
+from redundancy_pin.planners.options import Limits, Mesh, Objective, Solver
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -77,6 +77,30 @@ def test_what_progress_raises_ends_the_planning(monkeypatch):
         plan_whole_trajectory(
             VirtualWork(zoo.robot_of("2rpr")), reference.circle(), mesh=Mesh(dt=0.05), solver=Solver(progress=interrupt)
         )
+
+
+def test_a_long_plan_needs_nobody_who_listens(monkeypatch):
+    monkeypatch.setattr(solver, "LONG", 10)
+    plan = plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(), mesh=Mesh(dt=0.05))
+    assert plan.findings.optimal
+
+
+def test_the_seconds_of_the_solver_are_those_of_its_solutions(monkeypatch):
+    solve_nlp, seconds = constraint_generation.solve_nlp, []
+
+    def noted(*arguments):
+        solution = solve_nlp(*arguments)
+        seconds.append(solution.seconds)
+        return solution
+
+    monkeypatch.setattr(constraint_generation, "solve_nlp", noted)
+    plan = plan_whole_trajectory(
+        VirtualWork(zoo.robot_of("2rpr")),
+        reference.circle(),
+        objective=Objective(calm=0.0),
+        mesh=Mesh(dt=0.1, refinements=0),
+    )
+    assert plan.diagnostics["solver_seconds"] == pytest.approx(sum(seconds), rel=1e-9)
 
 
 STRATEGIES = [solver.FIRST, solver.FALLBACK, solver.WARM]

@@ -80,3 +80,13 @@ def test_events_are_samples_and_jumps_are_two_sided():
     c = plan.carriers
     error = imbalance(legs, momentum_rate(legs, c.s, c.sd, c.sdd), plan.tau)
     assert np.abs(error).max() < 1e-9 * np.abs(plan.tau).max()
+
+
+def test_every_step_of_the_grid_is_a_sample():
+    """Events are further ones; only what differs from one by rounding is left out."""
+    dt, circle = 2e-4, reference.circle()
+    plan = plan_switch_off(two_rpr(), circle, dt=dt)
+    grid = np.append(dt * np.arange(np.ceil(circle.duration / dt - 1e-9)), circle.duration)
+    right = np.searchsorted(plan.t, grid).clip(1, len(plan.t) - 1)
+    apart = np.minimum(np.abs(plan.t[right] - grid), np.abs(plan.t[right - 1] - grid))
+    assert apart.max() <= 1e-9 * dt
