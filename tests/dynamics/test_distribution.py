@@ -140,15 +140,6 @@ def test_outer_product_with_the_force_along_it_and_across_it():
     assert d.residual == pytest.approx([0.0, 0.25], rel=1e-12, abs=ROUNDING * 30.0)
 
 
-def test_one_freedom_at_its_singular_pose():
-    # W is one number there, of the size of rounding, and largest and smallest singular value at once
-    d = distribute(reduced([[[1e-37]], [[1e-37]], [[1e-4]]], [[2.5], [0.0], [2.5]]))
-    assert d.status_labels.tolist() == ["singular_inconsistent", "singular_consistent", "near_singular"]
-    assert np.isnan(d.tau[0]).all()
-    assert d.residual[0] == pytest.approx(2.5, rel=1e-12)
-    assert d.tau[1:, 0] == pytest.approx([0.0, 2.5e4], rel=1e-12)
-
-
 @pytest.mark.parametrize(
     ("n", "m", "rank"), [(2, 2, 0), (3, 3, 2), (3, 3, 1), (6, 6, 4), (3, 4, 2), (2, 5, 1), (4, 3, 2)]
 )

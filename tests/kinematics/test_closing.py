@@ -171,6 +171,22 @@ def test_bad_guesses_end_closed_at_the_target_or_say_that_they_did_not(name: str
     assert assembled.closed.mean() > 0.975
 
 
+def test_newton_ends_where_full_steps_would_run_in_circles() -> None:
+    """From a nearly stretched leg a full Newton step throws the elbow over several turns; the line search does not."""
+    robot = zoo.robot_of("five_bar")
+    system = zoo.system_of(robot)
+    stretched = assemble(system, robot.q_reference[None], np.array([[0.25, np.sqrt(1 - 0.25**2) - 1e-7]])).q
+    target = np.array([[0.25, 0.3]])
+    assembled = assemble(system, stretched, target)
+    assert assembled.closed.all()
+    state = system.evaluate(stretched)
+    k = np.concatenate([state.Jc, state.Jx], axis=1)[0][:, system.pose_columns]
+    residual = np.concatenate([-state.phi, target - coordinates(robot, state)], axis=1)[0]
+    assert np.abs(np.linalg.solve(k, residual)).max() > 100 * np.pi  # the case is necessary
+    # the elbows stay within a turn of where they were
+    assert np.abs(assembled.q - stretched).max() < 2 * np.pi
+
+
 def test_gap_out_of_reach_compares_with_geometry() -> None:
     """Both legs of the five-bar are short of the target; the rows of closure and target share the shortage.
 

@@ -179,14 +179,6 @@ def test_all_assembly_modes_of_the_3rrr() -> None:
     assert counts == {0, 4, 6}
 
 
-def test_both_modes_of_a_four_bar_whose_crank_says_nothing_of_its_rocker() -> None:
-    robot = zoo.robot_of("four_bar")
-    modes = rp.assembly_modes(robot, [1.0])
-    assert len(modes) == 2
-    coupler = modes.q[:, zoo.index(robot, "coupler")]
-    assert sorted(np.sign(np.sin(coupler))) == [-1.0, 1.0]
-
-
 @pytest.mark.long
 def test_gough_modes_have_their_leg_lengths_and_come_in_mirror_images() -> None:
     robot = zoo.robot_of("gough")
