@@ -27,7 +27,13 @@ MOST_FREEDOMS = 120
 NOT_IN_FORCE = "Not in force, though the file says it:"
 """How the note begins that names forces which are left out."""
 
+
 UNLIMITED = {"lower": -np.inf, "upper": np.inf, "effort": np.inf, "velocity": np.inf}
+
+
+def not_understood(what: str) -> str:
+    """Return a note on an element or attribute that is passed over."""
+    return f"Passed over: {what}, which is not understood."
 
 
 @dataclass(frozen=True, eq=False)
