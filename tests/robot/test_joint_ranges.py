@@ -95,3 +95,9 @@ def test_a_motion_is_counted_from_one_turn_and_configurations_each_from_its_own(
     np.testing.assert_allclose(whole, [-1.0, 2.0 * np.pi - 2.0], atol=1e-14)
     found = beyond_limits(robot, q, np.array([0.0, 1.0]))
     assert [(one.joint, one.t, one.value) for one in found] == [("arm", 1.0, 2.0 * np.pi)]
+
+
+def test_a_motion_with_unknown_configurations_is_beyond_where_others_are(robot):
+    q = at(robot, slide=[0.0, 0.5, 0.0])
+    q[0] = np.nan
+    assert out_of_range(robot, q).tolist() == [False, True, False]
