@@ -32,6 +32,21 @@ the plane of a planar joint. A universal joint turns about the y axis of the fir
 which stay at right angles. A rod of constant length has a ball at both ends."""
 
 
+LOOP_KINDS = {
+    "revolute": "hinge",
+    "continuous": "hinge",
+    "hinge": "hinge",
+    "prismatic": "slider",
+    "cylindrical": "cylinder",
+    "spherical": "ball",
+    "ball": "ball",
+    "universal": "universal",
+    "planar": "planar",
+    "fixed": "weld",
+}
+"""Kinds by the names that files have for the types of joints."""
+
+
 @dataclass(frozen=True, eq=False)
 class LoopJoint:
     """A joint that closes a loop.

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 import redundancy_pin as rp
-from redundancy_pin.robot.joint_ranges import beyond_limits, joint_ranges, out_of_range, range_excess
+from redundancy_pin.robot.joint_ranges import beyond_limits, is_in_range, joint_ranges, out_of_range, range_excess
 
 ENDS = {"arm": (-1.0, 2.0), "slide": (-0.3, 0.4), "screw": (-5.0, 2.0), "free": (0.0, 0.0)}
 """rad and m; the screw's are a turn and 0.72 rad apart, so that its turns count; equal ones are none."""
@@ -54,7 +54,7 @@ def test_a_joint_is_beyond_its_limit_by_the_difference(robot, name, end, motion)
         assert excess.shape == (1, len(ENDS))
         assert excess[0, column(robot, name)] == pytest.approx(beyond, abs=2e-15)
         assert excess[0, column(robot, "free")] == -np.inf
-        assert out_of_range(robot, q, motion=motion).tolist() == [beyond > slack]
+        assert out_of_range(robot, q, motion=motion).tolist() == [beyond > slack] == [not is_in_range(robot, q[0])]
         found = beyond_limits(robot, q, np.array([0.25]))
         assert len(found) == (beyond > slack)
         for one in found:
@@ -73,6 +73,7 @@ def test_whole_turns_are_taken_off_where_a_range_is_within_one(robot, turns):
     q = at(robot, arm=values + wide)
     np.testing.assert_allclose(range_excess(robot, q, motion=False)[:, column(robot, "arm")], own, atol=1e-14)
     np.testing.assert_allclose(range_excess(robot, q)[:, column(robot, "arm")], own, atol=1e-14)
+    assert [is_in_range(robot, one) for one in q] == (own <= SLACK).tolist()
     (arm,) = (joint for joint in joint_ranges(robot) if joint.name == "arm")
     np.testing.assert_allclose(arm.counted(values + wide, False), values, atol=1e-14)
     np.testing.assert_allclose(arm.counted(values + wide, True), values, atol=1e-14)
@@ -94,3 +95,9 @@ def test_a_motion_is_counted_from_one_turn_and_configurations_each_from_its_own(
     np.testing.assert_allclose(whole, [-1.0, 2.0 * np.pi - 2.0], atol=1e-14)
     found = beyond_limits(robot, q, np.array([0.0, 1.0]))
     assert [(one.joint, one.t, one.value) for one in found] == [("arm", 1.0, 2.0 * np.pi)]
+
+
+def test_a_motion_with_unknown_configurations_is_beyond_where_others_are(robot):
+    q = at(robot, slide=[0.0, 0.5, 0.0])
+    q[0] = np.nan
+    assert out_of_range(robot, q).tolist() == [False, True, False]

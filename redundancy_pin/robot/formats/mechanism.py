@@ -30,6 +30,11 @@ NOT_IN_FORCE = "Not in force, though the file says it:"
 UNLIMITED = {"lower": -np.inf, "upper": np.inf, "effort": np.inf, "velocity": np.inf}
 
 
+def not_understood(what: str) -> str:
+    """Return a note on an element or attribute that is passed over."""
+    return f"Passed over: {what}, which is not understood."
+
+
 @dataclass(frozen=True, eq=False)
 class Mechanism:
     """What a file describes.

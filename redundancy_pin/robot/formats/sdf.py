@@ -34,7 +34,7 @@ from redundancy_pin.robot.formats.xml_files import ZEROS
 from redundancy_pin.robot.inertia import negative_inertia
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, has_joint
-from redundancy_pin.robot.loop_joints import LoopJoint, joint_between
+from redundancy_pin.robot.loop_joints import LOOP_KINDS, LoopJoint, joint_between
 from redundancy_pin.robot.rebuild import joint_along, rebuilt
 from redundancy_pin.robot.types import Coupling
 
@@ -64,16 +64,6 @@ _AXES = {
 
 _SOFT = ("cfm", "cfm_damping", "implicit_spring_damper", "max_force")
 """Elements of a joint's <physics><ode> that soften or drive it, and of its <suspension>."""
-
-_LOOP_KINDS = {
-    "revolute": "hinge",
-    "continuous": "hinge",
-    "prismatic": "slider",
-    "ball": "ball",
-    "fixed": "weld",
-    "universal": "universal",
-}
-"""Joints that close loops by rows of their own."""
 
 
 def read_sdf(path: Path, *, named: Sequence[str] = (), base: str = "fixed") -> Mechanism:
@@ -483,7 +473,7 @@ class _Reader:
         One whose position counts, or that is of no kind that closes loops, is added to the tree; its end, which weighs
         nothing, is welded to the child.
         """
-        kind, ends, axes = _LOOP_KINDS.get(joint.kind, ""), (joint.parent, joint.child), joint.axes
+        kind, ends, axes = LOOP_KINDS.get(joint.kind, ""), (joint.parent, joint.child), joint.axes
         is_skew = kind == "universal" and abs(axes[0] @ axes[1]) > _SAME_DIRECTION
         if not kind or is_skew or not counted.isdisjoint(step.name for step in joint.steps):
             index, place = self._add_joint(joint, joint.parent, turned_round=False)

@@ -17,9 +17,8 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import did_you_mean, shown
 from redundancy_pin.io.reading import is_file
-from redundancy_pin.robot.formats.mechanism import MOST_LINKS
+from redundancy_pin.robot.formats.mechanism import MOST_LINKS, not_understood
 from redundancy_pin.robot.formats.packages import is_within
-from redundancy_pin.robot.formats.urdf_loops import not_understood
 from redundancy_pin.robot.formats.xml_files import DRAKE, LONGEST_NAME, MOST_ELEMENTS, Part, parsed, short
 from redundancy_pin.robot.loop_joints import placed
 

@@ -27,8 +27,9 @@ from redundancy_pin.robot.formats.mechanism import (
     impossible_moments,
     in_a_row,
     mimic_coupling,
+    not_understood,
 )
-from redundancy_pin.robot.formats.urdf_loops import not_understood, read_loops
+from redundancy_pin.robot.formats.urdf_loops import read_loops
 from redundancy_pin.robot.formats.urdf_parts import FRICTION, UrdfPart
 from redundancy_pin.robot.formats.xml_files import DRAKE, FORMATS, ZEROS, parsed_text, remedy_of_format, short
 from redundancy_pin.robot.inertia import negative_inertia

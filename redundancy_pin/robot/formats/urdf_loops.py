@@ -27,26 +27,12 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import DeclarationError, did_you_mean, one_of
-from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
+from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, not_understood
 from redundancy_pin.robot.formats.urdf_parts import UrdfPart
 from redundancy_pin.robot.formats.xml_files import DRAKE, ZEROS
 from redundancy_pin.robot.lookup import find_link_index, joint_names, link_names
-from redundancy_pin.robot.loop_joints import LoopJoint, joint_between, placed
+from redundancy_pin.robot.loop_joints import LOOP_KINDS, LoopJoint, joint_between, placed
 from redundancy_pin.robot.types import Coupling
-
-_KINDS = {
-    "revolute": "hinge",
-    "continuous": "hinge",
-    "hinge": "hinge",
-    "prismatic": "slider",
-    "cylindrical": "cylinder",
-    "spherical": "ball",
-    "ball": "ball",
-    "universal": "universal",
-    "planar": "planar",
-    "fixed": "weld",
-}
-"""Kinds of joints that close loops, by their names in the files."""
 
 _ENDS = {
     "loop": ("predecessor", "successor"),
@@ -162,21 +148,12 @@ def _left_out(part: UrdfPart, known: tuple[str, ...]) -> list[str]:
     ]
 
 
-def not_understood(what: str) -> str:
-    """Return a note on an element or attribute that is passed over."""
-    return f"{PASSED_OVER} {what}, which is not understood."
-
-
-PASSED_OVER = "Passed over:"
-"""How the note begins that says so."""
-
-
 def _loop(part: UrdfPart, links: set[str]) -> LoopJoint:
     """Return a loop whose ends are two elements, each with its place in it or beside it."""
     name = part.name()
-    kind = _KINDS.get(part.text_of("type"), "")
+    kind = LOOP_KINDS.get(part.text_of("type"), "")
     if not kind:
-        remedy = one_of(part.text_of("type"), _KINDS, "There are")
+        remedy = one_of(part.text_of("type"), LOOP_KINDS, "There are")
         part.refuse(f"{part.owner} has the type {part.text_of('type')!r}", remedy)
     ends = [end for tag in _ENDS[part.tag] for end in part.parts(tag)]  # Isaac's manual has link1 twice
     ends = ends or [end for tag in ("parent", "child") for end in part.parts(tag)]
@@ -234,9 +211,9 @@ def _of_drake(part: UrdfPart, tag: str, links: set[str]) -> LoopJoint:
 
 def _of_gazebo(part: UrdfPart, model: pin.Model, links: set[str]) -> LoopJoint:
     """Return a loop of Gazebo: its frame is given in the child, and there in the parent at the zero configuration."""
-    name, kind = part.name(), _KINDS.get(part.text_of("type"), "")
+    name, kind = part.name(), LOOP_KINDS.get(part.text_of("type"), "")
     if not kind or kind == "universal":
-        part.refuse(f"{part.owner} has the type {part.text_of('type')!r}", f"There are: {', '.join(_KINDS)}.")
+        part.refuse(f"{part.owner} has the type {part.text_of('type')!r}", f"There are: {', '.join(LOOP_KINDS)}.")
     parent, child = (_link(part, part.required(role).content(), links) for role in ("parent", "child"))
     pose = part.one("pose")
     numbers = pose.numbers(pose.content(), 6, "a pose") if pose else np.zeros(6)
