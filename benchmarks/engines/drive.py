@@ -12,7 +12,7 @@ from engines.task import Task
 from redundancy_pin.arrays import Array, Side, checked
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.functions import DEGREE, PlanFunctions, apart
+from redundancy_pin.planners.functions import DEGREE, PlanFunctions, unique_times
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon import Command
 from redundancy_pin.planners.reference import MotionReference, plan_reference, reference_of
@@ -78,7 +78,7 @@ def commanded(task: Task, commands: Sequence[Command]) -> Task:
     def both(t: Array, side: Side = "right") -> Array:
         return np.hstack([efforts(t, side), forces(t, side)])
 
-    edges = apart(np.concatenate([efforts.edges, forces.edges]))
+    edges = unique_times(np.concatenate([efforts.edges, forces.edges]))
     return Task(task.robot, task.start, task.end, task.q, task.v, both, edges[1:-1])
 
 
