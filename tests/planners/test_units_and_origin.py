@@ -235,7 +235,7 @@ SMALL, SLOW = Units(2.0**-20, 2.0**-30, 1.0), Units(2.0**-20, 2.0**-20, 2.0**20)
     [
         pytest.param(units, name, id=f"{label}-{name}")
         for units, label, names in (
-            (SMALL, "small", ("stepwise", "effort", "peak")),
+            (SMALL, "small", ("stepwise", "effort", "peak", "least time")),
             (SLOW, "slow", ("effort", "peak")),
         )
         for name in names

@@ -8,7 +8,7 @@ and accelerations tell them apart.
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from redundancy_pin.planners.carrier_model import (
     OTHER_TERMS,
     CarrierModel,
     carrier_model,
+    terms,
     turns,
 )
 from redundancy_pin.planners.limits import ResolvedLimits
@@ -36,6 +37,7 @@ from redundancy_pin.planners.optimal.problem import (
     stacked_powers,
 )
 from redundancy_pin.planners.optimal.settings import Settings
+from redundancy_pin.robot.scales import turning_velocities
 
 _ZERO_COEFFICIENT = 1e-11
 """Coefficients below this fraction of the largest are none: they would be entries of the Jacobian."""
@@ -54,23 +56,31 @@ def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
         there = dynamics.along(PlatformMotion(motion.t + later, motion.x, motion.xd * speed, xdd, check_rates=False))
         return carrier_model(there, turning=turns(robot), check=bool(robot.k))
 
-    rest, ahead, back, push, other = at(0.0, 0.0), at(1.0, 0.0), at(-1.0, 0.0), at(0.0, 1.0), at(0.7, -1.3, 0.37)
-    names = [field.name for field in fields(CarrierModel)][2:]
+    # terms of different units are compared as forces, at positions and rates of the size of the robot
+    length = robot.characteristic_length
+    place = np.where(turning_velocities(robot)[robot.carrier_velocity], 1.0, length)
+    rest, ahead, back, push = at(0.0, 0.0), at(1.0, 0.0), at(-1.0, 0.0), at(0.0, 1.0 / length)
+    other = at(0.7, -1.3 / length, 0.37)
+    by_term = np.stack(terms(place, place / length, place / length**2, rest.f_terms.shape[-1], np), axis=-1)
     parts = {}
-    for name in names:
-        still, plus, minus, pushed, last = (np.asarray(getattr(one, name)) for one in (rest, ahead, back, push, other))
-        size = max(np.abs(getattr(one, name.replace("_terms", "0"))).max(initial=0.0) for one in (ahead, push, rest))
-        size = max(size, np.abs(plus).max(initial=0.0), 1e-300)
-        split = np.stack([still, 0.5 * (plus - minus), 0.5 * (plus + minus) - still, pushed - still], axis=-1)
-        over = tuple(range(split.ndim - (2 if name.endswith("_terms") else 1)))
-        split[..., np.abs(split).max(axis=over, initial=0.0) <= _ZERO_COEFFICIENT * size] = 0.0
-        deviation = float(np.abs(split @ np.array([1.0, 0.7, 0.49, -1.3]) - last).max(initial=0.0)) / size
-        if deviation > OTHER_TERMS:
-            raise UnsupportedRobotError(
-                f"f of {robot.name} is no sum of 1, ṗ, ṗ² and p̈ along the path alone: it deviates by {deviation:.2g}.",
-                remedy="Leave dry friction and loads that depend on time out, or plan at a given speed.",
+    for load in ("f", "force"):
+        size = 1e-300
+        for name, unit in ((f"{load}0", np.ones(1)), (f"{load}_terms", np.abs(by_term))):
+            still, plus, minus, pushed, last = (
+                np.asarray(getattr(one, name)) * unit for one in (rest, ahead, back, push, other)
             )
-        parts[name] = split
+            split = np.stack([still, 0.5 * (plus - minus), 0.5 * (plus + minus) - still, pushed - still], axis=-1)
+            size = max(size, float(np.abs(split).max(initial=0.0)))
+            over = tuple(range(split.ndim - (2 if name.endswith("_terms") else 1)))
+            split[..., np.abs(split).max(axis=over, initial=0.0) <= _ZERO_COEFFICIENT * size] = 0.0
+            deviation = float(np.abs(split @ np.array([1.0, 0.7, 0.49, -1.3]) - last).max(initial=0.0)) / size
+            parts[name] = split / unit[..., None] * np.array([1.0, 1.0, 1.0, length])
+            if deviation > OTHER_TERMS:
+                message = f"f of {robot.name} is no sum of 1, ṗ, ṗ² and p̈ along the path alone: "
+                raise UnsupportedRobotError(
+                    f"{message}it deviates by {deviation:.2g}.",
+                    remedy="Leave dry friction and loads that depend on time out, or plan at a given speed.",
+                )
     return replace(rest, **parts)
 
 

@@ -27,7 +27,7 @@ from redundancy_pin.planners.options import (
 from redundancy_pin.robot import Robot
 
 Begin = Literal["datum", "rest", "free"]
-"""How the carriers begin: where they are told to; at rest anywhere; or anyhow."""
+"""How the carriers begin: at given positions and speeds; at rest at any position; or in any state."""
 
 End = Literal["free", "rest", "datum", "periodic"]
 """How the carriers end: anyhow; at rest; at rest where they park; or as they began (s, ṡ and s̈)."""

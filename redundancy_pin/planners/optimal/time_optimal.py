@@ -39,6 +39,10 @@ from redundancy_pin.trajectory.trajectory import Trajectory
 NEIGHBOURS = 2
 """Steps on both sides of one whose efforts exceed their limits inside it that get a middle node as well."""
 
+CLOSED = 1e-9
+"""Distance of the ends of a path, relative to its length, and difference of their directions, up to which it is closed:
+rounding of a path that is put together of arcs and lines."""
+
 LONGEST_STEP = 0.05
 """Of the whole time, that a step may last when others are refined: where the platform nearly stands still."""
 
@@ -272,10 +276,10 @@ def law_of(problem: Problem, solution: Solution) -> PiecewisePolynomial:
 
 def _require_closed(unit: Motion) -> None:
     ends = unit.sample_at(np.array([unit.start, unit.end]))
-    apart = float(np.abs(np.diff(ends.x, axis=0)).max() + np.abs(np.diff(ends.xd, axis=0)).max())
-    if apart > 1e-9:
+    gap, turn = (float(np.abs(np.diff(part, axis=0)).max()) for part in (ends.x, ends.xd))
+    if gap > CLOSED * unit.end or turn > CLOSED:
         raise InputError(
-            f"The path ends {apart:.3g} from where it begins, or in another direction.",
+            f"The path ends {gap:.3g} from where it begins, and its direction differs by {turn:.3g}.",
             remedy="A lap needs a closed path, such as a circle or a square.",
             name="lap",
         )
