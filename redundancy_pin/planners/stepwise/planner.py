@@ -24,7 +24,17 @@ from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import Findings, PlannedMotion
 from redundancy_pin.planners.limits import ResolvedLimits
-from redundancy_pin.planners.options import Limits, Objective, group_of, require_motion
+from redundancy_pin.planners.options import (
+    LARGEST_STEP,
+    NO_NODES,
+    Limits,
+    Mesh,
+    Objective,
+    group_of,
+    refuse_fields,
+    require_motion,
+    takes_groups,
+)
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.course import (
     PHASES,
@@ -57,6 +67,7 @@ class SampledOnDemand(Protocol):
         """Return samples ``dt`` seconds apart, with both sides of each jump of the acceleration."""
 
 
+@takes_groups
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_stepwise(
     dynamics: DynamicsLike,
@@ -64,7 +75,7 @@ def plan_stepwise(
     *,
     objective: str | Mapping[str, float] | Objective = "effort",
     limits: Limits | None = None,
-    dt: float = 5e-3,
+    mesh: Mesh | None = None,
     active: Active = "always",
     start: ArrayLike = 0.0,
     datum: ArrayLike = 0.0,
@@ -107,7 +118,8 @@ def plan_stepwise(
             backend of it; or its efforts τ̂ (N, m), N or N·m.
         limits: in place of the robot's own. Those of efforts, carrier forces and actuators' rates are judged; there is
             none of the jerk, as accelerations jump from step to step.
-        dt: the time step of a trajectory, s. Jumps of its acceleration are sampled from both sides.
+        mesh: ``dt``, the time step of a trajectory, s, ``LARGEST_STEP`` when left out. Jumps of its acceleration are
+            sampled from both sides.
         active: "always", or "accelerating": while the reference acceleration is not zero.
         start: scalar or (k,) positions at the start, at rest, m.
         datum: scalar or (k,) positions to return to, m.
@@ -130,13 +142,15 @@ def plan_stepwise(
             amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
     """
-    dynamics = as_dynamics(dynamics)
+    dynamics, mesh = as_dynamics(dynamics), group_of(mesh, Mesh)
     require_motion(motion, "sample")
+    own_steps = {"dt": "the motion has steps of its own"} if isinstance(motion, PlatformMotion) else {}
+    refuse_fields(mesh, {**NO_NODES, **own_steps})
     robot = dynamics.robot
     require_carriers(robot)
     trajectory = motion
     if not isinstance(motion, PlatformMotion):
-        motion = motion.sample(dt=dt)
+        motion = motion.sample(dt=LARGEST_STEP if mesh.dt is None else mesh.dt)
     if len(motion) < _FEWEST_SAMPLES:
         raise InputError(
             f"The motion has {len(motion)} samples, too few to plan step by step.",
