@@ -237,7 +237,8 @@ class Solver:
 GROUPS: Mapping[str, type] = {"objective": Objective, "limits": Limits, "mesh": Mesh, "solver": Solver}
 """Groups of options, by the keyword of a planner that takes one."""
 
-Parameters, Planned = ParamSpec("Parameters"), TypeVar("Planned")
+Parameters = ParamSpec("Parameters")
+Planned = TypeVar("Planned")
 
 
 def takes_groups(planner: Callable[Parameters, Planned]) -> Callable[Parameters, Planned]:
