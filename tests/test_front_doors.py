@@ -27,7 +27,7 @@ def robot() -> Robot:
 
 @pytest.fixture(scope="module")
 def plan(robot: Robot) -> Plan:
-    return rp.plan_switch_off(rp.VirtualWork(robot), CIRCLE, threshold=20.0, dt=0.05)
+    return rp.plan_switch_off(rp.VirtualWork(robot), CIRCLE, threshold=20.0, mesh=rp.Mesh(dt=0.05))
 
 
 def compiled(robot: Any) -> Any:

@@ -70,7 +70,7 @@ def made() -> Callable[[str], tuple[Robot, Plan, Any]]:
     def make(kind: str) -> tuple[Robot, Plan, Any]:
         if kind not in known:
             robot = changed(kind)
-            plan = rp.plan_stepwise(rp.RneaDynamics(robot), CORNER, dt=0.2)
+            plan = rp.plan_stepwise(rp.RneaDynamics(robot), CORNER, mesh=rp.Mesh(dt=0.2))
             known[kind] = robot, plan, rp.simulate(robot, plan, duration=0.02, stop_at=())
         return known[kind]
 
@@ -178,7 +178,7 @@ def test_a_plan_outside_its_robots_folder(
 def test_a_robot_that_moved(own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     shutil.copytree(own.parent, tmp_path / "here")
-    plan = rp.plan_stepwise(rp.RneaDynamics(rp.load_robot("here")), CORNER, dt=0.2)
+    plan = rp.plan_stepwise(rp.RneaDynamics(rp.load_robot("here")), CORNER, mesh=rp.Mesh(dt=0.2))
     plan.save("plan.npz")
     (tmp_path / "here").rename(tmp_path / "there")
     for command in COMMANDS:

@@ -20,12 +20,13 @@ from redundancy_pin.errors import InputError, RedundancyPinError, shown
 from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.optimal import OBJECTIVES, plan_time_optimal
-from redundancy_pin.planners.options import CALM, FEWEST_STEPS, LARGEST_STEP
+from redundancy_pin.planners.options import CALM, FEWEST_STEPS, GROUPS, LARGEST_STEP
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon import RecedingHorizon
+from redundancy_pin.planners.switch_off.planner import SPACING, plan_switch_off
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.shipped import source_in
-from redundancy_pin.studies.case import BACKENDS, GROUPS, in_groups
+from redundancy_pin.studies.case import BACKENDS, in_groups
 from redundancy_pin.studies.case import PLANNERS as AT_A_SPEED
 from redundancy_pin.trajectory import Trajectory
 from redundancy_pin.trajectory.trajectory import Ends
@@ -297,7 +298,7 @@ def _default(make: Callable[..., Any], name: str) -> object:
     default = next(
         one.default for group in GROUPS.keys() & own.keys() for one in fields(GROUPS[group]) if one.name == name
     )
-    return _LEFT_OUT.get(name, default)
+    return SPACING if make is plan_switch_off and name == "dt" else _LEFT_OUT.get(name, default)
 
 
 @dataclass(frozen=True, eq=False)

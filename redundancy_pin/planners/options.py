@@ -6,9 +6,11 @@ A planner takes the groups that say something to it. Of a group it takes every f
 
 from __future__ import annotations
 
+import functools
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,13 +28,14 @@ from redundancy_pin.arrays import (
     whole,
 )
 from redundancy_pin.dynamics.default import DynamicsLike
-from redundancy_pin.errors import InputError, shown
+from redundancy_pin.errors import InputError, did_you_mean, shown
 from redundancy_pin.planners.base_wrench import point_of
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.robot import Robot
 
 CALM = 0.01
-"""Fraction of the least cost that a plan may cost more to have fewer reversals, unless the user asks for another."""
+"""Fraction of the least cost at the nodes that a plan may cost more there to have fewer reversals, unless the user asks
+for another."""
 
 LARGEST_STEP = 0.005
 """Largest step between the nodes of a plan over a given time, s, unless the user asks for another."""
@@ -136,8 +139,8 @@ class Objective(ByValue):
         baseline: the robot whose efforts are τ̂, or its name or path; or a backend of it. For the stepwise planner also
             efforts (N, m), N or N·m, at the samples of the motion.
         base_point: (3,) point about which the moment on the base is taken, m; the world origin when left out.
-        calm: fraction of the least cost that may be spent on fewer reversals of the efforts; 0 for none, ``CALM`` when
-            left out.
+        calm: fraction of the least cost, at the nodes, that may be spent on fewer reversals of the efforts; 0 for none,
+            ``CALM`` when left out.
     """
 
     weights: str | Mapping[str, float] | None = None
@@ -179,10 +182,10 @@ class Objective(ByValue):
 
 @dataclass(frozen=True)
 class Mesh:
-    """The nodes of a plan.
+    """The nodes of a plan, or its samples.
 
     Attributes:
-        dt: largest step between nodes in time, s; ``LARGEST_STEP`` when left out.
+        dt: largest step between nodes in time, s; when left out ``LARGEST_STEP``, or what the planner says.
         refinements: how often the mesh may be refined where efforts between the nodes exceed those at the nodes.
         steps: least number of steps along a path whose timing is planned; ``FEWEST_STEPS`` when left out.
     """
@@ -230,6 +233,39 @@ class Solver:
         assign(self, seconds=positive(self.seconds, "seconds", "s"))
 
 
+GROUPS: Mapping[str, type] = {"objective": Objective, "limits": Limits, "mesh": Mesh, "solver": Solver}
+"""Groups of options, by the keyword of a planner that takes one."""
+
+Parameters = ParamSpec("Parameters")
+Planned = TypeVar("Planned")
+
+
+def takes_groups(planner: Callable[Parameters, Planned]) -> Callable[Parameters, Planned]:
+    """Return a planner that says of a field of a group, given as a keyword of its own, in which group it belongs.
+
+    Raises:
+        InputError: a keyword that the planner does not take.
+    """
+    taken = inspect.signature(planner).parameters
+
+    @functools.wraps(planner)
+    def call(*args: Parameters.args, **keywords: Parameters.kwargs) -> Planned:
+        for name in keywords.keys() - taken.keys():
+            raise InputError(f"{planner.__name__} has no keyword {shown(name)}.", remedy=_where(name, taken), name=name)
+        return planner(*args, **keywords)
+
+    return call
+
+
+def _where(name: str, taken: Mapping[str, object]) -> str:
+    for group in GROUPS.keys() & taken.keys():
+        kind = GROUPS[group]
+        if name in (field.name for field in fields(kind)):
+            return f"Pass {group}={kind.__name__}({name}=...)."
+    known = [key for key in taken if key not in ("dynamics", "motion", "path")]
+    return f"{did_you_mean(name, known)}Keywords are {', '.join(known)}."
+
+
 Group = TypeVar("Group", bound=Any)
 
 
@@ -256,6 +292,10 @@ def refuse_fields(group: object, reasons: Mapping[str, str]) -> None:
         value = getattr(group, name)
         if value is not defaults[name] and not (np.isscalar(value) and value == defaults[name]):
             raise InputError(f"{name} does not apply: {reason}.", remedy="Leave it out.", name=name)
+
+
+NO_NODES = dict.fromkeys(("refinements", "steps"), "the plan has samples a step apart, and nothing is refined")
+"""Fields of ``Mesh`` that planners without an optimisation over nodes do not take."""
 
 
 def return_duration(value: float | Literal["shortest"], name: str) -> float | Literal["shortest"]:

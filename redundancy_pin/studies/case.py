@@ -21,7 +21,7 @@ from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import PlannedMotion
 from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
-from redundancy_pin.planners.options import Limits, Mesh, Objective, Solver
+from redundancy_pin.planners.options import GROUPS, Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
@@ -63,9 +63,6 @@ PLANNERS: Mapping[str, Callable[..., Plan]] = {
     WHOLE: plan_whole_trajectory,
 }
 """Planners by the name the command line uses."""
-
-GROUPS: Mapping[str, type] = {"objective": Objective, "limits": Limits, "mesh": Mesh, "solver": Solver}
-"""Groups of options, by the keyword of a planner that takes one."""
 
 
 def options_of(planner: Callable[..., Any]) -> tuple[str, ...]:

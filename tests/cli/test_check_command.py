@@ -20,8 +20,8 @@ def plans() -> dict[int, Plan]:
     """Plans by the exit code of ``plan``."""
     dynamics, corner = rp.VirtualWork(rp.load_robot("3rrr")), reference.corner()
     return {
-        0: rp.plan_stepwise(dynamics, corner, dt=0.02),
-        3: rp.plan_switch_off(rp.VirtualWork(rp.load_robot("2rpr")), reference.circle(), dt=0.01),
+        0: rp.plan_stepwise(dynamics, corner, mesh=rp.Mesh(dt=0.02)),
+        3: rp.plan_switch_off(rp.VirtualWork(rp.load_robot("2rpr")), reference.circle(), mesh=rp.Mesh(dt=0.01)),
         4: rp.plan_stepwise(dynamics, corner.sample(dt=0.02, two_sided=False)),
     }
 

@@ -17,7 +17,7 @@ from redundancy_pin.planners.plan import Plan
 @pytest.fixture(scope="module")
 def made() -> Plan:
     dynamics = rp.VirtualWork(rp.load_robot("2rpr"))
-    return rp.plan_switch_off(dynamics, rp.trajectory.reference.circle(), threshold=20.0, dt=0.05)
+    return rp.plan_switch_off(dynamics, rp.trajectory.reference.circle(), threshold=20.0, mesh=rp.Mesh(dt=0.05))
 
 
 @pytest.fixture

@@ -36,7 +36,7 @@ def test_switch_off_is_that_of_the_python_api(tmp_path: Path) -> None:
         threshold=7.0,
         return_time=0.5,
         ramp_down=0.02,
-        dt=0.02,
+        mesh=rp.Mesh(dt=0.02),
         datum=[0.01, -0.01],
     )
     plan = rp.load_plan(out)
@@ -59,7 +59,9 @@ def test_a_plan_within_limits_is_silent_on_stderr(tmp_path: Path) -> None:
     out = tmp_path / "plan.npz"
     result = call(*LINE, "--out", out)
     assert (result.exit_code, result.stderr) == (0, "")
-    expected = plan_switch_off(rp.RneaDynamics(rp.load_robot("2rpr")), reference.line(), threshold=4.0, dt=0.01)
+    expected = plan_switch_off(
+        rp.RneaDynamics(rp.load_robot("2rpr")), reference.line(), threshold=4.0, mesh=rp.Mesh(dt=0.01)
+    )
     assert expected.status is ResultStatus.OK
     same(rp.load_plan(out), expected)
 
@@ -193,7 +195,7 @@ def test_a_plan_through_a_singularity_has_no_margin_left() -> None:
 
 
 def test_efforts_without_bound_between_the_samples_are_one_warning(capsys: pytest.CaptureFixture[str]) -> None:
-    plan = plan_stepwise(rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(), dt=0.02)
+    plan = plan_stepwise(rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(), mesh=rp.Mesh(dt=0.02))
     between = replace(plan.between, peak=np.array([1.0, np.inf, 2.0]), time=np.array([0.1, 0.2, 0.3]), ratio=np.inf)
     warn(replace(plan, status=ResultStatus.UNBOUNDED, between=between))
     assert capsys.readouterr().err == (
@@ -202,7 +204,7 @@ def test_efforts_without_bound_between_the_samples_are_one_warning(capsys: pytes
 
 
 def test_no_optimum_is_warned_of_whatever_the_status(capsys: pytest.CaptureFixture[str]) -> None:
-    plan = plan_stepwise(rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(), dt=0.02)
+    plan = plan_stepwise(rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(), mesh=rp.Mesh(dt=0.02))
     findings = replace(plan.findings, optimal=False, solver="Time_Exceeded")
     for status in (ResultStatus.NOT_CONVERGED, ResultStatus.UNRESOLVED, ResultStatus.UNBOUNDED):
         warn(replace(plan, status=status, findings=findings))

@@ -16,9 +16,10 @@ from plan_cases import PROBLEM, same, write_problem
 import redundancy_pin as rp
 from redundancy_pin.cli.plan_problem import STEPWISE, SWITCH_OFF, TIME_OPTIMAL, WHOLE_TRAJECTORY
 from redundancy_pin.planners.optimal import plan_time_optimal, plan_whole_trajectory
+from redundancy_pin.planners.options import GROUPS
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
-from redundancy_pin.studies.case import GROUPS, TRAJECTORIES
+from redundancy_pin.studies.case import TRAJECTORIES
 from redundancy_pin.trajectory import reference
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "problem.yaml"

@@ -63,7 +63,7 @@ def test_plans_and_singularities_are_those_of_from_points(flags: tuple[str, ...]
         "plan.npz",
     )  # fmt: skip
     assert result.exit_code in (0, 3), result.stderr
-    plan = rp.plan_switch_off("2rpr", motion, threshold=20.0, dt=0.05)
+    plan = rp.plan_switch_off("2rpr", motion, threshold=20.0, mesh=rp.Mesh(dt=0.05))
     np.testing.assert_array_equal(rp.load_plan("plan.npz").tau, plan.tau)
 
 

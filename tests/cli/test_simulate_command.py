@@ -126,7 +126,7 @@ def test_what_stops_it_is_said_by_code_3_and_in_one_line(plan_file: Path, tmp_pa
 
 def test_what_cannot_go_on_ends_with_code_4_and_is_kept(tmp_path: Path) -> None:
     robot, circle = rp.load_robot("2rpr"), reference.circle(speed=0.5)
-    plan = rp.plan_switch_off(rp.RneaDynamics(robot), circle, threshold=5.0, dt=0.005)
+    plan = rp.plan_switch_off(rp.RneaDynamics(robot), circle, threshold=5.0, mesh=rp.Mesh(dt=0.005))
     plan.save(tmp_path / "plan.npz")
     result = call("simulate", "--plan", tmp_path / "plan.npz", "--carriers", "motion", "--stop-at", "never", "--out",
                   tmp_path / "run.npz")  # fmt: skip

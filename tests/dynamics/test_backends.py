@@ -288,7 +288,9 @@ def test_limits_that_are_none_are_none(ends: tuple[float, float]) -> None:
 
 def test_plans_that_leave_a_range_violate_limits_and_say_it_of_samples(robot: rp.Robot) -> None:
     both = zoo.robot_of("2rpr"), robot
-    plans = [rp.plan_switch_off(rp.VirtualWork(one), reference.line(), threshold=4.0, dt=0.05) for one in both]
+    plans = [
+        rp.plan_switch_off(rp.VirtualWork(one), reference.line(), threshold=4.0, mesh=rp.Mesh(dt=0.05)) for one in both
+    ]
     unlimited, marked = plans
     assert (unlimited.status, marked.status) == (ResultStatus.OK, ResultStatus.LIMIT_VIOLATED)
     left = [event for event in marked.limits.violated if event.quantity == "range"]
@@ -323,15 +325,15 @@ MODELS = Path(rp.__file__).parents[1] / "models"
 
 @functools.cache
 def plan() -> Plan:
-    return rp.plan_switch_off(rp.VirtualWork(zoo.robot_of("2rpr")), CIRCLE, threshold=20.0, dt=0.05)
+    return rp.plan_switch_off(rp.VirtualWork(zoo.robot_of("2rpr")), CIRCLE, threshold=20.0, mesh=rp.Mesh(dt=0.05))
 
 
 TAKERS: dict[str, Callable[[Any], Any]] = {
     "inverse_dynamics": lambda dynamics: rp.inverse_dynamics(dynamics, MOTION).efforts.tau,
-    "plan_switch_off": lambda dynamics: rp.plan_switch_off(dynamics, CIRCLE, threshold=20.0, dt=0.05).tau,
-    "plan_stepwise": lambda dynamics: rp.plan_stepwise(dynamics, AWAY, dt=0.05).tau,
+    "plan_switch_off": lambda dynamics: rp.plan_switch_off(dynamics, CIRCLE, threshold=20.0, mesh=rp.Mesh(dt=0.05)).tau,
+    "plan_stepwise": lambda dynamics: rp.plan_stepwise(dynamics, AWAY, mesh=rp.Mesh(dt=0.05)).tau,
     "plan_stepwise, baseline": lambda dynamics: (
-        rp.plan_stepwise("2rpr", AWAY, dt=0.05, objective=rp.Objective(lam=0.5, baseline=dynamics)).tau
+        rp.plan_stepwise("2rpr", AWAY, mesh=rp.Mesh(dt=0.05), objective=rp.Objective(lam=0.5, baseline=dynamics)).tau
     ),
     "plan_whole_trajectory, baseline": lambda dynamics: (
         rp.plan_whole_trajectory(

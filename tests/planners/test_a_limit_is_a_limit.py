@@ -125,7 +125,7 @@ def drawn(planner: str, seed: int) -> tuple[Plan, Robot, dict[str, Any]]:
             given[name] = float(largest * rng.uniform(0.5, 1.1))
 
     if planner == "switch off":
-        options: dict[str, Any] = {"threshold": float(rng.uniform(4.0, 12.0)), "dt": 5e-3}
+        options: dict[str, Any] = {"threshold": float(rng.uniform(4.0, 12.0)), "mesh": rp.Mesh(dt=5e-3)}
         free = rp.plan_switch_off(dynamics, motion, **options)
         force = float(np.abs(free.carrier_force).max() * rng.uniform(0.9, 1.1))
         robot = replace(robot, carrier_limits=tuple(replace(limit, force=force) for limit in robot.carrier_limits))
@@ -138,7 +138,11 @@ def drawn(planner: str, seed: int) -> tuple[Plan, Robot, dict[str, Any]]:
     limit("speed", float(np.abs(carriers.sd).max()))
     limit("acceleration", float(np.abs(carriers.sdd).max()))
     if planner == "stepwise":
-        return rp.plan_stepwise(dynamics, motion, dt=1e-2, **in_groups(rp.plan_stepwise, given)), robot, given
+        return (
+            rp.plan_stepwise(dynamics, motion, mesh=rp.Mesh(dt=1e-2), **in_groups(rp.plan_stepwise, given)),
+            robot,
+            given,
+        )
     limit("carrier_force", float(np.abs(free.carrier_force).max()), 0.3)
     limit("jerk", 1e2, 0.2)
     if planner == "on line":
@@ -213,7 +217,7 @@ def along_the_corner() -> Array:
 def test_a_joint_that_leaves_its_range_between_two_samples_breaks_a_limit(backend: Any) -> None:
     """The end of the range of a passive joint is between its farthest sample and the farthest there is."""
     whole, corner = zoo.robot_of("3rrr", working_mode=(1, 1, 1)), reference.corner()
-    samples = np.unique(rp.plan_stepwise(backend(whole), corner, dt=0.05, stop="within").t)
+    samples = np.unique(rp.plan_stepwise(backend(whole), corner, mesh=rp.Mesh(dt=0.05), stop="within").t)
     dense, few = along_the_corner(), inverse_kinematics(whole, corner.sample_at(samples)).q
     at = int(np.argmax(dense.max(axis=0) - few.max(axis=0)))
     top, shown = float(dense[:, at].max()), float(few[:, at].max())
@@ -224,7 +228,7 @@ def test_a_joint_that_leaves_its_range_between_two_samples_breaks_a_limit(backen
     for end, status in ((0.5 * (top + shown), ResultStatus.LIMIT_VIOLATED), (top + 1e-6, ResultStatus.OK)):
         model = whole.model.copy()
         model.lowerPositionLimit[at], model.upperPositionLimit[at] = end - 2.0, end
-        plan = rp.plan_stepwise(backend(replace(whole, model=model)), corner, dt=0.05, stop="within")
+        plan = rp.plan_stepwise(backend(replace(whole, model=model)), corner, mesh=rp.Mesh(dt=0.05), stop="within")
         events = [event for event in plan.limits.violated if event.quantity == "range"]
         assert [event.joint for event in events] == ([name] if status is ResultStatus.LIMIT_VIOLATED else [])
         for event in events:

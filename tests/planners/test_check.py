@@ -31,14 +31,22 @@ def whole() -> Plan:
 
 
 PLANS: dict[str, Callable[[], Plan]] = {
-    "stepwise": lambda: rp.plan_stepwise(rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(), dt=0.01),
+    "stepwise": lambda: rp.plan_stepwise(
+        rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(), mesh=rp.Mesh(dt=0.01)
+    ),
     "single samples": lambda: rp.plan_stepwise(
         rp.RneaDynamics(rp.load_robot("3rrr")), reference.corner().sample(dt=0.01, two_sided=False)
     ),
     "returns": lambda: rp.plan_stepwise(
-        rp.VirtualWork(rp.load_robot("3rrr")), reference.square(), dt=0.02, active="accelerating", return_time=0.6
+        rp.VirtualWork(rp.load_robot("3rrr")),
+        reference.square(),
+        mesh=rp.Mesh(dt=0.02),
+        active="accelerating",
+        return_time=0.6,
     ),
-    "switch off": lambda: rp.plan_switch_off(rp.VirtualWork(rp.load_robot("2rpr")), reference.circle(), dt=0.01),
+    "switch off": lambda: rp.plan_switch_off(
+        rp.VirtualWork(rp.load_robot("2rpr")), reference.circle(), mesh=rp.Mesh(dt=0.01)
+    ),
     "through singularities": lambda: rp.plan_whole_trajectory(
         rp.RneaDynamics(rp.load_robot("2rpr")),
         reference.circle(),
@@ -134,9 +142,11 @@ def test_a_file_that_was_edited_is_refused(factor: float, whole: Plan, tmp_path:
 
 
 PLANNERS = {
-    "stepwise": lambda dynamics, motion: rp.plan_stepwise(dynamics, motion, dt=0.02),
-    "switch off": lambda dynamics, motion: rp.plan_switch_off(dynamics, motion, dt=0.02),
-    "shortest return": lambda dynamics, motion: rp.plan_switch_off(dynamics, motion, dt=0.01, return_time="shortest"),
+    "stepwise": lambda dynamics, motion: rp.plan_stepwise(dynamics, motion, mesh=rp.Mesh(dt=0.02)),
+    "switch off": lambda dynamics, motion: rp.plan_switch_off(dynamics, motion, mesh=rp.Mesh(dt=0.02)),
+    "shortest return": lambda dynamics, motion: rp.plan_switch_off(
+        dynamics, motion, mesh=rp.Mesh(dt=0.01), return_time="shortest"
+    ),
     "whole": lambda dynamics, motion: rp.plan_whole_trajectory(dynamics, motion, mesh=rp.Mesh(dt=0.05)),
     "peak": lambda dynamics, motion: rp.plan_whole_trajectory(
         dynamics, motion, mesh=rp.Mesh(dt=0.1, refinements=0), objective="peak", end="free"
@@ -159,7 +169,7 @@ def test_planners_work_where_numpy_raises_its_errors(name: str) -> None:
 
 def test_limits_wider_than_the_robots_are_noted() -> None:
     robot = zoo.robot_of("3rrr")
-    plan = rp.plan_stepwise(rp.VirtualWork(robot), reference.corner(), dt=0.02)
+    plan = rp.plan_stepwise(rp.VirtualWork(robot), reference.corner(), mesh=rp.Mesh(dt=0.02))
     assert rp.check_plan(plan, rp.RneaDynamics(robot)).wider_limits == ()
     result = rp.check_plan(with_limit(plan, track=[-9.0, 9.0]), rp.RneaDynamics(robot))
     assert result.passed
@@ -175,7 +185,7 @@ def test_limits_wider_than_those_of_motors_are_noted() -> None:
     motors["base_3"] = {"effort": 1e9, "speed": 1e9}
     robot = rp.with_limits(zoo.robot_of("3rrr"), motors)
     free = rp.Limits(effort=1e9, actuator_speed=1e9)
-    plan = rp.plan_stepwise(rp.VirtualWork(robot), reference.corner(), dt=0.02, limits=free)
+    plan = rp.plan_stepwise(rp.VirtualWork(robot), reference.corner(), mesh=rp.Mesh(dt=0.02), limits=free)
     result = rp.check_plan(plan, rp.RneaDynamics(robot))
     assert result.passed
     assert result.wider_limits == (

@@ -32,8 +32,8 @@ def planned(planner: str, robot: Robot, **options: Any) -> Plan:
     if planner == "whole trajectory":
         return rp.plan_whole_trajectory(dynamics, corner, mesh=COARSE, **options)
     if planner == "stepwise":
-        return rp.plan_stepwise(dynamics, corner, dt=0.02, **options)
-    return rp.plan_switch_off(dynamics, reference.circle(), dt=0.01, **options)
+        return rp.plan_stepwise(dynamics, corner, mesh=rp.Mesh(dt=0.02), **options)
+    return rp.plan_switch_off(dynamics, reference.circle(), mesh=rp.Mesh(dt=0.01), **options)
 
 
 def robot_name(planner: str) -> str:

@@ -80,7 +80,7 @@ def test_a_singularity_crossed_twice_between_two_samples_has_no_peak(depth: floa
     path = SplinePath(np.array([[0.15, 0.1], [0.2, 0.03], [0.25, depth], [0.3, 0.03], [0.35, 0.1]]))
     motion = Trajectory(path, RestToRest(path.length, 0.98))
     unlimited = Limits(effort=np.inf)  # the motors are of 1000 N
-    plan = rp.plan_stepwise(rp.VirtualWork(robot), motion, dt=0.02, limits=unlimited)
+    plan = rp.plan_stepwise(rp.VirtualWork(robot), motion, mesh=rp.Mesh(dt=0.02), limits=unlimited)
     assert np.isfinite(plan.tau).all()
     assert plan.motion.x[:, 1].min() > 2e-4
     again = rp.check_plan(plan, rp.RneaDynamics(robot))
@@ -189,11 +189,11 @@ def planned(dynamics: Dynamics, motion: Trajectory, random: np.random.Generator)
     planner = random.choice(["stepwise", "samples", "whole"] if n == 3 else ["whole", "switch off"])
     dt = float(random.choice([5e-3, 1e-2, 2e-2]))
     if planner == "stepwise":
-        return rp.plan_stepwise(dynamics, motion, dt=dt)
+        return rp.plan_stepwise(dynamics, motion, mesh=rp.Mesh(dt=dt))
     if planner == "samples":
         return rp.plan_stepwise(dynamics, motion.sample(dt=dt, two_sided=bool(random.random() < 0.5)))
     if planner == "switch off":
-        return rp.plan_switch_off(dynamics, motion, threshold=float(random.uniform(4.0, 15.0)), dt=5e-3)
+        return rp.plan_switch_off(dynamics, motion, threshold=float(random.uniform(4.0, 15.0)), mesh=rp.Mesh(dt=5e-3))
     step, objective = float(random.choice([0.02, 0.05])), str(random.choice(["effort", "effort", "peak"]))
     end, refinements = str(random.choice(["free", "datum"])), int(random.choice([0, 1, 3]))
     mesh, solver = rp.Mesh(dt=step, refinements=refinements), rp.Solver(seconds=5.0)

@@ -110,10 +110,48 @@ def test_flags_and_files_write_fields_of_groups_one_by_one() -> None:
     assert (grouped["limits"].effort, grouped["limits"].speed) == (3.0, None)
     assert (grouped["objective"].weights, grouped["objective"].calm) == ("peak", 0.0)
     assert len(grouped) == 5
-    assert in_groups(rp.plan_switch_off, {"dt": 0.02}) == {"dt": 0.02}  # the distance of its samples
+    assert in_groups(rp.plan_switch_off, {"dt": 0.02}) == {"mesh": rp.Mesh(dt=0.02)}  # the distance of its samples
     assert in_groups(rp.plan_stepwise, {"lam": 0.5, "dt": 0.1})["objective"].weights == "tracking"
     assert in_groups(rp.plan_time_optimal, {"steps": 50})["mesh"] == rp.Mesh(steps=50)
     assert in_groups(rp.plan_time_optimal, {"unknown": 1}) == {"unknown": 1}
+
+
+@pytest.mark.parametrize(
+    ("plan", "flat", "remedy"),
+    [
+        (rp.plan_whole_trajectory, {"dt": 0.01}, "Pass mesh=Mesh(dt=...)."),
+        (rp.plan_whole_trajectory, {"effort": 3.0}, "Pass limits=Limits(effort=...)."),
+        (rp.plan_whole_trajectory, {"calm": 0.0}, "Pass objective=Objective(calm=...)."),
+        (rp.plan_whole_trajectory, {"starts": 2}, "Pass solver=Solver(starts=...)."),
+        (rp.plan_time_optimal, {"effort": 3.0}, "Pass limits=Limits(effort=...)."),
+        (rp.plan_time_optimal, {"objective": "peak"}, "Keywords are limits, mesh, solver, begin, end, datum, lap."),
+        (rp.plan_stepwise, {"dt": 0.01}, "Pass mesh=Mesh(dt=...)."),
+        (rp.plan_stepwise, {"lam": 0.5}, "Pass objective=Objective(lam=...)."),
+        (rp.plan_switch_off, {"dt": 0.01}, "Pass mesh=Mesh(dt=...)."),
+        (rp.plan_switch_off, {"treshold": 4.0}, "Did you mean 'threshold'?"),
+        (rp.plan_switch_off, {"starts": 2}, "Keywords are limits, mesh, threshold"),
+    ],
+)
+def test_a_keyword_that_is_a_field_of_a_group_names_the_group(
+    plan: Callable[..., rp.Plan], flat: dict[str, Any], remedy: str
+) -> None:
+    with pytest.raises(InputError, match=next(iter(flat))) as caught:
+        plan("3rrr", reference.corner(), **flat)
+    assert caught.value.remedy.startswith(remedy)
+
+
+def test_every_planner_takes_its_step_from_the_mesh() -> None:
+    assert np.diff(rp.plan_stepwise("3rrr", reference.corner(), mesh=rp.Mesh(dt=0.05)).t).max() == pytest.approx(0.05)
+    coarse = rp.plan_switch_off("2rpr", reference.circle(), threshold=20.0, mesh=rp.Mesh(dt=0.05)).t
+    assert np.diff(coarse).max() == pytest.approx(0.05, rel=0.1)
+    samples = reference.corner().sample(dt=0.05)
+    for plan, motion, mesh, name in (
+        (rp.plan_stepwise, samples, rp.Mesh(dt=0.05), "dt does not apply: the motion has steps of its own"),
+        (rp.plan_stepwise, samples, rp.Mesh(steps=50), "steps does not apply"),
+        (rp.plan_switch_off, samples, rp.Mesh(refinements=1), "refinements does not apply"),
+    ):
+        with pytest.raises(InputError, match=name):
+            plan("3rrr", motion, mesh=mesh)
 
 
 def three() -> rp.VirtualWork:

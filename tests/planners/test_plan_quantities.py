@@ -17,7 +17,7 @@ from redundancy_pin.status import SampleStatus
 def crossing():
     robot = rp.load_robot("2rpr")
     return rp.plan_switch_off(
-        rp.VirtualWork(robot), rp.trajectory.reference.circle(), threshold=10.0, return_time=0.4, dt=5e-4
+        rp.VirtualWork(robot), rp.trajectory.reference.circle(), threshold=10.0, return_time=0.4, mesh=rp.Mesh(dt=5e-4)
     )
 
 

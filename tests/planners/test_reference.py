@@ -40,7 +40,7 @@ def whole_plan() -> Plan:
 @functools.cache
 def off_plan() -> Plan:
     circle = rp.trajectory.reference.circle(speed=0.5)
-    return rp.plan_switch_off(rp.CompiledDynamics(zoo.robot_of("2rpr")), circle, threshold=5.0, dt=0.005)
+    return rp.plan_switch_off(rp.CompiledDynamics(zoo.robot_of("2rpr")), circle, threshold=5.0, mesh=rp.Mesh(dt=0.005))
 
 
 def inside(plan: Plan, seed: int = 0) -> Array:
@@ -95,7 +95,7 @@ def test_between_two_samples_at_rest_a_plan_has_its_efforts() -> None:
     robot = zoo.robot_of("2rpr", end_effector_mass=0.5, cylinder_mass=0.3)
     path = rp.trajectory.Line((0.25, 0.45), (0.2, 0.35))
     motion = rp.trajectory.Trajectory(path, rp.trajectory.RestToRest(path.length, duration=0.5))
-    plan = rp.plan_switch_off(rp.CompiledDynamics(robot), motion, threshold=5.0, dt=0.5)
+    plan = rp.plan_switch_off(rp.CompiledDynamics(robot), motion, threshold=5.0, mesh=rp.Mesh(dt=0.5))
     assert len(plan.t) == 2
     assert not plan.tau.any()
     reference = plan_reference(plan, robot=robot, motion=motion)

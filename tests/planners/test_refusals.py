@@ -87,7 +87,7 @@ SETTINGS: list[tuple[str, Callable[[], object]]] = [
     ("datum", lambda: rp.plan_switch_off(two(), CIRCLE, datum=[0.0, 0.0, 0.0])),
     ("datum", lambda: rp.plan_switch_off(two(), CIRCLE, datum=[[0.0], [0.0, 1.0]])),  # type: ignore[arg-type]
     ("datum.*finite", lambda: rp.plan_switch_off(two(), CIRCLE, datum=INF)),
-    ("dt", lambda: rp.plan_switch_off(two(), CIRCLE, dt=0.0)),
+    ("dt", lambda: rp.plan_switch_off(two(), CIRCLE, mesh=rp.Mesh(dt=0.0))),
     ("single instant", lambda: rp.plan_switch_off(two(), CIRCLE.sample(1e-2)[:1])),
     ("speed", lambda: rp.plan_whole_trajectory(two(), CIRCLE, objective="speed")),
     ("objective", lambda: rp.plan_whole_trajectory(two(), CIRCLE, objective=None)),  # type: ignore[arg-type]
@@ -181,7 +181,7 @@ REFUSED: dict[str, Row] = {
         InfeasiblePlanError,
         {"constraint": "margin", "time": pytest.approx(0.67, abs=0.28)},
         lambda: rp.plan_stepwise(two(), CIRCLE.sample(0.01, two_sided=False)),
-        lambda: rp.plan_switch_off(two(), CIRCLE, dt=0.01),
+        lambda: rp.plan_switch_off(two(), CIRCLE, mesh=rp.Mesh(dt=0.01)),
     ),
     "stepwise: across a spatial one": (  # half way, at 90 degrees of yaw
         "plan_whole_trajectory",
@@ -190,7 +190,7 @@ REFUSED: dict[str, Row] = {
         lambda: rp.plan_stepwise(
             rp.RneaDynamics(zoo.robot_of("gough", carriers=True)),
             reference.pose(yawed(70.0), yawed(110.0), 1.0),
-            dt=0.05,
+            mesh=rp.Mesh(dt=0.05),
         ),
         None,
     ),
@@ -336,15 +336,15 @@ def test_what_cannot_be_planned_is_said_with_its_numbers_and_the_remedy_works(na
 
 def test_what_is_missing_is_said_exactly() -> None:
     """A ramp down and a return fit up to the room that there is; what is beyond it is the amount."""
-    window = rp.plan_switch_off(two(), CIRCLE, dt=5e-3).diagnostics["windows"][0]
+    window = rp.plan_switch_off(two(), CIRCLE, mesh=rp.Mesh(dt=5e-3)).diagnostics["windows"][0]
     entry, room = window["entry"], CIRCLE.duration - window["exit"]
-    rp.plan_switch_off(two(), CIRCLE, dt=5e-3, ramp_down=entry)
-    rp.plan_switch_off(two(), CIRCLE, dt=5e-3, return_time=room - 1e-6)
+    rp.plan_switch_off(two(), CIRCLE, mesh=rp.Mesh(dt=5e-3), ramp_down=entry)
+    rp.plan_switch_off(two(), CIRCLE, mesh=rp.Mesh(dt=5e-3), return_time=room - 1e-6)
     with pytest.raises(InfeasiblePlanError, match="ramp down") as caught:
-        rp.plan_switch_off(two(), CIRCLE, dt=5e-3, ramp_down=entry + 1e-3)
+        rp.plan_switch_off(two(), CIRCLE, mesh=rp.Mesh(dt=5e-3), ramp_down=entry + 1e-3)
     assert caught.value.details["amount"] == pytest.approx(1e-3, rel=1e-6)
     with pytest.raises(InfeasiblePlanError, match="return") as caught:
-        rp.plan_switch_off(two(), CIRCLE, dt=5e-3, return_time=room + 0.01)
+        rp.plan_switch_off(two(), CIRCLE, mesh=rp.Mesh(dt=5e-3), return_time=room + 0.01)
     assert caught.value.details["amount"] == pytest.approx(0.01, rel=1e-6)
 
 

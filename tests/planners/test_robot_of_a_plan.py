@@ -26,7 +26,7 @@ from redundancy_pin.robot.shipped import models_root
 def shipped_plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     path = tmp_path_factory.mktemp("saved") / "plan.npz"
     circle = rp.trajectory.reference.circle(speed=0.5)
-    rp.plan_switch_off(rp.VirtualWork(rp.load_robot("2rpr")), circle, threshold=7.0, dt=0.01).save(path)
+    rp.plan_switch_off(rp.VirtualWork(rp.load_robot("2rpr")), circle, threshold=7.0, mesh=rp.Mesh(dt=0.01)).save(path)
     return load_plan(path)
 
 
@@ -63,7 +63,7 @@ def test_a_robot_made_in_python_is_passed() -> None:
         plain.model, closures=plain.closures, actuated=plain.actuated, carriers=plain.carriers,
         independent=plain.platform, reference=np.array(plain.q_reference),
     )  # fmt: skip
-    plan = rp.plan_stepwise(rp.RneaDynamics(robot), rp.trajectory.reference.corner(radius=0.025), dt=0.1)
+    plan = rp.plan_stepwise(rp.RneaDynamics(robot), rp.trajectory.reference.corner(radius=0.025), mesh=rp.Mesh(dt=0.1))
     with pytest.raises(PlanFileError, match=r"made in Python. .*show\(plan, robot=robot\)"):
         load_robot_of(plan)
 

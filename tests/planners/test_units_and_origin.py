@@ -97,8 +97,8 @@ def moving(trajectory: Trajectory, units: Units) -> Any:
 
 def switch_off(units: Units) -> Plan:
     return rp.plan_switch_off(
-        dynamics_in(units, "carrier_mass"), moving(circle(units), units), threshold=10.0, dt=0.01 * units.time,
-        return_time=0.5 * units.time, ramp_down=0.05 * units.time,
+        dynamics_in(units, "carrier_mass"), moving(circle(units), units), threshold=10.0,
+        mesh=rp.Mesh(dt=0.01 * units.time), return_time=0.5 * units.time, ramp_down=0.05 * units.time,
     )  # fmt: skip
 
 
@@ -107,7 +107,7 @@ def stepwise(units: Units) -> Plan:
     return rp.plan_stepwise(
         dynamics_in(units),
         motion,
-        dt=0.01 * units.time,
+        mesh=rp.Mesh(dt=0.01 * units.time),
         limits=limits(units, forces=False),
         return_time=0.5 * units.time,
         brake_time=0.5 * units.time,

@@ -66,7 +66,7 @@ def test_under_control_the_start_is_off_and_the_end_is_not():
 def test_a_massless_plan_cannot_be_replayed_as_forces_and_says_why():
     robot = rp.load_robot("2rpr")
     circle = reference.circle(speed=0.5)
-    plan = rp.plan_switch_off(rp.RneaDynamics(robot), circle, threshold=10.0, dt=1e-2)
+    plan = rp.plan_switch_off(rp.RneaDynamics(robot), circle, threshold=10.0, mesh=rp.Mesh(dt=1e-2))
     for drive in ("open loop", "LQR"):
         row = replay(plan, drive, motion=circle)
         assert row.status == "not_converged"

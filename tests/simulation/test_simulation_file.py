@@ -71,7 +71,7 @@ def test_what_is_no_simulation_is_refused_by_name(simulation: Simulation, tmp_pa
 
 def test_a_plan_is_no_simulation(tmp_path: Path) -> None:
     plan = rp.plan_stepwise(
-        rp.VirtualWork(rp.load_robot("3rrr")), rp.trajectory.reference.corner(radius=0.025), dt=0.02
+        rp.VirtualWork(rp.load_robot("3rrr")), rp.trajectory.reference.corner(radius=0.025), mesh=rp.Mesh(dt=0.02)
     )
     plan.save(tmp_path / "plan.npz")
     with pytest.raises(PlanFileError, match=r"redundancy_pin plan.*not a .*simulation"):

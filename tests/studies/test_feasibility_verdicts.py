@@ -102,7 +102,7 @@ def _switched_off(cell: Cell, threshold: float, return_time: Any) -> Plan | None
             reference.circle(speed=cell.x, ramp_length=0.1 * cell.x),
             threshold=threshold,
             return_time=return_time,
-            dt=5e-3,
+            mesh=rp.Mesh(dt=5e-3),
         )
     except InfeasiblePlanError:
         return None
@@ -123,7 +123,10 @@ def test_stepwise_cells_are_those_of_the_planner(bend: FeasibilityMap) -> None:
     dynamics = rp.VirtualWork(rp.load_robot("3rrr", working_mode=(1, 1, 1)))
     for cell in bend.of(STEPWISE):
         plan = rp.plan_stepwise(
-            dynamics, reference.corner(speed=cell.x), dt=5e-3, limits=rp.Limits(track=[-0.5 * cell.y, 0.5 * cell.y])
+            dynamics,
+            reference.corner(speed=cell.x),
+            mesh=rp.Mesh(dt=5e-3),
+            limits=rp.Limits(track=[-0.5 * cell.y, 0.5 * cell.y]),
         )
         kept = plan.status is ResultStatus.OK and plan.peak_effort_at_samples.max() <= 5.0
         assert cell.verdict is (ResultStatus.OK if kept else ResultStatus.INFEASIBLE), cell

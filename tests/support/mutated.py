@@ -132,7 +132,7 @@ def plan_of(name: str) -> Plan:
 def stepwise_plan() -> Plan:
     """Return a plan with functions of time."""
     robot = rp.load_robot("3rrr")
-    return rp.plan_stepwise(rp.RneaDynamics(robot), rp.trajectory.reference.corner(radius=0.025), dt=0.05)
+    return rp.plan_stepwise(rp.RneaDynamics(robot), rp.trajectory.reference.corner(radius=0.025), mesh=rp.Mesh(dt=0.05))
 
 
 @functools.cache

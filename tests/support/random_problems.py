@@ -97,12 +97,14 @@ def solved(number: int) -> tuple[Plan, Robot, Dynamics]:
             dynamics,
             trajectory,
             threshold=float(10.0 ** rng.uniform(0.3, 2)),
-            dt=step,
+            mesh=rp.Mesh(dt=step),
             return_time="shortest" if rng.random() < 0.3 else float(rng.uniform(0.1, 1.0)),
             ramp_down=float(rng.uniform(0.01, 0.2)),
         )
     elif planner == 1:
-        plan = rp.plan_stepwise(dynamics, trajectory, dt=step, limits=limits, anticipate=bool(rng.random() < 0.5))
+        plan = rp.plan_stepwise(
+            dynamics, trajectory, mesh=rp.Mesh(dt=step), limits=limits, anticipate=bool(rng.random() < 0.5)
+        )
     else:
         plan = rp.plan_whole_trajectory(
             dynamics,

@@ -25,7 +25,7 @@ def crossing():
 def stepwise_corner():
     """The 3-RRR around a corner step by step, without regard to efforts."""
     robot, corner = rp.load_robot("3rrr"), rp.trajectory.reference.corner(radius=0.025)
-    return robot, corner, rp.plan_stepwise(rp.RneaDynamics(robot), corner, dt=0.01)
+    return robot, corner, rp.plan_stepwise(rp.RneaDynamics(robot), corner, mesh=rp.Mesh(dt=0.01))
 
 
 def largest_error(run, reference):
@@ -102,7 +102,7 @@ def test_holding_the_efforts_of_the_samples_is_another_command():
 def test_a_massless_crossing_follows_its_plan_up_to_the_singular_pose_and_says_why_not_further():
     robot = rp.load_robot("2rpr")
     circle = rp.trajectory.reference.circle(speed=0.5)
-    plan = rp.plan_switch_off(rp.RneaDynamics(robot), circle, threshold=5.0, dt=0.005)
+    plan = rp.plan_switch_off(rp.RneaDynamics(robot), circle, threshold=5.0, mesh=rp.Mesh(dt=0.005))
     drive = FeedForward(plan, motion=circle)
     run = rp.simulate(robot, drive, dt=0.01, carriers="motion", stop_at=())
     assert run.status.value == "not_converged"

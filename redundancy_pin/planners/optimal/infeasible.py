@@ -60,7 +60,6 @@ def relax(
             Or nothing admits a plan, or the time ran out.
     """
     problem, settings = replace(problem, shares=None), problem.settings.solver  # messages state the limits themselves
-    kinds = [kind for kind in kinds if _is_limited(problem, kind)]
     deadline = time.perf_counter() + settings.seconds
     # with limits at the nodes alone: most often one limit does by itself, and is held between the nodes then
     most = None if problem.timing is None else ITERATIONS_OF_TIMING
@@ -108,14 +107,6 @@ def relax(
         untried=tuple(untried),
         **events[0],
     )
-
-
-def _is_limited(problem: Problem, kind: str) -> bool:
-    """Return whether there is a limit of a kind: variables that let out none would only take time."""
-    settings, limits = problem.settings, problem.settings.limits
-    if kind in ("end", "at_most"):
-        return settings.end != "free" if kind == "end" else bool(settings.at_most)
-    return bool(np.isfinite(getattr(limits, "carrier_force" if kind == "force" else kind)).any())
 
 
 _REMEDY = "Widen these limits, slow the motion down, or leave the end free."

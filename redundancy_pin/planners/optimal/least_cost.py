@@ -324,7 +324,7 @@ def _objectives(
     """Return the objectives by name, and the derivatives of ``FollowedCost.by``."""
     problem, _ = read_problem(task, grid)
     symbols, objective = _Symbols(problem, fixed), task.settings.objective
-    formulas = {name: OBJECTIVES[name].formula(symbols) for name in {**objective, **task.settings.at_most}}
+    formulas = {name: OBJECTIVES[name].value(symbols) for name in {**objective, **task.settings.at_most}}
     cost = sum(weight * formulas[name] for name, weight in objective.items())
     variables = [symbols.tau, symbols.actuated_rate, symbols.base, symbols.scales.length]
     outputs = [*formulas.values(), *(ca.gradient(cost, variable) for variable in variables)]

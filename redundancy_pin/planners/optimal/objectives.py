@@ -12,8 +12,10 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InputError, shown
 from redundancy_pin.planners.optimal.nlp import Expression
 
 
@@ -88,12 +90,19 @@ class Quantities(ABC):
         return deviation, (before + after) / (2.0 * self.scales.duration)
 
     @abstractmethod
-    def absolute(self, values: Expression, size: float) -> Expression:
-        """Return |values|, which has to be minimised; ``size`` is what the values are scaled by."""
+    def absolute(self, values: Expression, size: ArrayLike) -> Expression:
+        """Return |values|, which has to be minimised.
+
+        ``size``: what the values are scaled by, one number or (c,) one for each of their columns.
+        """
 
     @abstractmethod
-    def largest(self, values: Expression, size: float) -> Expression:
-        """Return the largest of all |values|, which has to be minimised; ``size`` is what the values are scaled by."""
+    def largest(self, values: Expression, size: ArrayLike) -> Expression:
+        """Return the largest of all |values|, which has to be minimised.
+
+        ``size``: what the values are scaled by. With one number the result has the unit of the values; with (c,) one
+        for each of their columns, as ``scales.sd``, it is the largest fraction |values| / size, without a unit.
+        """
 
 
 @dataclass(frozen=True)
@@ -107,6 +116,34 @@ class ObjectiveTerm:
 
     formula: Callable[[Quantities], Expression]
     size: Callable[[Scales], float]
+
+    def value(self, quantities: Quantities) -> Expression:
+        """Return the objective after checking that it is one number.
+
+        Raises:
+            InputError: it has several, one for each node or joint.
+        """
+        value = self.formula(quantities)
+        if isinstance(value, (ca.MX, ca.DM)) and value.numel() != 1:
+            raise InputError(
+                f"The formula of an objective gives {value.shape[0]} × {value.shape[1]} numbers, not one.",
+                remedy="Make one of them, by q.integral(...) or q.largest(...).",
+            )
+        return value
+
+    def size_of(self, scales: Scales) -> float:
+        """Return its size after checking that it is one number.
+
+        Raises:
+            InputError: it has several, one for each carrier or actuator, as ``scales.sd`` has.
+        """
+        size = np.asarray(self.size(scales), dtype=np.float64)
+        if size.size != 1:
+            raise InputError(
+                f"The size of an objective is {shown(size.tolist())}, not one number.",
+                remedy="Write float(u.sd.max()) in place of u.sd, for example.",
+            )
+        return float(size.item())
 
 
 def _energy(q: Quantities) -> Expression:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
@@ -139,10 +138,14 @@ def plan_and_refine(planning: Planning, problem: Problem, guess: Mapping[str, Ar
     last: Planned | None = None
     refined = lowered = 0
 
-    @cache
+    evaluated: list[tuple[Mapping[str, Array], PlannedMotion, IntersampleCheck]] = []
+
     def check(solution: Solution) -> tuple[PlannedMotion, IntersampleCheck]:
-        motion = planning.planned(problem, solution)
-        return motion, intersample_check(motion)
+        # what ``solve`` returns it has asked ``is_coarse`` about, with other counts of iterations
+        if not evaluated or evaluated[-1][0] is not solution.values:
+            motion = planning.planned(problem, solution)
+            evaluated[:] = [(solution.values, motion, intersample_check(motion))]
+        return evaluated[-1][1:]
 
     def is_coarse(solution: Solution) -> bool:
         _, found = check(solution)

@@ -27,7 +27,7 @@ from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
 from redundancy_pin.planners.optimal.settings import Begin, End, Settings
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, with_seconds
 from redundancy_pin.planners.optimal.transcription import KIND_OF, scaled_bounds, slack_name
-from redundancy_pin.planners.options import FEWEST_STEPS, Limits, Mesh, Solver, group_of, refuse_fields
+from redundancy_pin.planners.options import FEWEST_STEPS, Limits, Mesh, Solver, group_of, refuse_fields, takes_groups
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory.continuous_motion import Motion, as_motion
@@ -50,6 +50,7 @@ NEVER_KEPT = ("effort", "force", "track")
 """Limits that a motion may exceed however slow it is, as under gravity beside a singularity."""
 
 
+@takes_groups
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_time_optimal(
     dynamics: DynamicsLike,

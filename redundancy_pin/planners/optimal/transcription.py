@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray
+from redundancy_pin.arrays import Array, BoolArray, IntArray, each
 from redundancy_pin.dynamics.base import ExactAlongMotion
 from redundancy_pin.planners.carrier_model import terms
 from redundancy_pin.planners.optimal.nlp import NLP, Expression
@@ -358,8 +358,8 @@ class Transcription(Quantities):
         """Add the weighted objectives over their common size, bounds of objectives, and the regularisation."""
         settings = self._problem.settings
         terms = [(weight, OBJECTIVES[name]) for name, weight in settings.objective.items()]
-        size = sum(weight * term.size(self.scales) for weight, term in terms)
-        values = {name: OBJECTIVES[name].formula(self) for name in {**settings.objective, **settings.at_most}}
+        size = sum(weight * term.size_of(self.scales) for weight, term in terms)
+        values = {name: OBJECTIVES[name].value(self) for name in {**settings.objective, **settings.at_most}}
         for name, bound in settings.at_most.items():
             self.limit("at_most", values[name] / bound, -np.inf, 1.0)
         cost = sum(weight * values[name] for name, weight in settings.objective.items()) / size
@@ -384,22 +384,24 @@ class Transcription(Quantities):
         squares = product(directions, self.tau / _rows(sizes, self.tau.shape)) ** 2
         return ca.sum1(ca.sum2(squares)) / len(model.t)
 
-    def absolute(self, values: Expression, size: float) -> Expression:
+    def absolute(self, values: Expression, size: ArrayLike) -> Expression:
         """Bound |values| by variables."""
         bound = self.nlp.variable(f"absolute_{len(self.nlp.blocks)}", values.shape, 0.0)
+        rows = _rows(_sizes(values, size), values.shape)
         for sign in (1.0, -1.0):
-            self.nlp.within(bound - sign * values / size, 0.0, np.inf)
-        return size * bound
+            self.nlp.within(bound - sign * values / rows, 0.0, np.inf)
+        return rows * bound
 
-    def largest(self, values: Expression, size: float) -> Expression:
+    def largest(self, values: Expression, size: ArrayLike) -> Expression:
         """Bound all |values| by one variable, of which there is a copy every few nodes."""
         copies = self._copies(f"{PEAK}_{len(self.nlp.blocks)}", -(-values.shape[0] // SHARED))
         top = ca.repmat(copies[np.arange(values.shape[0]) // SHARED], 1, values.shape[1])
+        rows = _rows(_sizes(values, size), values.shape)
         for sign in (1.0, -1.0):
-            self.nlp.within(sign * values / size - top, -np.inf, 0.0)
+            self.nlp.within(sign * values / rows - top, -np.inf, 0.0)
         # the mean, so that all copies have a slope: the solver scales the whole objective by the largest one
         mean: Expression = ca.sum1(copies) / copies.shape[0]
-        return size * mean
+        return mean if np.ndim(size) else size * mean
 
 
 class PathTranscription(Transcription):
@@ -453,12 +455,14 @@ class Evaluation(Quantities):
             wrench = problem.base(problem.carriers(values))
             self.base_force, self.base_moment = ca.DM(wrench[:, :3]), ca.DM(wrench[:, 3:])
 
-    def absolute(self, values: Expression, size: float) -> Expression:
+    def absolute(self, values: Expression, size: ArrayLike) -> Expression:
         """Return |values|."""
         return ca.fabs(values)
 
-    def largest(self, values: Expression, size: float) -> Expression:
-        """Return the largest |value|."""
+    def largest(self, values: Expression, size: ArrayLike) -> Expression:
+        """Return the largest |value|, or fraction of a size."""
+        if isinstance(size, (np.ndarray, list, tuple)) and np.ndim(size):
+            values = values / _rows(_sizes(values, size), values.shape)
         return ca.mmax(ca.fabs(values))
 
 
@@ -466,13 +470,13 @@ def objective_values(problem: Problem, values: Mapping[str, Array]) -> dict[str,
     """Return each weighted or bounded objective at the nodes, in its unit, from scaled variables by name."""
     quantities = Evaluation(problem, values)
     named = {**problem.settings.objective, **problem.settings.at_most}
-    return {name: float(OBJECTIVES[name].formula(quantities)) for name in named}
+    return {name: float(OBJECTIVES[name].value(quantities)) for name in named}
 
 
 def objective_sizes(problem: Problem) -> dict[str, float]:
     """Return the size that each weighted or bounded objective is divided by, in its unit."""
     named = {**problem.settings.objective, **problem.settings.at_most}
-    return {name: float(OBJECTIVES[name].size(problem.scales)) for name in named}
+    return {name: OBJECTIVES[name].size_of(problem.scales) for name in named}
 
 
 def transcribe(
@@ -514,6 +518,11 @@ def product(coefficients: Array, values: Expression) -> Expression:
     """Return (M, r) the products of (M, r, c) matrices and the (M, c) rows of an expression."""
     # zeros are dropped, for they would be entries of the Jacobian
     return ca.horzcat(*(ca.sum2(ca.sparsify(ca.DM(row)) * values) for row in np.moveaxis(coefficients, 1, 0)))
+
+
+def _sizes(values: Expression, size: ArrayLike) -> Array:
+    """Return (c,) a size for each column of values, given as such or as one number."""
+    return each(size, "size", (values.shape[1],), above_zero=True, finite=True)
 
 
 def _rows(size: ArrayLike, shape: tuple[int, int]) -> Expression:

@@ -24,7 +24,16 @@ from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import Findings, PlannedMotion
 from redundancy_pin.planners.limits import ResolvedLimits
-from redundancy_pin.planners.options import Limits, Objective, group_of
+from redundancy_pin.planners.options import (
+    LARGEST_STEP,
+    NO_NODES,
+    Limits,
+    Mesh,
+    Objective,
+    group_of,
+    refuse_fields,
+    takes_groups,
+)
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.course import (
     PHASES,
@@ -51,6 +60,7 @@ _FEWEST_SAMPLES = 10
 """Second differences over fewer samples do not describe a motion."""
 
 
+@takes_groups
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_stepwise(
     dynamics: DynamicsLike,
@@ -58,7 +68,7 @@ def plan_stepwise(
     *,
     objective: str | Mapping[str, float] | Objective = "effort",
     limits: Limits | None = None,
-    dt: float = 5e-3,
+    mesh: Mesh | None = None,
     active: Active = "always",
     start: ArrayLike = 0.0,
     datum: ArrayLike = 0.0,
@@ -101,7 +111,8 @@ def plan_stepwise(
             backend of it; or its efforts τ̂ (N, m), N or N·m.
         limits: in place of the robot's own. Those of efforts, carrier forces and actuators' rates are judged; there is
             none of the jerk, as accelerations jump from step to step.
-        dt: the time step of a trajectory, s. Jumps of its acceleration are sampled from both sides.
+        mesh: ``dt``, the time step of a trajectory, s, ``LARGEST_STEP`` when left out. Jumps of its acceleration are
+            sampled from both sides.
         active: "always", or "accelerating": while the reference acceleration is not zero.
         start: scalar or (k,) positions at the start, at rest, m.
         datum: scalar or (k,) positions to return to, m.
@@ -124,12 +135,14 @@ def plan_stepwise(
             amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
     """
-    dynamics = as_dynamics(dynamics)
+    dynamics, mesh = as_dynamics(dynamics), group_of(mesh, Mesh)
+    own_steps = {"dt": "the motion has steps of its own"} if isinstance(motion, PlatformMotion) else {}
+    refuse_fields(mesh, {**NO_NODES, **own_steps})
     robot = dynamics.robot
     require_carriers(robot)
     source = None
     if not isinstance(motion, PlatformMotion):
-        source = as_motion(motion)
+        source, dt = as_motion(motion), LARGEST_STEP if mesh.dt is None else mesh.dt
         times = sample_times(source.end - source.start, source.breaks - source.start, dt, None, True)
         motion = source.sample_at(source.start + times)
     if len(motion) < _FEWEST_SAMPLES:

@@ -20,12 +20,23 @@ from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import Findings, PlannedMotion
 from redundancy_pin.planners.limits import ResolvedLimits
-from redundancy_pin.planners.options import Limits, group_of, return_duration
+from redundancy_pin.planners.options import (
+    NO_NODES,
+    Limits,
+    Mesh,
+    group_of,
+    refuse_fields,
+    return_duration,
+    takes_groups,
+)
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off.crossing import Crossing, cross
 from redundancy_pin.singularities.roots import Interval
 from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
+
+SPACING = 1e-3
+"""Distance of the samples of a plan, s, unless the user asks for another: a ramp of the thesis has 30."""
 
 MOST_SAMPLES = 1_000_000
 """Largest number of samples of a plan; each takes kilobytes of memory while it is evaluated."""
@@ -56,18 +67,19 @@ Returned = tuple[Crossing, PiecewisePolynomial]
 """A crossing, and the return of the carriers (k,) after it, m over time."""
 
 
+@takes_groups
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_switch_off(
     dynamics: DynamicsLike,
     motion: PlatformMotion | TimedTrajectory,
     *,
     limits: Limits | None = None,
+    mesh: Mesh | None = None,
     threshold: float = 5.0,
     measure: Measure = "condition",
     ramp_down: float = 0.03,
     return_time: float | Literal["shortest"] = 0.4,
     datum: ArrayLike = 0.0,
-    dt: float = 1e-3,
 ) -> Plan:
     """Plan the carriers so that the main actuators can be off wherever W is nearly singular.
 
@@ -87,13 +99,14 @@ def plan_switch_off(
             The robot has at least as many carriers as coordinates.
         motion: a trajectory, evaluated exactly wherever needed, or samples, with quintics between them.
         limits: in place of the robot's own.
+        mesh: ``dt``, spacing of the samples of the plan, s, ``SPACING`` when left out; events, jumps and extremes of
+            the carriers' motion are added.
         threshold: the condition number of the scaled W above which, or its smallest singular value (no unit) below
             which, the actuators are off.
         measure: which of the two the threshold is.
         ramp_down: duration of the ramp before a window, s.
         return_time: duration of the return, s, or "shortest": the least that keeps every limit of the carriers.
         datum: scalar or (k,) where the carriers park, m.
-        dt: spacing of the samples of the plan, s; events, jumps and extremes of the carriers' motion are added.
 
     Raises:
         InputError: a setting out of its domain.
@@ -102,7 +115,8 @@ def plan_switch_off(
             force that nothing can carry at the singular pose; carries constraint, time and amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
-    dynamics = as_dynamics(dynamics)
+    dynamics, mesh = as_dynamics(dynamics), group_of(mesh, Mesh)
+    refuse_fields(mesh, NO_NODES)
     robot, source = dynamics.robot, as_motion(motion)
     if robot.k < robot.n:
         raise UnsupportedRobotError(
@@ -121,7 +135,7 @@ def plan_switch_off(
         ramp_down=positive(ramp_down, "ramp_down", "s"),
         return_time=return_duration(return_time, "return_time"),
         datum=resolved.on_track(datum, "datum"),
-        dt=positive(dt, "dt", "s"),
+        dt=SPACING if mesh.dt is None else mesh.dt,
     )
     samples = (source.end - source.start) / settings.dt
     require_few(samples, MOST_SAMPLES, f"dt = {settings.dt:g} s makes {{}} samples", "Use a larger dt.", dt=settings.dt)

@@ -8,6 +8,7 @@ import pytest
 import zoo
 
 from redundancy_pin import VirtualWork, plan_whole_trajectory
+from redundancy_pin.errors import InputError
 from redundancy_pin.planners.optimal import OBJECTIVES, ObjectiveTerm
 from redundancy_pin.planners.options import Limits, Mesh, Objective
 from redundancy_pin.trajectory import reference
@@ -47,6 +48,43 @@ def test_an_objective_is_added_by_its_formula(monkeypatch):
         assert plans[name].diagnostics["objective"][name] == pytest.approx(measure(plans[name]), rel=1e-9)
         assert all(measure(plans[name]) <= (1.0 + 1e-3) * measure(other) for other in plans.values())
     assert measures["fastest_carrier"](plans["fastest_carrier"]) < 0.9 * measures["fastest_carrier"](plans["effort"])
+
+
+def test_sizes_are_one_number_or_one_for_each_joint(monkeypatch):
+    """The largest speed as a fraction of each carrier's limit: with equal limits it is the largest speed over that."""
+    speeds = {
+        "fastest": lambda q: q.largest(q.sd, float(q.scales.sd.max())),
+        "fraction": lambda q: q.largest(q.sd, q.scales.sd),
+        "distance": lambda q: q.integral(q.absolute(q.sd, q.scales.sd)),
+        "distance_at_once": lambda q: q.integral(q.absolute(q.sd, float(q.scales.sd.max()))),
+    }
+    for name, formula in speeds.items():
+        monkeypatch.setitem(OBJECTIVES, name, ObjectiveTerm(formula, lambda u: float(u.sd.max())))
+    plans = {name: plan_of(name) for name in speeds}
+    limits = plans["fraction"].limits.judged_by.speed
+    for name, plan in plans.items():
+        assert plan.findings.optimal
+        rates = np.abs(plan.carriers.sd)
+        measure = np.trapezoid(rates.sum(axis=1), plan.t) if "distance" in name else rates.max()
+        unit = limits[0] if name == "fraction" else 1.0
+        assert plan.least_cost == pytest.approx(measure / unit, rel=1e-9)
+    assert plans["fraction"].least_cost == pytest.approx(plans["fastest"].least_cost / limits[0], rel=1e-6)
+    assert plans["distance"].least_cost == pytest.approx(plans["distance_at_once"].least_cost, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("formula", "size", "message"),
+    [
+        (lambda q: q.largest(q.sd, [1.0, 2.0, 3.0]), lambda u: 1.0, "size is"),
+        (lambda q: q.largest(q.sd, [1.0, 0.0]), lambda u: 1.0, "positive"),
+        (lambda q: q.sd**2, lambda u: 1.0, "numbers, not one"),
+        (lambda q: q.integral(q.sd**2), lambda u: u.sd, "not one number"),
+    ],
+)
+def test_sizes_and_formulas_of_another_shape_are_refused(monkeypatch, formula, size, message):
+    monkeypatch.setitem(OBJECTIVES, "wrong", ObjectiveTerm(formula, size))
+    with pytest.raises(InputError, match=message):
+        plan_of("wrong")
 
 
 @pytest.mark.long_for("absolute")

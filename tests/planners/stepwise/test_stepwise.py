@@ -16,7 +16,7 @@ from scipy.optimize import lsq_linear, minimize
 from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot, plan_stepwise
 from redundancy_pin.kinematics.coordinates import all_working_modes
 from redundancy_pin.planners.intersample_check import ALLOWED
-from redundancy_pin.planners.options import Limits, Objective
+from redundancy_pin.planners.options import Limits, Mesh, Objective
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory, reference
 
@@ -166,7 +166,7 @@ def test_a_step_in_which_no_carrier_has_an_effect_is_a_minimum(tmp_path):
         "carriers: [{joint: slide, acceleration: 20}]\nindependent: {joints: [hinge]}\n"
     )
     robot, path = load_robot(tmp_path), Line((0.0,), (1.0,))
-    plan = plan_stepwise(RneaDynamics(robot), Trajectory(path, RestToRest(path.length, 1.0)), dt=0.02)
+    plan = plan_stepwise(RneaDynamics(robot), Trajectory(path, RestToRest(path.length, 1.0)), mesh=Mesh(dt=0.02))
     assert plan.status is ResultStatus.OK
     assert plan.findings.optimal
     require_limits(plan, robot.carrier_limits)
@@ -336,5 +336,5 @@ def test_the_thesis_corner_in_its_mode():
     assert bounds == {("carrier_2", "speed"), ("carrier_2", "acceleration")}
     assert not plan.limits.violated
     assert plan.status is ResultStatus.UNRESOLVED  # single samples
-    both = plan_stepwise(dynamics_of(), reference.corner(), dt=0.005)
+    both = plan_stepwise(dynamics_of(), reference.corner(), mesh=Mesh(dt=0.005))
     assert both.status is ResultStatus.OK

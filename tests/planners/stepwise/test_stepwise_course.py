@@ -10,7 +10,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from redundancy_pin import CarrierMotion, PlatformMotion, VirtualWork, distribute, load_robot, plan_stepwise
-from redundancy_pin.planners.options import Limits, Objective
+from redundancy_pin.planners.options import Limits, Mesh, Objective
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, boundary_polynomial, reference
@@ -279,7 +279,7 @@ def test_a_limit_broken_between_samples_of_a_return_is_said():
     """A return whose samples stay within 7 m/s² while its polynomial does not (coarse steps of 20 ms)."""
     path = Line([0.6, 0.5, 0.0], [1.1, 0.5, 0.0])
     motion = Trajectory(path, SpeedProfile(path.length, 0.3, 0.2))
-    plan = plan_stepwise(dynamics_of(), motion, dt=0.02, active="accelerating", return_time=0.8542364)
+    plan = plan_stepwise(dynamics_of(), motion, mesh=Mesh(dt=0.02), active="accelerating", return_time=0.8542364)
     assert np.abs(plan.carriers.sdd).max() <= 7.0 * (1 + 1e-9)
     assert plan.status is ResultStatus.LIMIT_VIOLATED
     event = max(plan.limits.violated, key=lambda event: event.amount)

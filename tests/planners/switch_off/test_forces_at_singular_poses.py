@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import zoo
 
-from redundancy_pin import RneaDynamics, VirtualWork, load_robot, plan_switch_off
+from redundancy_pin import Mesh, RneaDynamics, VirtualWork, load_robot, plan_switch_off
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import Line, RestToRest, SpeedProfile, Trajectory, reference
@@ -147,9 +147,9 @@ def test_a_crossing_refused_away_from_the_singular_pose_says_so_and_in_which_pha
     motion = Trajectory(path, RestToRest(path.length, duration=2.0))
     for threshold, ramp_down, phase in ((3.0, 0.03, "off"), (5.0, 0.1, "ramping down")):
         with pytest.raises(InfeasiblePlanError, match=f"actuators are {phase} there") as caught:
-            plan_switch_off(dynamics, motion, threshold=threshold, ramp_down=ramp_down, dt=1e-2)
+            plan_switch_off(dynamics, motion, threshold=threshold, ramp_down=ramp_down, mesh=Mesh(dt=1e-2))
         assert caught.value.details["constraint"] == "carrier_effect"
         assert "ingular pose" not in caught.value.message
         assert np.linalg.cond(dynamics.reduce(motion.sample_at([caught.value.details["time"]])).W[0]) < 5.0
     # what the message offers: a shorter ramp leaves that pose out
-    assert np.isfinite(plan_switch_off(dynamics, motion, threshold=5.0, ramp_down=0.03, dt=1e-2).tau).all()
+    assert np.isfinite(plan_switch_off(dynamics, motion, threshold=5.0, ramp_down=0.03, mesh=Mesh(dt=1e-2)).tau).all()

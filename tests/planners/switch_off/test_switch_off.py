@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, assume, given
 from hypothesis import strategies as st
 from leg_momentum import condition, free_carriers, imbalance, legs_along, momentum, momentum_rate
 
-from redundancy_pin import VirtualWork, distribute, plan_switch_off
+from redundancy_pin import Mesh, VirtualWork, distribute, plan_switch_off
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, circle_path, reference
@@ -84,7 +84,9 @@ def test_circle_matches_the_closed_form():
 )
 def test_circles_that_graze_the_line_of_the_hinges(dip, crossings):
     trajectory = grazing_circle(0.625, 0.0, 0.375, dip, 0.5)
-    plan = plan_switch_off(virtual_work(base_distance=0.625), trajectory, threshold=6.0, ramp_down=0.03, dt=2e-3)
+    plan = plan_switch_off(
+        virtual_work(base_distance=0.625), trajectory, threshold=6.0, ramp_down=0.03, mesh=Mesh(dt=2e-3)
+    )
     require_exact(plan, trajectory, base_distance=0.625, momentum_tolerance=GRAZING_MOMENTUM)
     instants = plan.findings.singular_instants
     assert len(instants) in crossings  # W, interpolated to 1e-12, cannot tell a touch from two crossings within 20 us
@@ -114,7 +116,7 @@ def test_ramp_down_continues_the_parked_efforts(ramp):
     """Value, rate and its rate at the start of the ramp: those of the parked efforts by differences over 2 ms of order
     six (their own error is near 1e-6 of the second rate), and those of the quintic, a fit of it on the ramp itself."""
     trajectory = reference.circle()
-    plan = plan_switch_off(virtual_work(), trajectory, ramp_down=ramp, dt=2e-4)
+    plan = plan_switch_off(virtual_work(), trajectory, ramp_down=ramp, mesh=Mesh(dt=2e-4))
     (window,) = plan.diagnostics["windows"]
     start, h = window["ramp_start"], 2e-3
     point = trajectory.sample_at(start + h * np.arange(-3, 4))
@@ -139,10 +141,10 @@ def test_a_ramp_down_that_begins_at_a_kink_goes_on_from_one_side_of_it(beside):
     """Where the platform ends to speed up the rate of the parked efforts jumps: both of their derivatives are those of
     one side, by an interpolant on it alone."""
     trajectory, dynamics = reference.circle(), virtual_work()
-    (window,) = plan_switch_off(dynamics, trajectory, dt=1e-3).diagnostics["windows"]
+    (window,) = plan_switch_off(dynamics, trajectory, mesh=Mesh(dt=1e-3)).diagnostics["windows"]
     kink = float(trajectory.timing.knots[0])
     start = kink + beside
-    plan = plan_switch_off(dynamics, trajectory, ramp_down=window["entry"] - start, dt=2e-4)
+    plan = plan_switch_off(dynamics, trajectory, ramp_down=window["entry"] - start, mesh=Mesh(dt=2e-4))
     (window,) = plan.diagnostics["windows"]
     assert window["ramp_start"] == pytest.approx(start, abs=1e-14)
     on_ramp = (plan.t >= start) & (plan.t <= window["entry"])
@@ -213,7 +215,7 @@ def test_the_thesis_circle_leaves_its_track():
     (exit_state,) = (window["carriers_at_exit"] for window in plan.diagnostics["windows"])
     assert -exit_state["s"][0] - 0.2 == pytest.approx(0.047, abs=5e-4)
     # the return of 0.4 s overshoots further, and the report has the top of it, not the sample next to it
-    fine = plan_switch_off(virtual_work(), reference.circle(), threshold=5.0, dt=2e-4)
+    fine = plan_switch_off(virtual_work(), reference.circle(), threshold=5.0, mesh=Mesh(dt=2e-4))
     assert max(event.amount for event in track) == pytest.approx(np.abs(fine.carriers.s).max() - 0.2, rel=1e-9)
 
 
@@ -229,13 +231,13 @@ def test_thesis_line(speed, threshold, efforts):
 
 
 def test_windows_merge_where_the_return_does_not_fit_between_them():
-    separate = plan_switch_off(virtual_work(), reference.circle(), threshold=50.0, return_time=0.1, dt=0.01)
+    separate = plan_switch_off(virtual_work(), reference.circle(), threshold=50.0, return_time=0.1, mesh=Mesh(dt=0.01))
     assert len(separate.diagnostics["windows"]) == 2
     first, second = separate.diagnostics["windows"]
     between = second["ramp_start"] - first["exit"]
     for fraction, count in ((0.999, 2), (1.001, 1)):
         plan = plan_switch_off(
-            virtual_work(), reference.circle(), threshold=50.0, return_time=fraction * between, dt=0.01
+            virtual_work(), reference.circle(), threshold=50.0, return_time=fraction * between, mesh=Mesh(dt=0.01)
         )
         assert len(plan.diagnostics["windows"]) == count
         require_exact(plan, reference.circle())
@@ -258,7 +260,9 @@ def test_any_circle(base, aside, radius, dip, speed, threshold, mass, ramp, back
     trajectory = grazing_circle(base, aside, radius, dip, speed)
     dynamics = virtual_work(base_distance=base, carrier_mass=mass)
     try:
-        plan = plan_switch_off(dynamics, trajectory, threshold=threshold, ramp_down=ramp, return_time=back, dt=2e-3)
+        plan = plan_switch_off(
+            dynamics, trajectory, threshold=threshold, ramp_down=ramp, return_time=back, mesh=Mesh(dt=2e-3)
+        )
     except InfeasiblePlanError as error:
         assume(error.details["constraint"] not in ("return_time", "ramp_down"))
         raise

@@ -189,7 +189,7 @@ def test_bryson_weights_are_inverse_squares_of_what_is_acceptable():
 def test_a_massless_machine_has_no_linear_model_at_a_type_ii_pose():
     robot = rp.load_robot("2rpr")
     circle = trajectories.circle(speed=0.5)
-    plan = rp.plan_switch_off(rp.RneaDynamics(robot), circle, threshold=10.0, dt=0.01)
+    plan = rp.plan_switch_off(rp.RneaDynamics(robot), circle, threshold=10.0, mesh=rp.Mesh(dt=0.01))
     with pytest.raises(IllPosedModelError, match="end_effector_mass"):
         TimeVaryingLqr(plan, motion=circle)
 
