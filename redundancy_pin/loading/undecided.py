@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.cut_ends import about_several_axes, branches_meet, common_axis
+from redundancy_pin.loading.cut_ends import about_several_axes, branches_meet, common_axis
 from redundancy_pin.loading.mechanism import OpenedModel
 from redundancy_pin.loading.reference import reference_positions
 from redundancy_pin.robot import Robot

@@ -401,7 +401,7 @@ def test_a_timing_under_efforts_that_do_not_hold_the_robot_names_those_that_woul
     assert "No timing keeps every limit. What would suffice: the effort of" in caught.value.message
     assert f"{details['limit']:.6g} {details['unit']}" in caught.value.message
     assert details["constraint"] == "effort"
-    assert details["carrier"] in robot.actuated
+    assert details["joint"] in robot.actuated
     assert details["limit"] == pytest.approx((1.0 + details["fraction"]) * given, rel=1e-6)
     assert details["limit"] < 1.01 * parked
     assert planned(WIDER * details["limit"]).status is ResultStatus.OK
