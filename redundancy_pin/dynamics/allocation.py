@@ -176,26 +176,50 @@ _WEIGHT = 1e-6
 which they hardly change are left alone, and a least miss is unique. The root of 1e-12: the miss keeps six digits."""
 
 
-def shortest(matrix: Array, wanted: Array, bounded: Array, lower: Array, upper: Array) -> tuple[Array, bool]:
+class Factors(NamedTuple):
+    """A (n, p) and its singular value decomposition A = U diag(σ) Vᵀ, made once for all that is asked of A y = w.
+
+    Attributes:
+        matrix: (n, p) A.
+        left: (n, n) U; values: (min(n, p),) σ, largest first; right: (p, p) Vᵀ.
+        rank: how many of the values count.
+    """
+
+    matrix: Array
+    left: Array
+    values: Array
+    right: Array
+    rank: int
+
+    def least_norm(self, wanted: Array) -> Array:
+        """Return the shortest y (p,) that makes ‖A y − w‖ least."""
+        components = self.left[:, : self.rank].T @ wanted
+        result: Array = self.right[: self.rank].T @ (components / self.values[: self.rank])
+        return result
+
+
+def factorise(matrix: Array) -> Factors:
+    """Return the singular value decomposition of A (n, p), with its rank."""
+    left, values, right = np.linalg.svd(matrix)
+    return Factors(matrix, left, values, right, int((values > RANK_TOLERANCE * values[0]).sum()))
+
+
+def shortest(equations: Factors, wanted: Array, bounded: Array, lower: Array, upper: Array) -> tuple[Array, bool]:
     """Return the shortest y with A y = w and l ≤ C y ≤ u.
 
     Where nothing within the bounds meets the equations, it is the y within them that makes ‖A y − w‖² + ε² ‖y‖² least,
     ε small. Both are continuous in w, so an integrator can follow them. A is (n, p), w in its range, C (p, p), l < u.
     Also returns whether y is within the bounds; where C is singular and the bounds exclude every solution it is not.
     """
-    u, values, vt = np.linalg.svd(matrix)
-    rank = int((values > RANK_TOLERANCE * values[0]).sum())
-    start = vt[:rank].T @ ((u[:, :rank].T @ wanted) / values[:rank])
-    null = vt[rank:].T
+    start, null = equations.least_norm(wanted), equations.right[equations.rank :].T
     z = within_bounds(start, null, bounded, lower, upper)
     if z is not None:
         return start + null @ z, True
     if np.linalg.cond(bounded) > 1.0 / RANK_TOLERANCE:
         return start, False
-    unit = np.linalg.norm(bounded, axis=1)
+    unit, size = np.linalg.norm(bounded, axis=1), len(start)
     inverse = np.linalg.inv(bounded / unit[:, None])
-    size = matrix.shape[1]
-    system = np.concatenate([matrix, _WEIGHT * values[0] * np.eye(size)]) @ inverse
+    system = np.concatenate([equations.matrix, _WEIGHT * equations.values[0] * np.eye(size)]) @ inverse
     return inverse @ least_miss(system, np.concatenate([wanted, np.zeros(size)]), lower / unit, upper / unit), True
 
 
@@ -344,16 +368,15 @@ def allocate(
     scale = np.concatenate([effort_scale, carrier_scale])
     start = np.concatenate([planned, np.zeros(k)])
     wanted = force / row_scale
-    weighted = full * scale
-    u, values, vt = np.linalg.svd(weighted, full_matrices=False)
+    equations = factorise(full * scale)
+    values = equations.values
     margin = float(values[-1]) if len(values) == len(wanted) else 0.0
     size = FORCE_TOLERANCE * (float(values[0]) + float(np.linalg.norm(wanted)))
-    rank = values > RANK_TOLERANCE * values[0]
     rest = wanted - full @ start
-    answer = start + scale * (vt[rank].T @ ((u[:, rank].T @ rest) / values[rank]))
+    answer = start + scale * equations.least_norm(rest)
     residual = float(np.linalg.norm(wanted - full @ answer))
     if residual > size:
-        short = SampleStatus.UNDERACTUATED if rank.sum() == min(full.shape) else SampleStatus.SINGULAR_INCONSISTENT
+        short = SampleStatus.UNDERACTUATED if equations.rank == len(values) else SampleStatus.SINGULAR_INCONSISTENT
         return Allocation(answer[:m], answer[m:], residual, margin, short)
     most = np.full(m, np.inf) if effort_limit is None else effort_limit
     forces = CarrierForces(np.zeros(k), np.eye(k), np.full(k, np.inf)) if carriers is None else carriers
@@ -363,7 +386,7 @@ def allocate(
     bounded = np.zeros((m + k, m + k))
     bounded[:m, :m], bounded[m:, m:] = np.diag(effort_scale), forces.mass * carrier_scale
     now, limits = np.concatenate([planned, forces.planned]), np.concatenate([most, forces.limit])
-    deviation, within = shortest(weighted, rest, bounded, -limits - now, limits - now)
+    deviation, within = shortest(equations, rest, bounded, -limits - now, limits - now)
     answer = start + scale * deviation
     answer[:m] = np.clip(answer[:m], -most, most)
     residual = float(np.linalg.norm(wanted - full @ answer))

@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.optimize import linprog, lsq_linear, minimize, nnls
 
 from redundancy_pin.arrays import RANK_TOLERANCE
-from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE, CarrierForces, allocate, shortest
+from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE, CarrierForces, allocate, factorise, shortest
 from redundancy_pin.status import SampleStatus
 
 ROUNDING = 1e-8
@@ -198,7 +198,7 @@ def test_it_meets_the_conditions_of_kuhn_and_tucker_or_nothing_does(seed):
     matrix, wanted, bounded, lower, upper = given_ = problem(seed)
     if np.linalg.cond(bounded) > 1e2 or np.linalg.cond(matrix) > 1e2:
         return
-    y, within = shortest(*given_)
+    y, within = shortest(factorise(matrix), *given_[1:])
     assert within
     size = 1.0 + np.abs(y).max()
     here = bounded @ y
@@ -220,7 +220,7 @@ def test_where_nothing_meets_the_equations_it_misses_least(seed):
     wanted = 5.0 * wanted
     if np.linalg.cond(matrix) > 1e2:
         return
-    y, within = shortest(matrix, wanted, np.eye(5), lower, upper)
+    y, within = shortest(factorise(matrix), wanted, np.eye(5), lower, upper)
     best = lsq_linear(matrix, wanted, (lower, upper), method="bvls", tol=1e-14)
     assert within
     assert np.linalg.norm(matrix @ y - wanted) == pytest.approx(np.sqrt(2.0 * best.cost), rel=1e-6, abs=1e-7)
@@ -228,22 +228,22 @@ def test_where_nothing_meets_the_equations_it_misses_least(seed):
 
 def test_bounds_that_contradict_one_another_are_told():
     bounded = np.array([[1.0, 0.0], [1.0, 0.0]])  # singular
-    y, within = shortest(np.ones((1, 2)), np.ones(1), bounded, np.array([1.0, -2.0]), np.array([2.0, -1.0]))
+    y, within = shortest(factorise(np.ones((1, 2))), np.ones(1), bounded, np.array([1.0, -2.0]), np.array([2.0, -1.0]))
     assert not within
     assert np.allclose(y, 0.5)
 
 
 def test_a_bound_that_nothing_moves_counts_as_it_stands():
     none = np.zeros((1, 2))
-    assert shortest(np.ones((1, 2)), np.ones(1), none, np.array([-1.0]), np.array([1.0]))[1]
-    assert not shortest(np.ones((1, 2)), np.ones(1), none, np.array([0.5]), np.array([1.0]))[1]
+    assert shortest(factorise(np.ones((1, 2))), np.ones(1), none, np.array([-1.0]), np.array([1.0]))[1]
+    assert not shortest(factorise(np.ones((1, 2))), np.ones(1), none, np.array([0.5]), np.array([1.0]))[1]
 
 
 def test_what_the_equations_leave_open_is_shortest_also_where_bounds_forbid_them():
     """y₀ = 2 is out of reach; y₁ + y₂ ≥ 3 is met by the shortest pair, (3/2, 3/2)."""
     bounded = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
     lower, upper = np.array([-1.0, 3.0, -9.0]), np.array([1.0, 9.0, 9.0])
-    y, within = shortest(np.array([[1.0, 0.0, 0.0]]), np.array([2.0]), bounded, lower, upper)
+    y, within = shortest(factorise(np.array([[1.0, 0.0, 0.0]])), np.array([2.0]), bounded, lower, upper)
     assert within
     np.testing.assert_allclose(y, [1.0, 1.5, 1.5], atol=1e-6)
 
@@ -252,6 +252,6 @@ def test_what_the_equations_leave_open_is_shortest_also_where_bounds_forbid_them
 def test_bounds_count_as_singular_by_their_condition_number(size, regular):
     """Two of them differ in the second unknown by a little, e: their condition number is 2 / e."""
     bounded = np.array([[1.0, 0.0], [1.0, 2.0 * size * RANK_TOLERANCE]])
-    y, within = shortest(np.array([[1.0, 0.0]]), np.array([3.0]), bounded, np.full(2, -1.0), np.ones(2))
+    y, within = shortest(factorise(np.array([[1.0, 0.0]])), np.array([3.0]), bounded, np.full(2, -1.0), np.ones(2))
     assert within == regular
     assert y[0] == pytest.approx(1.0 if regular else 3.0, abs=1e-6)
