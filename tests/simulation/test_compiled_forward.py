@@ -272,8 +272,8 @@ def test_control_laws_drive_machine_code_as_they_drive_python() -> None:
     reference, options = off_course()
     robot = reference.robot
     scales = {"damping": 0.7, "effort_scale": [1.0, 2.0, 3.0], "carrier_scale": [5.0, 3.0, 2.0]}
-    # where efforts begin to saturate, errors of a step are those of a kink: by rounding a step is taken or halved, and v
-    # differs by 1e-9; of steps that are all taken it does not
+    # where efforts begin to saturate, the error of a step is that of a kink: rounding decides whether it is taken or
+    # halved, and v differs by 1e-9; with steps that are all taken it does not
     same_steps = {"max_step": 2e-3, "rtol": 1e-5, "atol": 1e-5}
     laws: list[tuple[Any, float, dict[str, float]]] = [
         (TimeVaryingLqr(reference, step=0.05), 1e-6, {}),
