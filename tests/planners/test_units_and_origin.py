@@ -107,7 +107,7 @@ def stepwise(units: Units) -> Plan:
     return rp.plan_stepwise(
         dynamics_in(units),
         motion,
-        mesh=rp.Mesh(dt=0.01 * units.time),
+        mesh=None if units.origin else rp.Mesh(dt=0.01 * units.time),
         limits=limits(units, forces=False),
         return_time=0.5 * units.time,
         brake_time=0.5 * units.time,
