@@ -11,7 +11,6 @@ With rates u̇ of the motors and v = Γ' u̇
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from itertools import takewhile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -192,15 +191,16 @@ def _follow(
     solved = end
     if end < len(u):
         ends = own.diagnose_each([last] * (len(u) - end), positions[end:])
-        for one in takewhile(lambda one: one.is_singular, ends):  # behind another sample the branch is unknown
-            q[solved] = one.q
-            solved += 1
+        singular = [one.status is SampleStatus.TYPE_I for one in ends]  # K of the motors as coordinates: of type II
+        solved += int(np.logical_and.accumulate(singular).sum())  # behind another sample the branch is unknown
+        for k in range(end, solved):
+            q[k] = ends[k - end].q
         far = are_too_many_turns_away(driven, last.x, positions[end:])
         unreachable = ~far & [one.status is SampleStatus.UNREACHABLE for one in ends]
         status[end:] = np.where(unreachable, SampleStatus.UNREACHABLE, SampleStatus.BRANCH_LOST)
         status[end:solved] = SampleStatus.TYPE_II
         residual[end:] = np.where(far, np.nan, [one.residual for one in ends])
-        margin[end:] = np.where([one.is_singular for one in ends], 0.0, np.nan)
+        margin[end:] = np.where(singular, 0.0, np.nan)
     placed = system.evaluate(q[:solved])
     x = np.full((len(u), 4, 4) if is_pose(robot) else (len(u), robot.n), np.nan)
     x[:solved] = coordinates(robot, placed)

@@ -347,3 +347,15 @@ def test_motors_robots_and_searches_of_no_sense_are_refused(five_bar: rp.Robot) 
         rp.forward_kinematics(replace(five_bar, actuated=five_bar.actuated[:1]), home[:1])
     with pytest.raises(InputError):
         rp.assembly_modes(five_bar, np.ones(2), most_starts="x")
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-3])
+def test_where_all_links_are_in_a_line_the_motors_are_singular_and_the_platform_is_known(angle: float) -> None:
+    """Motors at the same angle: the distal links are in a line. At zero with the proximal ones: closures lose rank."""
+    robot = zoo.robot_of("five_bar", base_distance=2.0, proximal_length=1.0, distal_length=1.0)
+    solution = rp.forward_kinematics(robot, [[0.0, 1.0], [-0.1, 0.3], [angle, angle], [0.02, 0.02]])
+    assert solution.status_labels.tolist() == ["ok", "ok", "type_ii", "type_ii"]
+    assert solution.margin[2:].tolist() == [0.0, 0.0]
+    ends = np.array([angle, 0.02])
+    between = np.stack([1.0 + np.cos(ends), np.sin(ends)], axis=1)  # of the elbows, 2 m apart
+    np.testing.assert_allclose(solution.x[2:], between, atol=np.sqrt(TOLERANCE))  # a double root
