@@ -135,6 +135,6 @@ def test_steps_of_least_effort_need_a_motor_for_each_carrier(tmp_path: Path) -> 
     """Two sliders have one torque to choose: there are many steps of the least one."""
     robot = machine(tmp_path, ("bar", REACH), ("bar", -REACH))
     with pytest.raises(UnsupportedRobotError, match="1 main actuators and 2 carriers") as caught:
-        rp.plan_stepwise(robot, TURN, dt=0.05)
+        rp.plan_stepwise(robot, TURN, mesh=rp.Mesh(dt=0.05))
     assert (caught.value.details["m"], caught.value.details["k"]) == (1, 2)
     assert rp.plan_whole_trajectory(robot, TURN, mesh=COARSE).findings.optimal

@@ -109,7 +109,7 @@ def test_planners_for_straight_tracks_refuse_curved_ones(plan: Any) -> None:
     circle = reference.circle(0.5, 0.2, 0.05)  # through a singular pose, beside which carriers are switched off
     motion = MOTION if plan is rp.plan_stepwise else circle
     with pytest.raises(UnsupportedRobotError, match="terms of carriers that slide, each on a link of its own"):
-        plan(rp.RneaDynamics(robot()), motion, dt=0.05)
+        plan(rp.RneaDynamics(robot()), motion, mesh=rp.Mesh(dt=0.05))
 
 
 def test_a_jump_on_a_singular_instant_has_two_limits() -> None:

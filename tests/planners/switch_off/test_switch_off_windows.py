@@ -7,7 +7,7 @@ import pytest
 import zoo
 from leg_momentum import imbalance, legs_along, momentum_rate
 
-from redundancy_pin import VirtualWork, plan_switch_off
+from redundancy_pin import Mesh, VirtualWork, plan_switch_off
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference, rounded_polygon
@@ -85,7 +85,7 @@ def test_events_are_samples_and_jumps_are_two_sided():
 def test_every_step_of_the_grid_is_a_sample():
     """Events are further ones; only what differs from one by rounding is left out."""
     dt, circle = 2e-4, reference.circle()
-    plan = plan_switch_off(two_rpr(), circle, dt=dt)
+    plan = plan_switch_off(two_rpr(), circle, mesh=Mesh(dt=dt))
     grid = np.append(dt * np.arange(np.ceil(circle.duration / dt - 1e-9)), circle.duration)
     right = np.searchsorted(plan.t, grid).clip(1, len(plan.t) - 1)
     apart = np.minimum(np.abs(plan.t[right] - grid), np.abs(plan.t[right - 1] - grid))
