@@ -87,6 +87,16 @@ def test_fewer_actuators_than_freedoms_balance_a_force_in_the_range(n, m):
     assert d.residual == pytest.approx(np.full(N, 3e-3), rel=1e-10)
 
 
+def test_fewer_actuators_near_and_at_a_singularity():
+    rng = np.random.default_rng(6)
+    U, near, _ = factors(rng, N, 3, 2, [1.0, 1e-3])
+    tau = rng.normal(size=(N, 2))
+    assert (distribute(reduced(near, times(near, tau))).status == SampleStatus.NEAR_SINGULAR).all()
+    U, lost, _ = factors(rng, N, 3, 2, [1.0, 0.0])
+    assert (distribute(reduced(lost, times(lost, tau))).status == SampleStatus.SINGULAR_CONSISTENT).all()
+    assert (distribute(reduced(lost, U[:, :, 2])).status == SampleStatus.SINGULAR_INCONSISTENT).all()
+
+
 def test_unreachable_samples_are_marked_and_leave_their_neighbours_alone():
     rng = np.random.default_rng(7)
     W, f = rng.normal(size=(6, 3, 3)), rng.normal(size=(6, 3))

@@ -175,6 +175,12 @@ def test_an_effort_may_pass_its_bound_by_a_share_of_the_largest_one(sign, share,
         assert d.tau[0].tolist() == [1000.0, sign * (1.0 - passed)]
 
 
+def test_inconsistent_samples_stay_inconsistent_under_bounds():
+    d = distribute(reduced([[[1.0, 0.0], [0.0, 0.0]]], [[5.0, 1.0]]), lower=[-1.0, -1.0], upper=[1.0, 1.0])
+    assert d.status[0] == SampleStatus.SINGULAR_INCONSISTENT
+    assert d.residual[0] == pytest.approx(1.0)
+
+
 def test_an_actuator_with_a_tiny_lever_that_has_to_help_is_found_exactly():
     # τ1 ε + τ2 + τ3 = 10, −τ1 ε + τ2 = 0 with τ3 ≤ 4: the cheap ones are at their bounds, so τ1 ε = τ2 = 3
     lever = 1e-7

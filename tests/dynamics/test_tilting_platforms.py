@@ -34,6 +34,7 @@ from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, invers
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.robot.shipped import models_root
+from redundancy_pin.simulation import FeedForward, motion_reference
 from redundancy_pin.status import SampleStatus
 
 AZIMUTHS = 2.0 * np.pi / 3.0 * np.arange(3)
@@ -301,6 +302,16 @@ def test_other_coordinates_of_the_same_motion_give_the_same_efforts(axes: tuple[
     expected = rp.distribute(rp.RneaDynamics(robot_of("3prs")).reduce(motion("3prs", SPAN))).tau
     for kind in (rp.RneaDynamics, CompiledDynamics)[: 1 + OTHERS[axes]]:
         near(rp.distribute(kind(robot).reduce(in_coordinates(axes, "3prs", SPAN))).tau, expected, DIFFERENTIATED)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_forward_dynamics_follow_the_motion_that_the_efforts_are_for(name: str) -> None:
+    robot = robot_of(name)
+    points = np.array([[0.0, 0.0, 0.0], [0.04, 0.3, -0.2], [0.0, -0.25, 0.3]]) + np.array([HOME[name], 0.0, 0.0])
+    course = rp.trajectory.from_points(points, [0.0, 0.5, 1.0])
+    run = rp.simulate(robot, FeedForward(motion_reference(robot, course)), dt=0.05)
+    assert run.status.value == "ok"
+    np.testing.assert_allclose(run.x, course.evaluate(np.minimum(run.t, course.duration)).x, atol=1e-6)
 
 
 @pytest.mark.skipif(not COMPILERS, reason="no compiler is installed")

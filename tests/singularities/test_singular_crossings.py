@@ -313,6 +313,11 @@ def test_touches_of_either_kind(at: float, sign: float) -> None:
     assert not sharp.crosses
 
 
+def test_a_near_miss_and_a_constant_are_no_zeros() -> None:
+    for function in (lambda t: np.full(len(t), 0.3), lambda t: (t - 0.77) ** 2 + 1e-6):
+        assert zeros(function, TIMES, 1e-9) == []
+
+
 def test_a_stay_has_a_beginning_and_an_end() -> None:
     (stay,) = zeros(lambda t: np.maximum(t - 1.213, 0.0) - np.maximum(0.62 - t, 0.0), TIMES, 1e-9)
     assert (stay.t, stay.until) == pytest.approx((0.62, 1.213), abs=2e-9)

@@ -326,7 +326,7 @@ class Code:
 
     def call(self, name: str, *arguments: object) -> int:
         """Call a function of the library with arrays, which must be contiguous, and numbers of ctypes or integers."""
-        given = (address(value) if isinstance(value, np.ndarray) else value for value in arguments)
+        given = [address(value) if isinstance(value, np.ndarray) else value for value in arguments]
         return int(getattr(self.library, name)(self.numbers, *given))
 
 

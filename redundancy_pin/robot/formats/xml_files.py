@@ -210,8 +210,9 @@ class Part:
         """Refuse the file, at the line of the element."""
         line = self.element.line
         place = f"line {line}" + (" of what xacro makes of it" if self.path.suffix == ".xacro" else "")
+        is_named = re.search(rf"(?<![\w/.-]){re.escape(self.file)}", message)
         raise ModelFileError(
-            f"{message} ({place if self.file in message else f'{self.file}, {place}'}).",
+            f"{message} ({place if is_named else f'{self.file}, {place}'}).",
             remedy=remedy or self.remedy,
             path=str(self.path),
             line=line,
@@ -224,7 +225,7 @@ class Part:
         """The name of the file for messages: of an included file its path from the folder of the top file."""
         if self.top is None or self.path == self.top:
             return self.path.name
-        return os.path.relpath(self.path, self.top.resolve().parent)
+        return os.path.relpath(self.path.resolve(), self.top.resolve().parent)
 
     @property
     def tag(self) -> str:
