@@ -13,6 +13,8 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_carrier
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.joint_ranges import track_slack
+from redundancy_pin.robot.lookup import find_joint
+from redundancy_pin.robot.types import slides
 
 OnUnreachable = Literal["raise", "mark"]
 """What to do with a pose that no configuration closes: raise, or mark the sample with NaN and its residual."""
@@ -84,7 +86,7 @@ def require_matching_carriers(robot: Robot, carriers: CarrierMotion | None, samp
 
 
 def track_excess(robot: Robot, carriers: CarrierMotion) -> Array:
-    """Return (N, k) how far carriers (N, k) are beyond the ends of their tracks, m; negative inside."""
+    """Return (N, k) how far carriers (N, k) are beyond the ends of their tracks, m or rad; negative inside."""
     lower = np.array([limits.lower for limits in robot.carrier_limits])
     upper = np.array([limits.upper for limits in robot.carrier_limits])
     return np.asarray(np.maximum(lower - carriers.s, carriers.s - upper))
@@ -104,11 +106,12 @@ def require_on_track(robot: Robot, carriers: CarrierMotion, t: Array) -> None:
     outside = track_excess(robot, carriers)
     if (outside > track_slack(robot)).any():
         k, i = (int(j) for j in np.unravel_index(int(outside.argmax()), outside.shape))
-        track = robot.carrier_limits[i]
+        track, is_sliding = robot.carrier_limits[i], slides(find_joint(robot.model, robot.carriers[i]))
+        unit, size = "m" if is_sliding else "rad", float(track.upper - track.lower)
         raise CarrierLimitError(
-            f"Carrier {robot.carriers[i]!r} leaves its track [{track.lower:g}, {track.upper:g}] m by "
-            f"{outside[k, i]:.3g} m at sample {k} (t = {t[k]:.6g} s, s = {carriers.s[k, i]:.6g} m)."
-            f"{millimetres(float(outside[k, i]), float(track.upper - track.lower))}",
+            f"Carrier {robot.carriers[i]!r} leaves its track [{track.lower:g}, {track.upper:g}] {unit} by "
+            f"{outside[k, i]:.3g} {unit} at sample {k} (t = {t[k]:.6g} s, s = {carriers.s[k, i]:.6g} {unit})."
+            f"{millimetres(float(outside[k, i]), size) if is_sliding else ''}",
             remedy="Shorten the motion or lengthen the track; planners evaluate off the track with check_track=False.",
             carrier=robot.carriers[i],
             sample=k,

@@ -160,3 +160,9 @@ def test_what_a_mistake_is_about_is_in_its_details(name: str, details: dict[str,
     with pytest.raises(ModelFileError) as caught:
         rp.load_robot(FILES / "urdf" / "bad" / f"{name}.urdf")
     assert details.items() <= caught.value.details.items()
+
+
+def test_a_file_behind_a_link_is_named_by_where_it_is(tmp_path: Path) -> None:
+    (tmp_path / "machine").symlink_to(FILES / "sdf" / "bad", target_is_directory=True)
+    with pytest.raises(ModelFileError, match=r"'part' of parts/wind\.sdf is in the wind"):
+        rp.load_robot(tmp_path / "machine" / "included_wind.sdf")

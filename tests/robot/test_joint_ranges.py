@@ -7,7 +7,9 @@ import pinocchio as pin
 import pytest
 
 import redundancy_pin as rp
+from redundancy_pin.errors import CarrierLimitError
 from redundancy_pin.robot.joint_ranges import beyond_limits, is_in_range, joint_ranges, out_of_range, range_excess
+from redundancy_pin.status import SampleStatus
 
 ENDS = {"arm": (-1.0, 2.0), "slide": (-0.3, 0.4), "screw": (-5.0, 2.0), "free": (0.0, 0.0)}
 """rad and m; the screw's are a turn and 0.72 rad apart, so that its turns count; equal ones are none."""
@@ -101,3 +103,14 @@ def test_a_motion_with_unknown_configurations_is_beyond_where_others_are(robot):
     q = at(robot, slide=[0.0, 0.5, 0.0])
     q[0] = np.nan
     assert out_of_range(robot, q).tolist() == [False, True, False]
+
+
+def test_a_carrier_that_turns_is_off_its_track_a_whole_turn_away():
+    robot = rp.load_robot("2rpr", arm_length=0.15, end_effector_mass=0.5, cylinder_mass=0.3)
+    x, rest = (0.1, 0.4), (0.0, 0.0)
+    for dynamics in (rp.RneaDynamics(robot), rp.CompiledDynamics(robot)):
+        for s, status in ((0.1, SampleStatus.OK), (0.1 + 2.0 * np.pi, SampleStatus.OUT_OF_RANGE)):
+            assert dynamics.torque(x, rest, rest, (s, 0.1), rest, rest).status == status
+        samples = rp.PlatformMotion([0.0], [x], [rest], [rest])
+        with pytest.raises(CarrierLimitError, match=r"\[-1\.2, 1\.2\] rad by 5\.18 rad"):
+            dynamics.reduce(samples, rp.CarrierMotion.parked(1, 2, (0.1 + 2.0 * np.pi, 0.1)))
