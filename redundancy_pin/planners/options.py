@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal, ParamSpec, TypeVar
 
@@ -240,25 +240,35 @@ Parameters = ParamSpec("Parameters")
 Planned = TypeVar("Planned")
 
 
-def takes_groups(planner: Callable[Parameters, Planned]) -> Callable[Parameters, Planned]:
-    """Return a planner that says of a field of a group, given as a keyword of its own, in which group it belongs.
+def takes_groups(
+    *without: str,
+) -> Callable[[Callable[Parameters, Planned]], Callable[Parameters, Planned]]:
+    """Return a decorator: the planner says of a field given as a keyword of its own in which group it belongs.
+
+    Args:
+        without: fields that the planner takes in no group (it says why where they are given).
 
     Raises:
         InputError: a keyword that the planner does not take.
     """
-    taken = inspect.signature(planner).parameters
 
-    @functools.wraps(planner)
-    def call(*args: Parameters.args, **keywords: Parameters.kwargs) -> Planned:
-        for name in keywords.keys() - taken.keys():
-            raise InputError(f"{planner.__name__} has no keyword {shown(name)}.", remedy=_where(name, taken), name=name)
-        return planner(*args, **keywords)
+    def decorate(planner: Callable[Parameters, Planned]) -> Callable[Parameters, Planned]:
+        taken = inspect.signature(planner).parameters
 
-    return call
+        @functools.wraps(planner)
+        def call(*args: Parameters.args, **keywords: Parameters.kwargs) -> Planned:
+            for name in keywords.keys() - taken.keys():
+                remedy = _where(name, taken, without)
+                raise InputError(f"{planner.__name__} has no keyword {shown(name)}.", remedy=remedy, name=name)
+            return planner(*args, **keywords)
+
+        return call
+
+    return decorate
 
 
-def _where(name: str, taken: Mapping[str, object]) -> str:
-    for group in GROUPS.keys() & taken.keys():
+def _where(name: str, taken: Mapping[str, object], without: Sequence[str]) -> str:
+    for group in GROUPS.keys() & taken.keys() if name not in without else ():
         kind = GROUPS[group]
         if name in (field.name for field in fields(kind)):
             return f"Pass {group}={kind.__name__}({name}=...)."

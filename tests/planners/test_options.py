@@ -130,6 +130,10 @@ def test_flags_and_files_write_fields_of_groups_one_by_one() -> None:
         (rp.plan_switch_off, {"dt": 0.01}, "Pass mesh=Mesh(dt=...)."),
         (rp.plan_switch_off, {"treshold": 4.0}, "Did you mean 'threshold'?"),
         (rp.plan_switch_off, {"starts": 2}, "Keywords are limits, mesh, threshold"),
+        # fields that it takes in no group
+        (rp.plan_time_optimal, {"dt": 0.01}, "Keywords are limits, mesh"),
+        (rp.plan_whole_trajectory, {"steps": 10}, "Keywords are "),
+        (rp.plan_stepwise, {"jerk": 1.0}, "Keywords are "),
     ],
 )
 def test_a_keyword_that_is_a_field_of_a_group_names_the_group(

@@ -50,7 +50,7 @@ NEVER_KEPT = ("effort", "force", "track")
 """Limits that a motion may exceed however slow it is, as under gravity beside a singularity."""
 
 
-@takes_groups
+@takes_groups("dt", "starts")
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_time_optimal(
     dynamics: DynamicsLike,
@@ -204,12 +204,14 @@ def _solve(
         first = _within_limits(task, problem, exceeded, "").values
     solutions = multistart(with_seconds(problem, deadline - time.perf_counter()), first, stop)
     solution, seconds = solutions.best.solution, task.settings.solver.seconds
+    if guess is None and not exceeded and not solution.feasible and solution.message != OUT_OF_TIME:
+        rest, kinds = with_seconds(problem, deadline - time.perf_counter()), NEVER_KEPT
+        first = _within_limits(task, rest, kinds if task.dynamics.robot.k else kinds[:1], solution.message).values
+        solutions = multistart(with_seconds(problem, deadline - time.perf_counter()), first, stop)
+        solution = solutions.best.solution
     if solution.feasible:
         return solutions
     late = solution.message == OUT_OF_TIME
-    if guess is None and not exceeded and not late:
-        rest = with_seconds(problem, deadline - time.perf_counter())
-        _within_limits(task, rest, NEVER_KEPT if task.dynamics.robot.k else NEVER_KEPT[:1], solution.message)
     raise InfeasiblePlanError(
         f"No timing was found{f' within {seconds:g} s' if late else ''} (the solver says {solution.message}; "
         f"unbalanced by {solution.violation:.2g}), although none of the limits is known to be in the way.",

@@ -41,7 +41,7 @@ TWICE = 1.08
 """Ratio of efforts between the nodes to those at them from which steps are halved twice."""
 
 
-@takes_groups
+@takes_groups("steps")
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_whole_trajectory(
     dynamics: DynamicsLike,

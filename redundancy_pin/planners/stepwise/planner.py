@@ -60,7 +60,7 @@ _FEWEST_SAMPLES = 10
 """Second differences over fewer samples do not describe a motion."""
 
 
-@takes_groups
+@takes_groups("refinements", "steps", "calm", "base_point", "jerk")
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_stepwise(
     dynamics: DynamicsLike,

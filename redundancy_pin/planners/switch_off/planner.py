@@ -67,7 +67,7 @@ Returned = tuple[Crossing, PiecewisePolynomial]
 """A crossing, and the return of the carriers (k,) after it, m over time."""
 
 
-@takes_groups
+@takes_groups("refinements", "steps")
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_switch_off(
     dynamics: DynamicsLike,

@@ -240,3 +240,12 @@ def test_a_limit_of_one_motor_alone_is_a_limit() -> None:
     assert 0.999 * EFFORT <= np.abs(plan.tau[:, 0]).max() <= 1.001 * EFFORT
     assert np.abs(plan.tau[:, 1:]).max() > 2.0 * EFFORT
     assert plan.t[-1] < 0.9 * bare_least(np.inf)
+
+
+@pytest.mark.long
+def test_a_motion_that_the_relaxed_limits_lead_to_is_a_plan() -> None:
+    """From a harmonic motion the solver gives up; where all limits may give way, none has to."""
+    path, limits = Line((0.0, 0.0, 0.0), (0.03, 0.02, 0.3)), Limits(effort=3.0)
+    coarse, fine = (plan_time_optimal("3rrr", path, limits=limits, mesh=Mesh(steps=steps)) for steps in (20, 30))
+    assert (coarse.status, fine.status) == (ResultStatus.OK, ResultStatus.OK)
+    assert coarse.t[-1] == pytest.approx(fine.t[-1], rel=0.01)  # both within 1 % of a finer one's
