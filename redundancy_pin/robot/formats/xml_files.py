@@ -12,6 +12,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar, NoReturn, TypeVar, cast
 from xml.parsers import expat
@@ -183,6 +184,11 @@ LONGEST_NAME = 255
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
+@lru_cache(maxsize=256)  # every element of an included file asks
+def _seen_from(top: Path, path: Path) -> str:
+    return os.path.relpath(path.resolve(), top.resolve().parent)
+
+
 @dataclass(frozen=True)
 class Part:
     """An element, the file that it is in, and the link or joint that it belongs to: for messages and their details.
@@ -225,7 +231,7 @@ class Part:
         """The name of the file for messages: of an included file its path from the folder of the top file."""
         if self.top is None or self.path == self.top:
             return self.path.name
-        return os.path.relpath(self.path.resolve(), self.top.resolve().parent)
+        return _seen_from(self.top, self.path)
 
     @property
     def tag(self) -> str:
