@@ -380,3 +380,35 @@ def test_all_modes_are_listed_once_the_positive_first() -> None:
     assert in_working_mode(free, free.q_reference[None]).all()
     assert all_working_modes(free) == ((),)
     assert [mode_name(mode) for mode in ((1, -1, 1), ())] == ["+-+", ""]
+
+
+@examples(20)
+@given(seed=st.integers(0, 2**16))
+def test_pin_rows_are_those_of_pinocchios_point_constraint(seed: int) -> None:
+    robot = zoo.robot_of("3rrr")
+    q = zoo.random_closed(robot, seed, 1)
+    ours = zoo.system_of(robot).evaluate(q).Jc[0].reshape(2, 2, -1)
+    assert np.linalg.matrix_rank(ours.reshape(4, -1)) == 4  # their third rows are redundant
+    for rows, closure in zip(ours, robot.closures, strict=True):
+        theirs = point_constraint_jacobian(robot, closure, q[0])[:2]
+        # Pinocchio differences the other way round
+        np.testing.assert_allclose(rows, -theirs, atol=1e-12)
+
+
+def point_constraint_jacobian(robot: Robot, closure: Closure, q: np.ndarray) -> np.ndarray:
+    """Return Pinocchio's Jacobian of the 3D point constraint, in the axes of frame a."""
+    model = robot.model
+    a, b = (model.frames[model.getFrameId(name)] for name in (closure.frame_a, closure.frame_b))
+    constraint = pin.RigidConstraintModel(
+        pin.ContactType.CONTACT_3D,
+        model,
+        a.parentJoint,
+        a.placement,
+        b.parentJoint,
+        b.placement,
+        pin.ReferenceFrame.LOCAL,
+    )
+    data, constraint_data = model.createData(), constraint.createData()
+    pin.computeJointJacobians(model, data, q)
+    constraint.calc(model, data, constraint_data)
+    return np.array(pin.getConstraintJacobian(model, data, constraint, constraint_data))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from redundancy_pin import PlatformMotion, load_robot
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.assembly import configuration_difference
-from redundancy_pin.kinematics.coordinates import mode_indicator
+from redundancy_pin.kinematics.coordinates import mode_indicator, working_modes
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.types import WorkingModes
@@ -391,3 +392,42 @@ def test_what_is_not_on_the_branch_of_the_start_is_refused() -> None:
     with pytest.raises(WorkingModeError, match="cannot be reached continuously from the start") as refused:
         inverse_kinematics(robot, straight(other, other - 0.01), start=start)
     assert refused.value.details["sample"] == 0
+
+
+def test_columns_of_w_come_in_the_order_of_the_declaration() -> None:
+    """Parsa 2014, eq. 2.4: the rows of the 2-RPR's J = Wᵀ are the directions of leg 1, then of leg 2."""
+    robot = zoo.robot_of("2rpr")
+    assert robot.actuated == ("slide_1", "slide_2")
+    tree = inverse_kinematics(robot, zoo.smooth_motion(robot, 9).at(np.linspace(0.0, 1.0, 5)))
+    for leg, hinge in enumerate(([0.0, 0.0], [0.5, 0.0])):
+        away = tree.motion.x - hinge
+        np.testing.assert_allclose(tree.W[:, :, leg], away / np.linalg.norm(away, axis=1)[:, None], atol=1e-12)
+
+
+@examples(4)
+@given(
+    mode=st.sampled_from(list(itertools.product((1, -1), repeat=3))),
+    radius=st.floats(0.15, 0.35),
+    proximal=st.floats(0.8, 1.2),
+    distal=st.floats(0.8, 1.2),
+)
+def test_every_working_mode_of_the_3rrr_is_the_one_asked_for(
+    mode: tuple[int, ...], radius: float, proximal: float, distal: float
+) -> None:
+    robot = load_robot(
+        "3rrr", working_mode=mode, platform_radius=radius, proximal_length=proximal, distal_length=distal
+    )
+    motion = zoo.smooth_motion(robot, 1, scale=0.7).at(np.linspace(0.0, 1.0, 30))
+    tree = inverse_kinematics(robot, motion)
+    np.testing.assert_array_equal(working_modes(robot, tree.q), np.tile(mode, (30, 1)))
+    # Parsa 2014, eq. 2.22: θ = γ + ψ in mode +1, θ = γ − ψ in mode −1
+    hinges = [np.zeros(2), np.array([np.sqrt(3), 0.0]), np.array([np.sqrt(3) / 2, 1.5])]
+    for leg, hinge in enumerate(hinges):
+        phi = motion.x[:, 2] + (np.pi / 6, 5 * np.pi / 6, -np.pi / 2)[leg]
+        away = motion.x[:, :2] - radius * np.stack([np.cos(phi), np.sin(phi)], axis=1) - hinge
+        rho = np.linalg.norm(away, axis=1)
+        psi = np.arccos((proximal**2 + rho**2 - distal**2) / (2 * proximal * rho))
+        theta = np.arctan2(away[:, 1], away[:, 0]) + mode[leg] * psi
+        column = zoo.index(robot, f"base_{leg + 1}")
+        np.testing.assert_allclose(np.sin(tree.q[:, column] - theta), 0.0, atol=1e-9)
+        np.testing.assert_allclose(np.cos(tree.q[:, column] - theta), 1.0, atol=1e-9)
