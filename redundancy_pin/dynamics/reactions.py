@@ -21,7 +21,7 @@ from redundancy_pin.arrays import SINGULAR_MARGIN, Array, Frozen, checked, read_
 from redundancy_pin.dynamics.rnea import RneaAlongMotion
 from redundancy_pin.dynamics.tree_loads import TreeLoads
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.closure import constraint_system, with_all_rows
+from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_link, joint_names
@@ -70,9 +70,9 @@ class ClosureEquations:
     """
 
     def __init__(self, robot: Robot) -> None:
-        self.robot = with_all_rows(robot)
+        independent = constraint_system(robot)
+        self.robot, self._rank = independent.every.robot, len(independent.rows)
         self.names = self.robot.constraint_names
-        self._rank = len(constraint_system(robot).rows)
         self._chain = ClosedChain(self.robot)
         self._columns = self._chain.pose_columns
 

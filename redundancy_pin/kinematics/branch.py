@@ -20,7 +20,6 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, LARGEST, Array, Frozen, che
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, assemble
 from redundancy_pin.kinematics.closed_state import CONTINUITY, ROUNDING, ClosedState, LoopSolver, Rates
-from redundancy_pin.kinematics.closure import dependent_row_residual
 from redundancy_pin.kinematics.coordinates import difference, mode_indicators, moved
 from redundancy_pin.kinematics.passage import PASSED, SAME_TANGENT, SPACINGS, find_passage
 from redundancy_pin.motion import require_poses
@@ -211,7 +210,7 @@ class Follower(LoopSolver):
     def diagnose_each(self, last: Sequence[ClosedState], x: Array) -> list[BranchEnd]:
         """Return why branches that were followed to N last states do not lead to coordinates x (N, n) or (N, 4, 4)."""
         solved = assemble(self.system, np.array([state.q for state in last]), x)
-        residual = np.maximum(solved.residual, dependent_row_residual(self.robot, solved.q))
+        residual = np.maximum(solved.residual, self.system.dependent_row_residual(solved.q))
         closed, ends = residual < closure_tolerance(self.robot), []
         for k, state in enumerate(last):
             q = read_only(solved.q[k].copy())

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from redundancy_pin.arrays import Array
-from redundancy_pin.kinematics.closure import PlacedRows, constraint_system
+from redundancy_pin.arrays import FILE_TOLERANCE, Array
+from redundancy_pin.kinematics.closure import PlacedRows, constraint_system, row_basis
 from redundancy_pin.kinematics.tree import TreePlacement, frame_placement
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_link_index
+
+_RESTORED = 1e3
+"""Ratio of the smallest singular values of all rows and of those in use, no unit, beyond which all rows keep the rank.
+Where all rows lose rank the two are alike; a place where those in use alone lose it is known to 1e-6 and better."""
 
 
 class ClosedChain(TreePlacement):
@@ -19,11 +23,15 @@ class ClosedChain(TreePlacement):
 
     Args:
         robot: the robot.
+        basis: combine all closure rows by it, see ``use_basis``.
 
     Attributes:
         system: the rows.
         rows: number r of closure rows.
         pose_columns: velocity indices that move the pose.
+        basis: (R, r) U, orthonormal: the closure rows in use are Uᵀ times all R rows without units. None: they are the
+            independent ones of the robot.
+        equation_unit: (r + n,) units of the rows in use, see ``ConstraintSystem``; 1 for combined closure rows.
 
     Example:
         >>> chain = ClosedChain(robot)
@@ -31,19 +39,37 @@ class ClosedChain(TreePlacement):
         >>> K, residual = chain.matrix(), chain.relative_residual()
     """
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, basis: Array | None = None) -> None:
         super().__init__(robot.model)
         self.robot = robot
         self.system = system = constraint_system(robot)
         self.pose_columns, self.rows = system.pose_columns, len(system.rows)
-        self._closure_unit = system.closure_unit
         # without a platform, unit rows of joints stand in the place of those of its twist
         self._unit_rows = system.independent if robot.platform is None else None
         self._placements: dict[str, tuple[Array, Array]] = {}  # views
+        self._placed: PlacedRows | None = None
+        self._jacobian: Array | None = None
+        self.use_basis(basis)
 
-    def __reduce__(self) -> tuple[type[ClosedChain], tuple[Robot]]:
+    def __reduce__(self) -> tuple[type[ClosedChain], tuple[Robot, Array | None]]:
         """Make another one where this is copied or sent to: views into Pinocchio's memory would not be views there."""
-        return ClosedChain, (self.robot,)
+        return ClosedChain, (self.robot, self.basis)
+
+    def use_basis(self, basis: Array | None) -> None:
+        """Combine all closure rows by a basis (R, r) of ``best_basis``; None: use the independent rows again."""
+        system = self.system
+        self.basis, self._used = basis, system if basis is None else system.every
+        self.equation_unit, self._factor = system.equation_unit, system.relative_factor
+        if basis is not None:
+            self.equation_unit = np.concatenate([np.ones(self.rows), system.equation_unit[self.rows :]])
+            self._factor = system.step_unit / self.equation_unit[:, None]
+        self.closure_unit = self.equation_unit[: self.rows]
+        self._placed = self._jacobian = None
+
+    def best_basis(self) -> tuple[Array, float]:
+        """Return U (R, r) of all closure rows at the configuration, and how far it is from dependent; ``row_basis``."""
+        basis, least = row_basis(self.every_row()[0], self.rows)
+        return basis, float(least)
 
     def update(self, q: Array, v: Array) -> None:
         """Set the state: q (nq,), v (nv,)."""
@@ -52,8 +78,7 @@ class ClosedChain(TreePlacement):
 
     def _update_frames(self) -> None:
         super()._update_frames()
-        self._placed: PlacedRows | None = None
-        self._jacobian: Array | None = None
+        self._placed = self._jacobian = None
 
     # --- closure rows over the rows of the independent velocities ----------------------------------------------------
 
@@ -61,13 +86,20 @@ class ClosedChain(TreePlacement):
     def placed(self) -> PlacedRows:
         """The closure rows, and behind them those of the platform's twist, at the configuration."""
         if self._placed is None:
-            self._placed = self.system.all_rows.place(self.vectors, self.q)
+            self._placed = self._used.all_rows.place(self.vectors, self.q)
         return self._placed
+
+    def _combined(self, rows: Array) -> Array:
+        """Return the rows in use (r + n, nv), over those of the independent velocities, from all that are placed."""
+        if self.basis is not None:
+            unit = self._used.closure_unit[:, None]
+            rows = np.concatenate([self.basis.T.dot(rows[: len(unit)] / unit), rows[len(unit) :]])
+        return rows
 
     def full_jacobian(self) -> Array:
         """Return (r + n, nv) J_c over J_x."""
         if self._jacobian is None:
-            rows = self.placed.jacobian(self.J)
+            rows = self._combined(self.placed.jacobian(self.J))
             self._jacobian = rows if self._unit_rows is None else np.concatenate([rows, self._unit_rows])
         return self._jacobian
 
@@ -78,29 +110,27 @@ class ClosedChain(TreePlacement):
 
     def full_rate(self) -> Array:
         """Return (r + n, nv) J̇_c over J̇_x."""
-        rate = self.placed.jacobian_rate(self.J, self.dJ, self.v)
+        rate = self._combined(self.placed.jacobian_rate(self.J, self.dJ, self.v))
         return rate if self._unit_rows is None else np.concatenate([rate, np.zeros_like(self._unit_rows)])
 
     def matrix(self) -> Array:
         """Return K (r + n, p): both Jacobians without units and without the carrier columns."""
         K: Array = self.full_jacobian().take(self.pose_columns, 1)
-        K *= self.system.relative_factor
+        K *= self._factor
         return K
 
     def matrix_rate(self) -> Array:
         """Return (r + n, p) the rate of K, without units."""
-        return self.system.relative(self.full_rate().take(self.pose_columns, 1))
+        rate: Array = self.full_rate().take(self.pose_columns, 1) * self._factor
+        return rate
 
     # --- closures ----------------------------------------------------------------------------------------------------
 
-    def residual(self) -> Array:
-        """Return (r,) the closure residuals Φ, m; for rotation rows the sine of the angle that is off."""
-        return self.placed.residual()[: self.rows]
-
     def relative_residual(self) -> Array:
         """Return (r,) the closure residuals without units: angles, and lengths over the characteristic length."""
-        relative: Array = self.placed.residual()[: self.rows] / self._closure_unit
-        return relative
+        unit = self._used.closure_unit
+        relative: Array = self.placed.residual()[: len(unit)] / unit
+        return relative if self.basis is None else relative.dot(self.basis)
 
     def largest_residual(self) -> float:
         """Return the largest closure residual, m; angles count times the characteristic length."""
@@ -112,7 +142,27 @@ class ClosedChain(TreePlacement):
 
     def closure_rows(self) -> Array:
         """Return J_c (r, p) without units and without the carrier columns."""
-        return self.system.relative(self.jacobian().take(self.pose_columns, 1))
+        rows: Array = self.jacobian().take(self.pose_columns, 1) * self._factor[: self.rows]
+        return rows
+
+    def every_row(self) -> tuple[Array, Array]:
+        """Return the Jacobian (R, p) and residuals (R,) of all closure rows, without units, whatever the basis."""
+        every = self.system.every
+        placed, count = every.all_rows.place(self.vectors, self.q), len(every.rows)
+        rows = every.relative(placed.jacobian(self.J)[:count, self.pose_columns])
+        return rows, placed.residual()[:count] / every.closure_unit
+
+    def dependent_rows_restore_rank(self) -> bool:
+        """Return whether all closure rows keep the rank that the rows in use lose at the configuration.
+
+        Which rows are independent changes along the motion of some mechanisms (Bennett's four hinges). The branch goes
+        smoothly through such a place, and it is no singularity. Rows that contradict each other by the rounding of a
+        file restore nothing.
+        """
+        if not (self.rows and self.system.has_dependent_rows):  # without independent rows none are lost
+            return False
+        least = float(np.linalg.svd(self.closure_rows(), compute_uv=False)[-1])
+        return self.best_basis()[1] > max(_RESTORED * least, FILE_TOLERANCE)
 
     def bias(self) -> Array:
         """Return J̇_c v (r,)."""

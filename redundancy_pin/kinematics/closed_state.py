@@ -3,9 +3,8 @@
 K stacks the closure rows over the rows of the independent velocities, without the carrier columns: K v = (0, ẋ). Its
 inverse gives Γ, the velocity of the tree per unit of each independent velocity.
 
-Where closure rows depend on one another, r of them are independent at the reference configuration (``robot.closures``)
-and serve everywhere but where they lose rank and all rows together (``robot.all_closures``) keep it: there Uᵀ, of the
-singular vectors that belong to the r largest singular values of J_c, makes r independent rows of all.
+Where closure rows depend on one another, the r that are independent at the reference serve everywhere except where they
+lose rank and all rows together keep it: there r combinations of all rows serve (``ClosedChain.use_basis``).
 """
 
 from __future__ import annotations
@@ -34,13 +33,7 @@ from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, Assembly, evaluated, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closing import closed_neighbours
-from redundancy_pin.kinematics.closure import (
-    ConstraintSystem,
-    constraint_system,
-    dependent_row_tolerance,
-    row_basis,
-    with_all_rows,
-)
+from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.kinematics.multistart import SEED, draw_starts
 from redundancy_pin.robot import Robot
@@ -64,7 +57,7 @@ the largest inverse margin, 1e4, that is not treated as a rank loss."""
 
 _HELPED = 3.0
 """Ratio of margins, no unit, beyond which all rows take the place of independent ones that come near a loss of rank. At
-the loss itself ``closure.dependent_rows_restore_rank`` decides."""
+the loss itself ``ClosedChain.dependent_rows_restore_rank`` decides."""
 
 _NEWTON_STEPS = 10
 """Most steps of Newton's method, which doubles the correct digits: from 0.1 to rounding it takes five."""
@@ -147,8 +140,6 @@ class LoopSolver:
         self.system = constraint_system(robot)
         self.chain = chain = ClosedChain(robot)
         self.rank = len(self.system.rows)
-        self._redundant, self._widest = bool(robot.all_closures), dependent_row_tolerance(robot)
-        self._every = constraint_system(with_all_rows(robot))
         self._columns, self._nv = chain.pose_columns, robot.model.nv
         self._flat = robot.model.nq == robot.model.nv
         self._shape = (4, 4) if is_pose(robot) else (robot.n,)
@@ -161,6 +152,13 @@ class LoopSolver:
     def blocks(self) -> Sequence[tuple[IntArray, IntArray]]:
         """The blocks of K, see ``margins.loop_blocks``."""
         return loop_blocks(self.system)
+
+    def blocks_of(self, basis: Array | None) -> Sequence[tuple[IntArray, IntArray]]:
+        """Return the blocks of K with a basis: combined rows belong to all loops."""
+        if basis is None:
+            return self.blocks
+        everything = np.arange(len(self._columns))
+        return ((everything, everything),)
 
     @cached_property
     def near(self) -> float:
@@ -180,19 +178,9 @@ class LoopSolver:
 
     def matrix(self, q: Array, basis: Array | None = None) -> tuple[Array, Array]:
         """Return K (p, p) and the closure residuals (r,) at q (nq,), without units; ``basis`` as in ``ClosedState``."""
+        self.chain.use_basis(basis)
         self.chain.place(q)
-        K = self.chain.matrix()
-        if basis is None:
-            return K, self.chain.relative_residual()
-        rows, phi = self._every_row(q)
-        K[: self.rank] = basis.T @ rows
-        return K, phi.dot(basis)
-
-    def _every_row(self, q: Array) -> tuple[Array, Array]:
-        """Return the Jacobian (R, p) and residuals (R,) of all closure rows, without units, where q is placed."""
-        placed, every = self._every.all_rows.place(self.chain.vectors, q), self._every
-        rows = every.relative(placed.jacobian(self.chain.J)[: len(every.rows), self._columns])
-        return rows, placed.residual()[: len(every.rows)] / every.closure_unit
+        return self.chain.matrix(), self.chain.relative_residual()
 
     def _independent(self, q: Array, basis: Array | None, inverse: Array) -> tuple[Array | None, Array]:
         """Return the basis that serves at a closed configuration, and K⁻¹ with it.
@@ -205,7 +193,7 @@ class LoopSolver:
         if size * self._ample < 1.0:
             return None, plain
         self.chain.place(q)
-        own, least = row_basis(self._every_row(q)[0], self.rank)
+        own, least = self.chain.best_basis()
         if not least > FILE_TOLERANCE:  # contradictions of rounded numbers restore no rank
             return None, plain
         other = inverses(self.matrix(q, own)[0][None])[0]
@@ -265,9 +253,9 @@ class LoopSolver:
             if settled or (size >= before and longest < SETTLED_STEP):
                 inverse = lapack().dgetri(factored, pivots)[0]
                 open_row = 0.0
-                if self._redundant:
+                if self.system.has_dependent_rows:
                     basis, inverse = self._independent(q, basis, inverse)
-                    open_row = largest(self._every_row(q)[1])
+                    open_row = largest(self.chain.every_row()[1])
                 return self._closed(x, q, inverse, largest(rest), open_row, basis)
         return None
 
@@ -277,7 +265,7 @@ class LoopSolver:
         vectors = self.chain.vectors  # axes that must coincide do, and are not turned over
         if not all(float(vectors[a : a + 3].dot(vectors[b : b + 3])) > _COS_TURNED_OVER for a, b in self._aligned):
             return None
-        if not (residual < CLOSURE_TOLERANCE and open_row < self._widest):
+        if not (residual < CLOSURE_TOLERANCE and open_row < self.system.dependent_tolerance):
             return None
         size = math.sqrt(inverse.ravel().dot(inverse.ravel()))
         gamma = np.zeros((self._nv, self.robot.n))
@@ -286,10 +274,7 @@ class LoopSolver:
             array.setflags(write=False)
         margin = 1.0 / size if size < 1.0 / SINGULAR_MARGIN else 0.0
         residual *= self.robot.characteristic_length
-        blocks = self.blocks
-        if basis is not None:  # combined rows belong to all loops
-            everything = np.arange(len(self._columns))
-            blocks = ((everything, everything),)
+        blocks = self.blocks_of(basis)
         return ClosedState(self.robot, _kept(x), q, gamma, inverse, residual, margin, blocks, basis)
 
     def require_shapes(self, q: Array, x: Array) -> None:
@@ -355,13 +340,9 @@ class LoopSolver:
                 margin=state.margin,
             )
         chain, v = self.chain, state.gamma.dot(xd)
+        chain.use_basis(state.basis)
         chain.update(state.q, v)
-        bias = chain.full_bias() / self.system.equation_unit
-        if state.basis is not None:
-            every = self._every.all_rows
-            every_bias = every.place(chain.vectors, state.q).jacobian_rate(chain.J, chain.dJ, v).dot(v)
-            bias[: self.rank] = (every_bias[: len(self._every.rows)] / self._every.closure_unit).dot(state.basis)
-        rest = -bias
+        rest = -chain.full_bias() / chain.equation_unit
         rest[self.rank :] += xdd / self.unit
         a = np.zeros(self._nv)
         a[self._columns] = state.inverse.dot(rest) * self._step_unit

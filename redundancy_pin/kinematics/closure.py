@@ -32,6 +32,10 @@ turn.
 Couplings of joints are rows too (``kinematics.coupling``), behind those of the closures: among the rows between frames
 an empty one, which nothing moves, stands in the place of each.
 
+Redundant rows. The ball of a planar loop has one row more than the loop needs. Of all R rows, r are independent at the
+reference and all around it (``kinematics.selection``): a ``ConstraintSystem`` has these, and ``every`` is the system of
+all. Where the r lose rank and all rows keep it, r combinations of all take their place, by ``row_basis``.
+
 Vectors of rows are component-major: (3, R) at one configuration, (3, R, N) at N of them.
 """
 
@@ -41,7 +45,7 @@ import math
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -56,10 +60,14 @@ from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint, find_link_index
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
 
-_FULL = 1e3
-"""Ratio of the smallest singular values of all rows and of the independent ones, no unit, beyond which the dependent
-rows restore rank. Where all rows lose rank the two are alike; a place where the independent ones alone lose it is known
-to 1e-6 and better."""
+_WHOLE_TURN = 100.0
+"""Residual of dependent rows along a whole turn over that within 0.1 rad of the reference. It is 20 for an axis that is
+drawn where it belongs at the reference, sin(π / 2) / sin(0.1 / 2), and more where its joint moves less than others
+there: up to 33 in the shipped planar machines, rounded."""
+
+_NARROWEST, _WIDEST = 1e-4, 20.0 * FILE_TOLERANCE
+"""Residual of dependent rows, rad or characteristic lengths: what a branch that is not the machine's exceeds tenfold
+where placements are exact, and what no machine of rounded numbers comes to (``FILE_TOLERANCE`` times the 20 above)."""
 
 _ORIGIN = 3
 """Column of a frame's origin, behind its three axes."""
@@ -376,6 +384,37 @@ class ConstraintSystem:
         """(r,) the part of ``equation_unit`` that belongs to the closures."""
         return self.equation_unit[: len(self.rows)]
 
+    @cached_property
+    def every(self) -> ConstraintSystem:
+        """The system of all R closure rows, dependent ones too (``Robot.all_closures``); itself where there are none.
+
+        Its other rows, and its columns, are the same.
+        """
+        robot = self.robot
+        if not robot.all_closures:
+            return self
+        return ConstraintSystem(replace(robot, closures=robot.all_closures, all_closures=()))
+
+    @property
+    def has_dependent_rows(self) -> bool:
+        """Whether there are closure rows that depend on the r independent ones."""
+        return self.every is not self
+
+    @property
+    def dependent_tolerance(self) -> float:
+        """Residual of dependent rows, rad or characteristic lengths, up to which a configuration is closed.
+
+        On a branch that is not the machine's it is larger.
+        """
+        return min(max(_NARROWEST, _WHOLE_TURN * self.robot.dependent_residual), _WIDEST)
+
+    def dependent_row_residual(self, q: Array) -> Array:
+        """Return (N,) the closure residual of dependent rows at (N, nq), m; zero for rounding of a file."""
+        if not self.has_dependent_rows:
+            return np.zeros(len(q))
+        residual = self.every.largest_residual(self.every.evaluate(q).phi)
+        return np.where(residual > self.dependent_tolerance * self.robot.characteristic_length, residual, 0.0)
+
     def largest_residual(self, phi: Array) -> Array:
         """Return (N,) the largest of closure residuals (N, r), m; angles count times the characteristic length."""
         largest: Array = np.abs(phi / self.closure_unit).max(axis=1, initial=0.0)
@@ -532,39 +571,6 @@ def constraint_system(robot: Robot) -> ConstraintSystem:
     return ConstraintSystem(robot)
 
 
-@lru_cache(maxsize=32)
-def with_all_rows(robot: Robot) -> Robot:
-    """Return a robot with the closure rows that were left out because they depend on the others; itself without any."""
-    return replace(robot, closures=robot.all_closures, all_closures=()) if robot.all_closures else robot
-
-
-_WHOLE_TURN = 100.0
-"""Residual of dependent rows along a whole turn over that within 0.1 rad of the reference. It is 20 for an axis that is
-drawn where it belongs at the reference, sin(π / 2) / sin(0.1 / 2), and more where its joint moves less than others
-there: up to 33 in the shipped planar machines, rounded."""
-
-_NARROWEST, _WIDEST = 1e-4, 20.0 * FILE_TOLERANCE
-"""Residual of dependent rows, rad or characteristic lengths: what a branch that is not the machine's exceeds tenfold
-where placements are exact, and what no machine of rounded numbers comes to (``FILE_TOLERANCE`` times the 20 above)."""
-
-
-def dependent_row_tolerance(robot: Robot) -> float:
-    """Return up to which residual of dependent rows, rad or characteristic lengths, a configuration is closed.
-
-    On a branch that is not the machine's it is larger.
-    """
-    return min(max(_NARROWEST, _WHOLE_TURN * robot.dependent_residual), _WIDEST)
-
-
-def dependent_row_residual(robot: Robot, q: Array) -> Array:
-    """Return (N,) the closure residual of dependent rows at (N, nq), m; zero for rounding of a file."""
-    if not robot.all_closures:
-        return np.zeros(len(q))
-    system = constraint_system(with_all_rows(robot))
-    residual = system.largest_residual(system.evaluate(q).phi)
-    return np.where(residual > dependent_row_tolerance(robot) * robot.characteristic_length, residual, 0.0)
-
-
 def row_basis(rows: Array, rank: int) -> tuple[Array, Array]:
     """Return r independent combinations of all closure rows, as a basis U, and how far they are from dependent.
 
@@ -585,17 +591,3 @@ def row_basis(rows: Array, rank: int) -> tuple[Array, Array]:
     """
     left, values, _ = np.linalg.svd(rows, full_matrices=False)
     return left[..., :rank], values[..., :rank].min(axis=-1, initial=np.inf)
-
-
-def dependent_rows_restore_rank(robot: Robot, q: Array) -> bool:
-    """Return whether dependent rows keep the rank that the independent ones lose at q (nq,).
-
-    Which rows are independent changes along the motion of some mechanisms (Bennett's four hinges). The branch goes
-    smoothly through such a place, and it is no singularity. Rows that contradict each other by the rounding of a file
-    restore nothing.
-    """
-    if not robot.all_closures or not (robot.closures or robot.couplings):  # without independent rows none are lost
-        return False
-    some, every = constraint_system(robot), constraint_system(with_all_rows(robot))
-    least = np.linalg.svd(some.closure_rows(q), compute_uv=False)[-1]
-    return bool(row_basis(every.closure_rows(q), len(some.rows))[1] > max(_FULL * least, FILE_TOLERANCE))

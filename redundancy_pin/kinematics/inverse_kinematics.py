@@ -26,7 +26,7 @@ from redundancy_pin.kinematics.branch import (
     Rates,
     follower,
 )
-from redundancy_pin.kinematics.closure import ConstraintSystem, dependent_row_residual
+from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator, mode_name, working_modes
 from redundancy_pin.kinematics.mobility import worst_dependent_row
 from redundancy_pin.kinematics.multistart import multistart
@@ -350,10 +350,10 @@ def point_on_branch(system: ConstraintSystem, x: Array, time: float | None = Non
         )
     state = own.close(q, x) if in_mode else None
     if state is None:
-        residual = max(residual, float(dependent_row_residual(robot, q[None])[0]))
+        residual = max(residual, float(system.dependent_row_residual(q[None])[0]))
         raise UnreachablePoseError(
             f"{pose} cannot be reached in the working mode of {robot.name}: the chains stay open by {residual:.3g} m"
-            f"{worst_dependent_row(robot, q)}.{millimetres(residual, robot.characteristic_length)}",
+            f"{worst_dependent_row(system, q)}.{millimetres(residual, robot.characteristic_length)}",
             remedy="Move the pose into the workspace, or load the robot in another working_mode.",
             **details,
             residual=residual,
@@ -406,9 +406,10 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int, start: ClosedState | 
     if end.reason:
         return UnreachablePoseError(end.reason, remedy=_FEWER_TURNS, sample=k)
     if end.status is SampleStatus.UNREACHABLE:
+        worst = worst_dependent_row(constraint_system(robot), end.q)
         return UnreachablePoseError(
-            f"The pose of {place} cannot be reached: the chains stay open by {end.residual:.3g} m"
-            f"{worst_dependent_row(robot, end.q)}.{millimetres(end.residual, robot.characteristic_length)}",
+            f"The pose of {place} cannot be reached: the chains stay open by {end.residual:.3g} m{worst}."
+            f"{millimetres(end.residual, robot.characteristic_length)}",
             remedy="Keep the motion inside the workspace, or ask for unreachable samples to be marked.",
             sample=k,
             residual=end.residual,

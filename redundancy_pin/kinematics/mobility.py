@@ -11,7 +11,7 @@ import numpy as np
 from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import Assembly, assemble, evaluated, smallest_independent
-from redundancy_pin.kinematics.closure import ConstraintSystem, dependent_row_residual, with_all_rows
+from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.build import with_pointer
 
@@ -217,14 +217,14 @@ def _rank(system: ConstraintSystem, q: Array, apart: float = RANK_TOLERANCE) -> 
     return len(kept), [name for row, name in enumerate(row_names(system.robot)) if row not in kept]
 
 
-def worst_dependent_row(robot: Robot, q: Array) -> str:
+def worst_dependent_row(system: ConstraintSystem, q: Array) -> str:
     """Return what to say of the dependent row that a configuration (nq,) leaves open most; empty where all close."""
-    if not dependent_row_residual(robot, q[None])[0]:
+    if not system.dependent_row_residual(q[None])[0]:
         return ""
-    every = with_all_rows(robot)
-    system = ConstraintSystem(every)
-    residual = np.abs(system.evaluate(q[None]).phi[0] / system.closure_unit)
-    return f", in {row_names(every)[int(np.argmax(residual))]}, which was left out as redundant near the reference"
+    every = system.every
+    residual = np.abs(every.evaluate(q[None]).phi[0] / every.closure_unit)
+    name = row_names(every.robot)[int(np.argmax(residual))]
+    return f", in {name}, which was left out as redundant near the reference"
 
 
 def row_names(robot: Robot) -> list[str]:

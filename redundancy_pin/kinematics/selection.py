@@ -17,7 +17,7 @@ import numpy as np
 from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.closing import closed_near, closed_neighbours
-from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system, with_all_rows
+from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.mobility import free_motions, independent_columns, row_names
 from redundancy_pin.kinematics.spinning_rods import centre_off_axis, find_spinning_rod, with_spin_fixed
 from redundancy_pin.robot import Robot
@@ -114,15 +114,6 @@ def selected(
             **({"balls": balls} if balls == loose else {}),
         )
     return Selection(robot, left_out, opened, tuple(rods), off_axis, independent, q)
-
-
-def rows_at(robot: Robot, q: Array) -> Robot:
-    """Return a robot whose redundant rows were left out with those rows that say most at a closed configuration."""
-    full = with_all_rows(robot)
-    rows = constraint_system(full).closure_rows(q)
-    keep = np.zeros(len(rows), dtype=bool)
-    keep[independent_columns(rows.T, most=len(constraint_system(robot).rows))] = True
-    return replace(_with_rows(full, keep)[0], all_closures=robot.all_closures)
 
 
 def _without_redundant_rows(

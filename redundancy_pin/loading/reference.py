@@ -12,7 +12,7 @@ from redundancy_pin.arrays import Array, frozen
 from redundancy_pin.errors import DeclarationError, millimetres
 from redundancy_pin.kinematics.assembly import TURNED_OVER
 from redundancy_pin.kinematics.closing import closed_near
-from redundancy_pin.kinematics.closure import ConstraintSystem, with_all_rows
+from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import (
     in_working_mode,
     joint_position,
@@ -69,15 +69,14 @@ def close_reference(robot: Robot, declaration: Declaration, parameters: Mapping[
         or characteristic_length(robot.model, q, robot.carriers),
     )
     robot = check_reference_rank(ConstraintSystem(robot), dropped=dropped)
-    if robot.all_closures:
-        system = ConstraintSystem(with_all_rows(robot))
-        turned = float(system.misalignment(system.evaluate(np.array(robot.q_reference)[None]))[0])
-        if turned > TURNED_OVER:
-            raise DeclarationError(
-                f"At the reference of {robot.name} a hinge or weld closes the wrong way round, by {turned:.3g} rad.",
-                remedy="Name a `reference.guess` nearer to the right one.",
-                angle=turned,
-            )
+    every = ConstraintSystem(robot).every
+    turned = float(every.misalignment(every.evaluate(np.array(robot.q_reference)[None]))[0])
+    if turned > TURNED_OVER:
+        raise DeclarationError(
+            f"At the reference of {robot.name} a hinge or weld closes the wrong way round, by {turned:.3g} rad.",
+            remedy="Name a `reference.guess` nearer to the right one.",
+            angle=turned,
+        )
     return meet_limits(robot)
 
 

@@ -19,7 +19,6 @@ from scipy.optimize import brentq, minimize_scalar
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.closure import dependent_rows_restore_rank
 from redundancy_pin.kinematics.coordinates import mode_indicator
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import ROUNDING, all_ranges
@@ -226,7 +225,8 @@ class EventFunctions:
 
         There are none where rows that were left out make up for them.
         """
-        if dependent_rows_restore_rank(self._chain.robot, y[: self.nq]):
+        self._chain.place(y[: self.nq])
+        if self._chain.dependent_rows_restore_rank():
             return []
         kinds = ("closure_rank", *self.determinants)
         return [self.event(self.kinds.index(kind), t) for kind in kinds]

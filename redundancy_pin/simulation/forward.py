@@ -150,7 +150,7 @@ class ForwardDynamics:
         self._columns = np.concatenate([partition.dependent, partition.independent])
         # dependent velocities are solved for without units: the pivots say how good the choice is
         dependent = self._unit[partition.dependent]
-        self._row_scale = 1.0 / self.chain.system.closure_unit
+        self._row_scale = 1.0 / self.chain.closure_unit
         self._column_scale = self._row_scale[:, None] * self._unit[self._columns]
         self._solved_unit = -dependent[:, None] / np.append(self._unit[partition.independent], 1.0)
 
@@ -246,7 +246,7 @@ class ForwardDynamics:
             dependent = sheet.dependent
         block = relative[:, np.searchsorted(chain.pose_columns, dependent)]
         if sheet is None or rank_ratio(block[None])[0] > LOST:
-            unit = chain.system.closure_unit
+            unit = chain.closure_unit
             closure = np.linalg.solve(block.T, missing[dependent] * self._unit[dependent]) / unit
         return Acceleration(a, closure, missing[self._carriers] if self.prescribed else force[self._carriers])
 

@@ -28,8 +28,6 @@ from scipy.optimize import brentq
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.forward import ForwardKernel, Integration, Progress, Rules
 from redundancy_pin.errors import IllPosedModelError, InputError, RedundancyPinError, SingularPoseError
-from redundancy_pin.kinematics.closure import dependent_rows_restore_rank
-from redundancy_pin.kinematics.selection import rows_at
 from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.simulation.controllers.base import Command, Sampling
 from redundancy_pin.simulation.events import BETWEEN, BRIEF, Event, EventFunctions, Step, find_events, may_touch_zero
@@ -183,7 +181,7 @@ class SimulationProgress(Progress):
 class SimulatedSample:
     """A closed state y (nq + nv,) at time t, s, and the command that is held there (None: the controller's answer).
 
-    ``machine``: what has moved it, with the closure rows that count there; None is that of the start.
+    ``machine``: what has moved it, with the closure rows that it used; None is that of the start.
     """
 
     t: float
@@ -224,7 +222,7 @@ def integrate(
                 commands.append(machine.amplifiers.command(machine.state(stretch.start, progress.y)))
             hold = None if stretch.acting is None else commands[stretch.acting]
             progress = _integrate_stretch(problem, progress, stretch, hold, record, ordinary)
-            while (other := _with_other_rows(problem, progress, changed)) is not None:
+            while (other := _with_all_rows(problem, progress, changed)) is not None:
                 (problem, progress), changed, ordinary = other, progress.t, None
                 progress = _integrate_stretch(problem, progress, stretch, hold, record, None)
             if progress.status is not None:
@@ -234,20 +232,21 @@ def integrate(
     return record, replace(progress, status=status, seconds=time.perf_counter() - began)
 
 
-def _with_other_rows(
+def _with_all_rows(
     problem: InitialValueProblem, progress: SimulationProgress, changed: float
 ) -> tuple[InitialValueProblem, SimulationProgress] | None:
-    """Return how to go on where the rows that count have failed, and those that were left out make up for them.
+    """Return how to go on where the closure rows in use have failed and dependent rows restore the rank.
 
     ``changed``: when that was done last, s; it is not done twice at one place.
     """
-    robot = problem.machine.robot
+    machine = problem.machine
     if progress.status is not ResultStatus.NOT_CONVERGED or progress.t <= changed:
         return None
-    q = progress.y[: robot.model.nq]
-    if not dependent_rows_restore_rank(robot, q):
+    q = progress.y[: machine.robot.model.nq]
+    machine.chain.place(q)
+    if not machine.chain.dependent_rows_restore_rank():
         return None
-    machine = problem.machine.with_rows(rows_at(robot, q))
+    machine = machine.with_all_rows(q)
     functions = EventFunctions(machine.chain, problem.functions.stop_at, q)
     going_on = replace(progress, status=None, reason="", sheet=None, near=NEAR, next_step=None, short=0)
     going_on = replace(going_on, values=functions.at_start(q))

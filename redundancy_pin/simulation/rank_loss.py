@@ -83,12 +83,14 @@ class Sheet:
         solver: follower of the robot with these joints in place of its platform.
         passage: the branch across the rank loss.
         independent, dependent: (d,) and (r,) velocity indices.
+        basis: of the closure rows in use, see ``ClosedChain``.
     """
 
     solver: Follower
     passage: Passage
     independent: IntArray
     dependent: IntArray
+    basis: Array | None
 
     @property
     def half(self) -> float:
@@ -128,8 +130,9 @@ class Sheet:
         """
         values = []
         for q in configurations:
-            K = self.solver.matrix(q)[0]
-            values.append([np.linalg.det(K[rows[:, None], columns]) for rows, columns in self.solver.blocks])
+            K = self.solver.matrix(q, self.basis)[0]
+            blocks = self.solver.blocks_of(self.basis)
+            values.append([np.linalg.det(K[rows[:, None], columns]) for rows, columns in blocks])
         scaled = np.array(values) / np.abs(values).max(axis=0)
         fits = (Chebyshev.fit(fractions, column, len(fractions) - 1, [0.0, 1.0]) for column in scaled.T)
         return np.concatenate([fit.trim(1e-13).roots() for fit in fits])
@@ -174,7 +177,8 @@ def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet |
     names = tuple(str(name) for name, joint in joints if joint.idx_v in independent)
     own = follower(with_independent_joints(chain.robot, names))
     x = own.coordinates_at(q)
-    here = own.singular_state(x, q, moving[:, None] / moving[independent]) if lost else own.close(q, x)
+    gamma = moving[:, None] / moving[independent] if lost else None
+    here = own.close(q, x, chain.basis) if gamma is None else own.singular_state(x, q, gamma, basis=chain.basis)
     if here is None:
         return None
     along = rate / length * own.unit  # the coordinates' increment per unit of length
@@ -187,7 +191,7 @@ def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet |
     for spacing in SPACINGS:
         passage = _passage(own, here, ahead, along * spacing) if abs(ahead) <= WITHIN * 4.0 * spacing else None
         if passage is not None:
-            return Sheet(own, passage, independent, np.setdiff1d(columns, independent))
+            return Sheet(own, passage, independent, np.setdiff1d(columns, independent), chain.basis)
     # a narrower passage than reaches here may be smooth: it is tried from nearer by
     return ahead if ahead > WITHIN * 4.0 * SPACINGS[-1] else None
 

@@ -13,7 +13,7 @@ from redundancy_pin.arrays import Array, frozen, one_of, positive, read_only
 from redundancy_pin.dynamics.default import DynamicsLike
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
-from redundancy_pin.kinematics.closure import constraint_system, with_all_rows
+from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.planners.plan import Plan
@@ -303,7 +303,7 @@ def _simulation(
 ) -> Simulation:
     """Evaluate forces, accelerations and energies at the samples and put everything together."""
     robot, model, samples = machine.robot, machine.robot.model, record.samples
-    status = end.status or ResultStatus.OK
+    status, system = end.status or ResultStatus.OK, constraint_system(robot)
     count, t = len(samples), frozen([sample.t for sample in samples])
     q, v = np.split(np.array([sample.y for sample in samples]), [model.nq], axis=1)
     a, energy = np.full((count, model.nv), np.nan), np.empty(count)
@@ -324,10 +324,12 @@ def _simulation(
             continue  # what blows up may leave a controller without an answer
         tau[i], carrier_force[i] = command[0], loads.carrier_force
         a[i], closure_force[i] = loads.a, loads.closure_force
-        if here.robot.closures != robot.closures:  # of the same effect, in the rows of the robot
-            own, other = (constraint_system(each).evaluate(state.q[None]).Jc[0] for each in (robot, here.robot))
-            closure_force[i] = np.linalg.lstsq(own.T, other.T @ loads.closure_force, rcond=None)[0]
-    evaluated, every = constraint_system(robot).evaluate(q), constraint_system(with_all_rows(robot))
+        if here.chain.basis is not None:  # of the same effect, in the rows of the robot
+            own = system.evaluate(state.q[None]).Jc[0]
+            here.chain.update(state.q, state.v)
+            effort = here.chain.jacobian().T @ loads.closure_force
+            closure_force[i] = np.linalg.lstsq(own.T, effort, rcond=None)[0]
+    evaluated, every = system.evaluate(q), system.every
     columns = robot.carrier_velocity
     x, xd = coordinates(robot, evaluated), np.einsum("nij,nj->ni", evaluated.Jx, v)
     return Simulation(

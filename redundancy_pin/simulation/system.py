@@ -14,7 +14,6 @@ from redundancy_pin.arrays import Array, one_of
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_energy, tree_loads
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError, UnsupportedRobotError
-from redundancy_pin.kinematics.closure import dependent_row_residual
 from redundancy_pin.robot import Closure, Payload, Robot, Wrench
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.robot.lookup import find_link
@@ -128,9 +127,16 @@ class Machine:
         self._constraint_dynamics = _constraint_dynamics(robot, method, carrier_law is not None)
         self._split = robot.model.nq
 
-    def with_rows(self, robot: Robot) -> Machine:
-        """Return the machine of the same robot with other closure rows that count; without machine code."""
-        return Machine(robot, self.amplifiers, self._law, self._external, self._method)
+    def with_all_rows(self, q: Array) -> Machine:
+        """Return the machine with the combinations of all closure rows that suit q (nq,), by the projected equations.
+
+        Machine code, and Pinocchio's ``constraintDynamics``, have the independent rows alone.
+        """
+        machine = Machine(self.robot, self.amplifiers, self._law, self._external, "projected")
+        machine.chain.place(q)
+        machine.chain.use_basis(machine.chain.best_basis()[0])
+        machine.dynamics.adapt(q)
+        return machine
 
     def state(self, t: float, y: Array) -> State:
         """Return the state of y = (q, v) at time t, carriers where the law wants them."""
@@ -182,7 +188,7 @@ class Machine:
         return np.concatenate([q, v]), before, max(left, self._dependent_residual(q))
 
     def _dependent_residual(self, q: Array) -> float:
-        return float(dependent_row_residual(self.robot, q[None])[0]) if self.robot.all_closures else 0.0
+        return float(self.chain.system.dependent_row_residual(q[None])[0])
 
     def least_inertia(self, t: float, y: Array) -> float:
         """Return the smallest pivot of the mass matrix over the largest, at the last state or, with code, at y."""

@@ -38,13 +38,7 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import closed_configurations, inverses
-from redundancy_pin.kinematics.closure import (
-    ConstraintState,
-    ConstraintSystem,
-    constraint_system,
-    row_basis,
-    with_all_rows,
-)
+from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem, row_basis
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.robot.scales import column_scale, row_scale
@@ -59,12 +53,11 @@ def serial_and_locked(system: ConstraintSystem, state: ConstraintState) -> tuple
     stay.
     """
     r, K = len(system.rows), system.relative(state.K)
-    if system.robot.all_closures:
-        whole = constraint_system(with_all_rows(system.robot))
-        every = whole.relative(whole.evaluate(state.q).Jc[:, :, system.pose_columns])
-        basis, least = row_basis(every, r)
+    if system.has_dependent_rows:
+        rows = system.every.relative(system.every.evaluate(state.q).Jc[:, :, system.pose_columns])
+        basis, least = row_basis(rows, r)
         full = least > FILE_TOLERANCE
-        K[full, :r] = basis[full].transpose(0, 2, 1) @ every[full]
+        K[full, :r] = basis[full].transpose(0, 2, 1) @ rows[full]
     selection = system.selection[:, system.pose_columns]
     return K, np.concatenate([K[:, :r], np.broadcast_to(selection, (len(K), *selection.shape))], axis=1)
 

@@ -35,6 +35,7 @@ from redundancy_pin.arrays import (
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import configuration_difference, newton
 from redundancy_pin.kinematics.branch import follower
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.robot import Robot
@@ -273,7 +274,7 @@ class _SingularPoints:
     def __init__(self, place: Slice) -> None:
         self.robot = robot = place.system.robot
         self.follower = follower(robot)
-        self.chain = self.follower.chain
+        self.chain = ClosedChain(robot)
         self.columns = columns = self.chain.pose_columns
         self.fixed = [k for k in range(robot.n) if k not in place.free]
         self.unit, self.step_unit = coordinate_unit(robot), self.chain.system.step_unit

@@ -149,7 +149,7 @@ def assert_derivatives(system: ConstraintSystem, q: np.ndarray, rng: np.random.G
     chain = ClosedChain(system.robot)
     for k in range(len(q)):
         chain.update(q[k], v[k])
-        for one, many in ((chain.residual(), state.phi), (chain.jacobian(), state.Jc)):
+        for one, many in ((chain.relative_residual() * chain.closure_unit, state.phi), (chain.jacobian(), state.Jc)):
             np.testing.assert_allclose(one, many[k], atol=ONE_OF_MANY)
         np.testing.assert_allclose(chain.bias(), (after.Jc[k] - before.Jc[k]) @ v[k] / (2 * STEP), atol=BENDS)
         np.testing.assert_allclose(
