@@ -12,8 +12,8 @@ from redundancy_pin.arrays import positive
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
-from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, moved
+from redundancy_pin.kinematics.branch import follower
+from redundancy_pin.kinematics.coordinates import moved
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
@@ -142,6 +142,6 @@ def _swing(robot: Robot, amplitude: float) -> PlatformMotion:
     kappa = np.sin(rate * t) ** 2
     kappa_d, kappa_dd = rate * np.sin(2.0 * rate * t), 2.0 * rate**2 * np.cos(2.0 * rate * t)
     direction = amplitude * robot.characteristic_length / row_scale(robot)
-    start = coordinates(robot, ConstraintSystem(robot).evaluate(np.array(robot.q_reference)[None]))
+    start = follower(robot).home.x[None]
     x = moved(robot, np.repeat(start, len(t), axis=0), np.outer(kappa, direction))
     return PlatformMotion(t, x, np.outer(kappa_d, direction), np.outer(kappa_dd, direction))

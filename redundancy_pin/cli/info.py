@@ -112,13 +112,12 @@ def _reference(robot: Robot) -> dict[str, Any]:
     """Return the reference coordinates, how far they are from singularities, and the efforts that hold the robot."""
     from redundancy_pin.dynamics.distribution import distribute
     from redundancy_pin.dynamics.rnea import RneaDynamics
-    from redundancy_pin.kinematics.closure import ConstraintSystem
-    from redundancy_pin.kinematics.coordinates import coordinates
+    from redundancy_pin.kinematics.branch import follower
     from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
     from redundancy_pin.motion import PlatformMotion
     from redundancy_pin.robot.scales import is_revolute
 
-    x = coordinates(robot, ConstraintSystem(robot).evaluate(np.array(robot.q_reference)[None]))
+    x = follower(robot).home.x[None]
     still = np.zeros((1, robot.n))
     motion = PlatformMotion([0.0], x, still, still)
     reduced = RneaDynamics(robot).reduce(motion)

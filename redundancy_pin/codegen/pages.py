@@ -16,8 +16,8 @@ from redundancy_pin.codegen.names import add_prefix
 from redundancy_pin.codegen.recorded import Recorded
 from redundancy_pin.dynamics.compiled.build import Definition, define, driver_source, text_of
 from redundancy_pin.dynamics.compiled.parameters import parameter_vector, turning_rows
-from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, mode_name
+from redundancy_pin.kinematics.branch import follower
+from redundancy_pin.kinematics.coordinates import mode_name
 from redundancy_pin.machine_code import NEEDS_INFINITY
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint, has_joint
@@ -128,7 +128,7 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
         "prefix": prefix,
         "PREFIX": prefix.upper(),
         "status": {status.name: int(status) for status in SampleStatus},
-        "home": _listed(coordinates(robot, ConstraintSystem(robot).evaluate(robot.q_reference[None])).reshape(-1)),
+        "home": _listed(follower(robot).home.x.reshape(-1)),
         "n": robot.n,
         "m": robot.m,
         "k": robot.k,

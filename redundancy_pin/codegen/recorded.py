@@ -12,8 +12,9 @@ from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, joint_position, moved
+from redundancy_pin.kinematics.coordinates import joint_position, moved
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot
@@ -94,7 +95,7 @@ def record(robot: Robot, motion: PlatformMotion | None, carriers: CarrierMotion 
 def _random_motion(robot: Robot) -> tuple[PlatformMotion, CarrierMotion]:
     """Return a closed path about the reference with random rates, as far out as the robot can follow."""
     random = np.random.default_rng(0)
-    home = coordinates(robot, ConstraintSystem(robot).evaluate(np.array(robot.q_reference)[None]))
+    home = follower(robot).home.x[None]
     t = np.linspace(0.0, 2.0, SAMPLES)
     angles = np.outer(t, [2.0 * np.pi, 3.0 * np.pi])[:, :, None] + random.uniform(0.0, 2.0 * np.pi, (2, robot.n))
     path = (random.uniform(0.2, 0.5, (2, robot.n)) * np.sin(angles)).sum(axis=1)

@@ -22,7 +22,7 @@ from redundancy_pin.errors import (
 from redundancy_pin.kinematics.branch import BranchEnd, follower
 from redundancy_pin.kinematics.closed_state import closed_around, typical_margin
 from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates, in_working_mode
+from redundancy_pin.kinematics.coordinates import all_working_modes, in_working_mode
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.loading import load_robot, load_with
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -241,8 +241,7 @@ def _why_not_followed(case: RandomCase) -> str:
 
 
 def _random_motion(robot: Robot, samples: int, rng: np.random.Generator, amplitude: float) -> RandomCase:
-    system = constraint_system(robot)
-    home = coordinates(robot, system.evaluate(np.array(robot.q_reference)[None]))[0]
+    home = follower(robot).home.x
     is_pose = home.ndim == 2
     centre = np.concatenate([home[:3, 3], [0.0, 0.0]]) if is_pose else home
     size = (

@@ -38,6 +38,10 @@ _SUFFICIENT_DECREASE = 1e-4
 """Armijo's constant: part of the decrease that the linear model promises (Nocedal and Wright, "Numerical Optimization",
 2006, section 3.1)."""
 
+RESTORED = 3.0
+"""Ratio of margins, no unit, beyond which all closure rows take the place of independent ones near a loss of rank. At
+the loss itself ``ClosedChain.dependent_rows_restore_rank`` decides."""
+
 TURNED_OVER = 1.0
 """Axes further apart than this (rad) at the end of Newton have closed the wrong way round, which takes π/2 or more."""
 
@@ -52,9 +56,9 @@ class Assembly:
     Attributes:
         system: closures and platform rows of the robot.
         state: closures and Jacobians at the configurations.
-        residual: (N,) largest absolute residual, m: closure rows and the distance to the target coordinates; where a
-            hinge or weld is closed the wrong way round, the angle between its axes. Angles count times the
-            characteristic length.
+        residual: (N,) largest absolute residual, m: closure rows, dependent ones beyond the rounding of a file, and the
+            distance to the target coordinates; where a hinge or weld is closed the wrong way round, the angle between
+            its axes. Angles count times the characteristic length.
     """
 
     system: ConstraintSystem
@@ -73,9 +77,21 @@ class Assembly:
 
     @cached_property
     def _inverse(self) -> Array:
-        """(N, p, r + n) K⁻¹ without units; where K has more rows than columns, which agree, by least squares."""
-        K = self.system.relative(self.state.K)
-        return inverses(K) if K.shape[1] <= K.shape[2] else np.asarray(np.linalg.pinv(K), dtype=np.float64)
+        """(N, p, r + n) K⁻¹ without units; where K has more rows than columns, which agree, by least squares.
+
+        Combinations of all closure rows take the place of independent ones that lose rank, if they keep it.
+        """
+        system = self.system
+        K = system.relative(self.state.K)
+        invert = inverses if K.shape[1] <= K.shape[2] else np.linalg.pinv
+        inverse: Array = invert(K)
+        if system.has_dependent_rows:
+            K[:, : len(system.rows)], least = system.combined_rows(self.q)
+            other = invert(K)
+            size, other_size = (np.linalg.norm(part, axis=(1, 2)) for part in (inverse, other))
+            restored = (least > FILE_TOLERANCE) & (other_size < np.nan_to_num(size, nan=np.inf) / RESTORED)
+            inverse[restored] = other[restored]
+        return inverse
 
     @cached_property
     def margin(self) -> Array:
@@ -180,7 +196,8 @@ def evaluated(system: ConstraintSystem, q: Array, target: Array | None = None) -
     worst = np.abs(_equations(system, state, target)[0]).max(axis=1, initial=0.0)
     misaligned = system.misalignment(state)
     worst = np.where(misaligned > TURNED_OVER, np.maximum(worst, misaligned), worst)
-    return Assembly(system, state, system.robot.characteristic_length * worst)
+    residual = np.maximum(system.robot.characteristic_length * worst, system.dependent_row_residual(q))
+    return Assembly(system, state, residual)
 
 
 def newton(

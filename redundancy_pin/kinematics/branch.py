@@ -24,7 +24,6 @@ from redundancy_pin.kinematics.coordinates import difference, mode_indicators, m
 from redundancy_pin.kinematics.passage import PASSED, SAME_TANGENT, SPACINGS, find_passage
 from redundancy_pin.motion import require_poses
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import closure_tolerance
 from redundancy_pin.status import SampleStatus
 
 __all__ = ["BranchEnd", "ClosedState", "Follower", "Rates", "follower"]
@@ -210,15 +209,14 @@ class Follower(LoopSolver):
     def diagnose_each(self, last: Sequence[ClosedState], x: Array) -> list[BranchEnd]:
         """Return why branches that were followed to N last states do not lead to coordinates x (N, n) or (N, 4, 4)."""
         solved = assemble(self.system, np.array([state.q for state in last]), x)
-        residual = np.maximum(solved.residual, self.system.dependent_row_residual(solved.q))
-        closed, ends = residual < closure_tolerance(self.robot), []
+        closed, ends = solved.closed, []
         for k, state in enumerate(last):
             q = read_only(solved.q[k].copy())
             rank_lost = bool(closed[k]) and self.closure_margin(q) < self.near
             status = SampleStatus.BRANCH_LOST if solved.regular[k] and not rank_lost else SampleStatus.TYPE_I
             if not closed[k]:
                 status = SampleStatus.UNREACHABLE
-            ends.append(BranchEnd(status, read_only(x[k].copy()), state, q, float(residual[k]), rank_lost))
+            ends.append(BranchEnd(status, read_only(x[k].copy()), state, q, float(solved.residual[k]), rank_lost))
         return ends
 
     def step(self, here: ClosedState, x: Array) -> ClosedState | None:

@@ -30,7 +30,7 @@ from redundancy_pin.arrays import (
     read_only,
 )
 from redundancy_pin.errors import SingularPoseError
-from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, Assembly, evaluated, inverses
+from redundancy_pin.kinematics.assembly import RESTORED, SETTLED_STEP, TURNED_OVER, Assembly, evaluated, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closing import closed_neighbours
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
@@ -54,10 +54,6 @@ of a smooth branch eightfold, that of a jump between branches not at all."""
 ROUNDING = 1e4 * CLOSURE_TOLERANCE
 """Rounding of a closed configuration, rad or characteristic lengths: the root of the closure tolerance, 1e-11, times
 the largest inverse margin, 1e4, that is not treated as a rank loss."""
-
-_HELPED = 3.0
-"""Ratio of margins, no unit, beyond which all rows take the place of independent ones that come near a loss of rank. At
-the loss itself ``ClosedChain.dependent_rows_restore_rank`` decides."""
 
 _NEWTON_STEPS = 10
 """Most steps of Newton's method, which doubles the correct digits: from 0.1 to rounding it takes five."""
@@ -197,7 +193,7 @@ class LoopSolver:
         if not least > FILE_TOLERANCE:  # contradictions of rounded numbers restore no rank
             return None, plain
         other = inverses(self.matrix(q, own)[0][None])[0]
-        if not float(np.linalg.norm(other)) < size / _HELPED:
+        if not float(np.linalg.norm(other)) < size / RESTORED:
             return None, plain
         return own, other
 

@@ -433,6 +433,16 @@ class ConstraintSystem:
         """Return J_c (r, p) at one configuration q (nq,), without units and without the carrier columns."""
         return self.relative(self.evaluate(q[None]).K[0, : len(self.rows)])
 
+    def combined_rows(self, q: Array) -> tuple[Array, Array]:
+        """Return the r best combinations of all closure rows at (N, nq), and how far they are from dependent.
+
+        Returns:
+            Uᵀ J_c (N, r, p) without units and without the carrier columns, and (N,) as of ``row_basis``.
+        """
+        rows = self.every.relative(self.every.evaluate(q).Jc[:, :, self.pose_columns])
+        basis, least = row_basis(rows, len(self.rows))
+        return basis.transpose(0, 2, 1) @ rows, least
+
     def evaluate(self, q: Array) -> ConstraintState:
         """Evaluate residuals and Jacobians at (N, nq) configurations, closed or not."""
         tree, r, n = _placement(self.robot, threading.get_ident()), len(self.rows), len(self.independent)

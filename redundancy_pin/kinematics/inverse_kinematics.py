@@ -350,7 +350,6 @@ def point_on_branch(system: ConstraintSystem, x: Array, time: float | None = Non
         )
     state = own.close(q, x) if in_mode else None
     if state is None:
-        residual = max(residual, float(system.dependent_row_residual(q[None])[0]))
         raise UnreachablePoseError(
             f"{pose} cannot be reached in the working mode of {robot.name}: the chains stay open by {residual:.3g} m"
             f"{worst_dependent_row(system, q)}.{millimetres(residual, robot.characteristic_length)}",

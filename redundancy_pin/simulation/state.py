@@ -12,6 +12,7 @@ from scipy.linalg import lapack
 
 from redundancy_pin.arrays import Array, Frozen, checked, each, read_only
 from redundancy_pin.dynamics.forward import ForwardKernel
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
@@ -155,8 +156,7 @@ def closed_state(
     """
     chain = ClosedChain(robot)
     if x is None:
-        chain.update(np.array(robot.q_reference), np.zeros(robot.model.nv))
-        x = coordinates(robot, chain)
+        x = follower(robot).home.x
     rate = np.zeros(robot.n) if xd is None else checked(xd, "xd", (robot.n,))
     motion = PlatformMotion([t], np.asarray(x, dtype=float)[None], rate[None], np.zeros((1, robot.n)))
     tree = inverse_kinematics(robot, motion)

@@ -38,7 +38,7 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import closed_configurations, inverses
-from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem, row_basis
+from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.robot.scales import column_scale, row_scale
@@ -54,10 +54,9 @@ def serial_and_locked(system: ConstraintSystem, state: ConstraintState) -> tuple
     """
     r, K = len(system.rows), system.relative(state.K)
     if system.has_dependent_rows:
-        rows = system.every.relative(system.every.evaluate(state.q).Jc[:, :, system.pose_columns])
-        basis, least = row_basis(rows, r)
+        rows, least = system.combined_rows(state.q)
         full = least > FILE_TOLERANCE
-        K[full, :r] = basis[full].transpose(0, 2, 1) @ rows[full]
+        K[full, :r] = rows[full]
     selection = system.selection[:, system.pose_columns]
     return K, np.concatenate([K[:, :r], np.broadcast_to(selection, (len(K), *selection.shape))], axis=1)
 

@@ -140,7 +140,7 @@ def slice_through(robot: Robot, names: tuple[str, ...], x: Array | None = None) 
     turning = [robot.platform is None and is_revolute(robot, name) for name in names]
     system, q = ConstraintSystem(robot), np.array(robot.q_reference)
     if x is None:
-        x = coordinates(robot, system.evaluate(q[None]))[0]
+        x = follower(robot).home.x
     else:
         q = point_on_branch(system, x).q
     return Slice(system, names, tuple("rad" if turns else "m" for turns in turning), columns, frozen(x), frozen(q))

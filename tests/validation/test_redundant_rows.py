@@ -243,6 +243,19 @@ def test_which_rows_count_is_chosen_along_the_motion(angle, turns):
     np.testing.assert_allclose(along.reduce().f[:, 0], want, atol=1e-10 * np.abs(want).max())
 
 
+def test_platforms_move_where_two_cranks_are_in_line():
+    """The rows chosen at the reference lose rank there, and all rows do not: the first crank drives as everywhere."""
+    robot = three_cranks(1.0)
+    sides = [PIVOTS[1], PIVOTS[2], PIVOTS[2] - PIVOTS[1]]
+    q = [np.zeros(robot.model.nq) for _ in sides]
+    for one, side in zip(q, sides, strict=True):
+        for name, sign in (("crank_1", 1.0), ("crank_2", 1.0), ("crank_3", 1.0), ("plate", -1.0)):
+            one[robot.model.joints[robot.model.getJointId(name)].idx_q] = sign * np.arctan2(side[1], side[0])
+    found = rp.performance(robot, q)
+    np.testing.assert_allclose(found.W, np.ones((3, 1, 1)), atol=CLOSED)
+    np.testing.assert_allclose(rp.platform_stiffness(robot, q, {"crank_3": 2.0, "plate": 3.0}).ravel(), 5.0)
+
+
 def test_rows_of_rounded_numbers_do_not_serve_where_independent_ones_do():
     """Short cranks make margins small everywhere: no rank is lost there, and independent rows hold to rounding."""
     robot = three_cranks(0.9, length=0.02, wrong=1e-11)
