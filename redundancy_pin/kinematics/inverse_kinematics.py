@@ -42,9 +42,6 @@ from redundancy_pin.status import SampleStatus
 _FAR_STARTS = 5
 """Samples at which multistart is tried where Newton's method closes no sample in the working mode."""
 
-_EVEN = 0.5
-"""Least ratio of neighbouring margins along a motion that stays near a rank loss and goes through none."""
-
 _SAMPLES_PER_REPORT = 500
 """Samples between two calls of ``progress``."""
 
@@ -109,7 +106,6 @@ def inverse_kinematics(
     mark_unreachable: bool = False,
     progress: Callable[[int, int], None] | None = None,
     start: ClosedState | None = None,
-    positions_only: bool = False,
 ) -> JointTrajectory:
     """Return the motion of the tree along a platform motion.
 
@@ -125,8 +121,6 @@ def inverse_kinematics(
         progress: called with samples done and samples in all, now and then.
         start: a point of the branch to come from, in place of the reference configuration: the first pose lies on the
             straight line from it, and is not looked for elsewhere.
-        positions_only: rates play no part. Where a motion is near a rank loss all along, as where a loop that does not
-            move stands beside one, they are not carried there from farther away, which takes a dozen times as long.
 
     Raises:
         InputError: the motion does not have the robot's coordinates.
@@ -136,7 +130,7 @@ def inverse_kinematics(
     """
     robot = as_robot(robot)
     require_matching(robot, motion)
-    solution = MotionSolution(follower(robot), motion, positions_only, progress)
+    solution = MotionSolution(follower(robot), motion, progress)
     if mark_unreachable:
         solution.solve_what_is_reachable(start)
     else:
@@ -153,7 +147,6 @@ class MotionSolution:
     Args:
         follower: of the robot.
         motion: N samples of the independent coordinates.
-        positions_only: as of ``inverse_kinematics``.
         progress: as of ``inverse_kinematics``.
     """
 
@@ -161,13 +154,10 @@ class MotionSolution:
         self,
         follower: Follower,
         motion: PlatformMotion,
-        positions_only: bool = False,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        self._follower, self._motion, self._positions_only = follower, motion, positions_only
-        self.system = follower.system
+        self._follower, self._motion, self.system = follower, motion, follower.system
         self._progress, self._done = progress, 0
-        self._near = 0.0  # the margin at which the samples came near a rank loss
         robot, samples = follower.robot, len(motion)
         self.q = np.full((samples, robot.model.nq), np.nan)
         self.v, self.a = np.full((2, samples, robot.model.nv), np.nan)
@@ -248,12 +238,7 @@ class MotionSolution:
         if isinstance(reached, BranchEnd):
             return reached
         if reached.margin >= follower.near:
-            self._near = 0.0
             return follower.rates(reached, xd, xdd)
-        if self._positions_only:
-            self._near = self._near or (here.margin if self._done else reached.margin)
-            if reached.margin > _EVEN * self._near > 0.0:
-                return follower.rates(reached, xd, xdd)
         lost = reached.interpolated or follower.closures_lose_rank(reached.q, reached.basis)
         passed = follower.pass_through(here, x, xd, xdd) if lost else None
         if passed is None and lost:  # the sample before may be too far for one step
@@ -261,7 +246,7 @@ class MotionSolution:
         if passed is not None:  # its margin is that of the closed state next to it
             return passed._replace(state=replace(passed.state, margin=reached.margin))
         rated = None if reached.interpolated else follower.rates(reached, xd, xdd)
-        if rated is None or (not self._positions_only and is_rounded(follower, rated)):
+        if rated is None or is_rounded(follower, rated):
             return follower.diagnose(reached, x)
         return rated
 

@@ -145,8 +145,9 @@ def test_loops_that_stand_beside_a_rank_loss_take_no_digits_from_those_that_move
         start = right * (np.arange(robot.n) == robot.independent_joints.index("right-tarsus-crank-joint"))
         end = start - 0.5 * (np.arange(robot.n) == robot.independent_joints.index("left-knee-op"))
         motion = rp.trajectory.from_points([start, end], [0.0, 1.0], ends="rest").sample(0.02)
-        margins.append(rp.inverse_kinematics(robot, motion, positions_only=True).serial_margin_bound.max())
-        tau.append(rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[:, left])
+        along = rp.RneaDynamics(robot).along(motion)
+        margins.append(along.tree.serial_margin_bound.max())
+        tau.append(rp.distribute(along.reduce()).tau[:, left])
     assert margins[0] < 1e-4 < margins[1]
     np.testing.assert_allclose(*tau, rtol=0.0, atol=1e-7)
 

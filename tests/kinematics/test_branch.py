@@ -266,8 +266,6 @@ def test_a_four_bar_goes_through_its_flat_pose_on_its_branch(
     assert np.abs(tree.v[:, rocker] - rate).max() < RATE
     assert np.abs(tree.a[:, rocker] - second).max() < ACCELERATION
     np.testing.assert_allclose(tree.v, np.einsum("nvi,ni->nv", tree.gamma, motion.xd), atol=RATE)
-    alone = inverse_kinematics(robot, motion, mark_unreachable=mark, positions_only=True)
-    assert np.abs(np.sin((alone.q[:, rocker] - angle) / 2.0)).max() < POSITION
 
 
 @pytest.mark.long_for("1e-06-501", "1e-06-51", "1e-08-501", "1e-08-10", "1e-08-51", "1e-10-501", "1e-10-10")
@@ -440,10 +438,6 @@ def test_how_near_a_rank_loss_may_be_is_an_angle_in_any_unit_of_length(
         else:
             with pytest.raises(SingularPoseError, match=r"sample 1 \(t = 1 s, x = .* the closures lose rank"):
                 inverse_kinematics(robot, motion)
-            # where no line of nodes is good enough, Newton's method closes all the same
-            if beside >= 1e-5:
-                q = inverse_kinematics(robot, motion, positions_only=True).q
-                assert q[1, 1] == pytest.approx(-beside, abs=1e-10)
 
 
 @pytest.mark.long
