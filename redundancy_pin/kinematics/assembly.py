@@ -83,11 +83,10 @@ class Assembly:
         """
         system = self.system
         K = system.relative(self.state.K)
-        invert = inverses if K.shape[1] <= K.shape[2] else np.linalg.pinv
-        inverse: Array = invert(K)
+        inverse = inverses(K)
         if system.has_dependent_rows:
             K[:, : len(system.rows)], least = system.combined_rows(self.q)
-            other = invert(K)
+            other = inverses(K)
             size, other_size = (np.linalg.norm(part, axis=(1, 2)) for part in (inverse, other))
             restored = (least > FILE_TOLERANCE) & (other_size < np.nan_to_num(size, nan=np.inf) / RESTORED)
             inverse[restored] = other[restored]
@@ -343,7 +342,9 @@ def smallest_independent(largest: Array, tolerance: float) -> Array:
 
 
 def inverses(matrices: Array) -> Array:
-    """Return stacked inverses, NaN where a matrix is exactly singular."""
+    """Return stacked inverses, NaN where a matrix is exactly singular; of more rows than columns, by least squares."""
+    if matrices.shape[-2] > matrices.shape[-1]:
+        return np.asarray(np.linalg.pinv(matrices), dtype=np.float64)
     return _unless_singular(np.linalg.inv, matrices)
 
 
