@@ -26,7 +26,7 @@ from redundancy_pin.arrays import (
     rows_of,
 )
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem, constraint_system
+from redundancy_pin.kinematics.closure import RESTORED, ConstraintState, ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import coordinates, difference, in_working_mode
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, velocity_unit
@@ -37,10 +37,6 @@ SETTLED_STEP = 1e-8
 _SUFFICIENT_DECREASE = 1e-4
 """Armijo's constant: part of the decrease that the linear model promises (Nocedal and Wright, "Numerical Optimization",
 2006, section 3.1)."""
-
-RESTORED = 3.0
-"""Ratio of margins, no unit, beyond which all closure rows take the place of independent ones near a loss of rank. At
-the loss itself ``ClosedChain.dependent_rows_restore_rank`` decides."""
 
 TURNED_OVER = 1.0
 """Axes further apart than this (rad) at the end of Newton have closed the wrong way round, which takes π/2 or more."""

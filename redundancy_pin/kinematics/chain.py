@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from redundancy_pin.arrays import FILE_TOLERANCE, Array
-from redundancy_pin.kinematics.closure import PlacedRows, constraint_system, row_basis
+from redundancy_pin.kinematics.closure import RESTORED, PlacedRows, constraint_system, row_basis
 from redundancy_pin.kinematics.tree import TreePlacement, frame_placement
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_link_index
 
-_RESTORED = 1e3
+_RANK_KEPT = 1e3
 """Ratio of the smallest singular values of all rows and of those in use, no unit, beyond which all rows keep the rank.
 Where all rows lose rank the two are alike; a place where those in use alone lose it is known to 1e-6 and better."""
 
@@ -70,6 +70,17 @@ class ClosedChain(TreePlacement):
         """Return U (R, r) of all closure rows at the configuration, and how far it is from dependent; ``row_basis``."""
         basis, least = row_basis(self.every_row()[0], self.rows)
         return basis, float(least)
+
+    def renew_basis(self) -> None:
+        """Use the best basis where the rows in use come near a rank loss of theirs, oriented like them.
+
+        Along a motion det K then changes its sign where all closure rows together lose rank, and only there.
+        """
+        before, (basis, least) = self.closure_rows(), self.best_basis()
+        if least > max(RESTORED * np.linalg.svd(before, compute_uv=False)[-1], FILE_TOLERANCE):
+            self.use_basis(basis)
+            if np.linalg.det(before @ self.closure_rows().T) < 0.0:
+                self.use_basis(basis * np.where(np.arange(self.rows) == 0, -1.0, 1.0))
 
     def update(self, q: Array, v: Array) -> None:
         """Set the state: q (nq,), v (nv,)."""
@@ -162,7 +173,7 @@ class ClosedChain(TreePlacement):
         if not (self.rows and self.system.has_dependent_rows):  # without independent rows none are lost
             return False
         least = float(np.linalg.svd(self.closure_rows(), compute_uv=False)[-1])
-        return self.best_basis()[1] > max(_RESTORED * least, FILE_TOLERANCE)
+        return self.best_basis()[1] > max(_RANK_KEPT * least, FILE_TOLERANCE)
 
     def bias(self) -> Array:
         """Return J̇_c v (r,)."""

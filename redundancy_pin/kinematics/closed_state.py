@@ -30,10 +30,10 @@ from redundancy_pin.arrays import (
     read_only,
 )
 from redundancy_pin.errors import SingularPoseError
-from redundancy_pin.kinematics.assembly import RESTORED, SETTLED_STEP, TURNED_OVER, Assembly, evaluated, inverses
+from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, Assembly, evaluated, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closing import closed_neighbours
-from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
+from redundancy_pin.kinematics.closure import RESTORED, ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.kinematics.multistart import SEED, draw_starts
 from redundancy_pin.robot import Robot

@@ -69,6 +69,10 @@ _NARROWEST, _WIDEST = 1e-4, 20.0 * FILE_TOLERANCE
 """Residual of dependent rows, rad or characteristic lengths: what a branch that is not the machine's exceeds tenfold
 where placements are exact, and what no machine of rounded numbers comes to (``FILE_TOLERANCE`` times the 20 above)."""
 
+RESTORED = 3.0
+"""Ratio of margins, no unit, beyond which all closure rows take the place of independent ones near a loss of rank. At
+the loss itself ``ClosedChain.dependent_rows_restore_rank`` decides."""
+
 _ORIGIN = 3
 """Column of a frame's origin, behind its three axes."""
 

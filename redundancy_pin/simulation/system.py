@@ -134,7 +134,7 @@ class Machine:
         """
         machine = Machine(self.robot, self.amplifiers, self._law, self._external, "projected")
         machine.chain.place(q)
-        machine.chain.use_basis(machine.chain.best_basis()[0])
+        machine.chain.renew_basis()
         machine.dynamics.adapt(q)
         return machine
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from flat_linkages import parallelogram
 
 import redundancy_pin as rp
 from redundancy_pin.planners.intersample_check import closure_rank_losses
+from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.continuous_motion import as_motion
 
 DURATION = 2.0
@@ -27,14 +30,26 @@ def when(first: float, last: float, angle: float) -> float:
     return DURATION * (angle - first) / (last - first)
 
 
+def hinged() -> Robot:
+    """Return the parallelogram closed by a hinge: three of its five rows are redundant everywhere."""
+    robot = parallelogram()
+    closures = [replace(each, axes=("x", "y", "z", "rx", "ry")) for each in robot.closures]
+    roles = {"actuated": robot.actuated, "independent": {"joints": robot.independent_joints}}
+    q = np.array(robot.q_reference)
+    return rp.robot_from_model(robot.model, closures=closures, reference=q, redundant_rows=True, **roles)
+
+
 # the rank loss on a sample, between two samples, and two of them; angles are measured from the line of the base hinges
-@pytest.mark.long_for("1.2--4.0-flat2")
+@pytest.mark.long_for("False-1.2--4.0-flat2", "True-1.2--4.0-flat2")
 @pytest.mark.parametrize(
     ("first", "last", "flat"),
     [(1.0, -1.0, [0.0]), (1.2, 3.9, [np.pi]), (1.2, -4.0, [0.0, -np.pi]), (1.2, 0.3, [])],
 )
-def test_time_and_pose_of_each_rank_loss_are_named(first: float, last: float, flat: list[float]) -> None:
-    dynamics, motion = rp.RneaDynamics(parallelogram()), swing(first, last)
+@pytest.mark.parametrize("redundant", [False, True])
+def test_time_and_pose_of_each_rank_loss_are_named(
+    first: float, last: float, flat: list[float], redundant: bool
+) -> None:
+    dynamics, motion = rp.RneaDynamics(hinged() if redundant else parallelogram()), swing(first, last)
     margin = dynamics.along(motion).closure_margin()
     # where two branches cross the determinant changes its sign, and the ratio of singular values is small
     assert margin[0] * margin[-1] * (-1.0) ** len(flat) > 0.0
