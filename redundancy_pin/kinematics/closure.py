@@ -388,21 +388,22 @@ class ConstraintSystem:
         """(r,) the part of ``equation_unit`` that belongs to the closures."""
         return self.equation_unit[: len(self.rows)]
 
-    @cached_property
+    @property
+    def has_dependent_rows(self) -> bool:
+        """Whether there are closure rows that depend on the r independent ones."""
+        return bool(self.robot.all_closures)
+
+    @property
     def every(self) -> ConstraintSystem:
         """The system of all R closure rows, dependent ones too (``Robot.all_closures``); itself where there are none.
 
         Its other rows, and its columns, are the same.
         """
-        robot = self.robot
-        if not robot.all_closures:
-            return self
-        return ConstraintSystem(replace(robot, closures=robot.all_closures, all_closures=()))
+        return self._every if self.has_dependent_rows else self
 
-    @property
-    def has_dependent_rows(self) -> bool:
-        """Whether there are closure rows that depend on the r independent ones."""
-        return self.every is not self
+    @cached_property
+    def _every(self) -> ConstraintSystem:
+        return ConstraintSystem(replace(self.robot, closures=self.robot.all_closures, all_closures=()))
 
     @property
     def dependent_tolerance(self) -> float:
