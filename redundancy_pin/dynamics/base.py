@@ -212,8 +212,9 @@ class Dynamics(Protocol):
         the reference. The branch is followed along the straight line to x. Where that fails, the efforts are NaN with
         the status unreachable, type_i or branch_lost, and the next sample starts from the same configuration as this
         one: the reference is not returned to. Numbers that are not finite have the status not_finite,
-        and so have those beyond 1e100, except in generated code, which takes any whose forces do not overflow.
-        A carrier beyond its track is out_of_range like any other joint.
+        and so have those beyond 1e100, except in generated code, which takes any whose forces do not overflow where it
+        reaches the sample. There a sample takes microseconds, and one that is refused some milliseconds, once while its
+        x is held. A carrier beyond its track is out_of_range like any other joint.
 
         Args:
             x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
@@ -274,6 +275,8 @@ class Dynamics(Protocol):
         start: ArrayLike | None = None,
     ) -> JointStateSample:
         """Return all joints and the platform from the main actuators, on the branch, with a status.
+
+        A sample takes microseconds. One that is refused takes some milliseconds, once while its position is held.
 
         Args:
             position: (m,) positions of the main actuators, m and rad.

@@ -46,6 +46,27 @@ def test_the_force_is_brought_up_with_the_least_weighted_deviation(matrix, force
     assert np.abs(null @ gradient).max(initial=0.0) <= ROUNDING * (1.0 + np.abs(gradient).max())
 
 
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize(("off", "status"), [(1e-4, SampleStatus.OK), (-1e-4, SampleStatus.SINGULAR_INCONSISTENT)])
+def test_next_to_the_threshold_of_rank(size, off, status):
+    """It is 1e-9 of the largest singular value, however large that is; the rounding of 1e9 times the force is 1e-7."""
+    left, right = (np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0] for seed in (1, 2))
+    W = left * np.array([1.0, 0.5, (1.0 + off) * 1e-9]) * size @ right
+    force = 1e-6 * size * left[:, 2]
+    allocation = shared(
+        W,
+        np.zeros((3, 0)),
+        force,
+        np.zeros(3),
+        effort_scale=np.ones(3),
+        carrier_scale=np.zeros(0),
+        row_scale=np.ones(3),
+    )
+    assert allocation.status is status
+    along = right[2] @ allocation.tau * (1.0 + off) * 1e-3
+    assert along == pytest.approx(1.0 if status is SampleStatus.OK else 0.0, abs=1e-5)
+
+
 @pytest.mark.parametrize(
     ("W", "coupling", "force", "status"),
     [

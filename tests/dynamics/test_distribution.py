@@ -236,6 +236,19 @@ def test_edges_of_the_tolerances():
     assert least.status_labels.tolist() == ["ok"]
 
 
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize(("off", "rank"), [(1e-4, 3), (-1e-4, 2)])
+def test_next_to_the_threshold_of_rank(size, off, rank):
+    """Of a large W it is 1e-9 of the largest singular value, of a small one 1e-9: entries of W have no unit."""
+    rng = np.random.default_rng(8)
+    smallest = (1.0 + off) * 1e-9 * max(size, 1.0)
+    U, W, _ = factors(rng, N, 3, 3, [size, 0.5 * size, smallest])
+    d = rp.distribute(reduced(W, U[:, :, 2]), force_tolerance=0.0)
+    assert (d.rank == rank).all()
+    lost = SampleStatus.SINGULAR_INCONSISTENT
+    assert (d.status == (SampleStatus.NEAR_SINGULAR if rank == 3 else lost)).all()
+
+
 # --- numbers of any size
 
 

@@ -418,21 +418,31 @@ BEYOND = {"2rpr": [-0.6, 0.6], "3rrr": [0.6, 0.6, 0.6], "five_bar": [0.6, -0.6]}
 
 
 @pytest.mark.parametrize("name", BEYOND)
-def test_set_points_out_of_reach_cost_a_loop_no_kinematics(name: str, work: list[str]) -> None:
-    """Noise on set-points beyond the reach, each with another velocity; encoders in counts, a glitch."""
+def test_set_points_out_of_reach_have_the_answer_of_forward_kinematics(name: str, work: list[str]) -> None:
+    """Noise on set-points beyond the reach, each with another velocity; encoders in counts, a glitch.
+
+    The follower takes steps of 0.04 rad or characteristic lengths to where the branch ends. A set-point that is held
+    costs no more kinematics, one that is far away none at all.
+    """
     robot, dynamics, random = machine(name), dynamics_of(name), np.random.default_rng(2)
     home = np.array(robot.q_reference)
     at, away = home[actuated_positions(robot)], np.array(BEYOND[name])
-    work.clear()
+    dynamics.joint_state(at, start=home)
     for _ in range(20):
-        near = away + 1e-3 * random.normal(size=robot.m)
-        far = away * 10.0 ** random.uniform(3.5, 8.0)
-        for offset, status in ((near, SampleStatus.UNREACHABLE), (far, SampleStatus.BRANCH_LOST)):
-            got = dynamics.joint_state(at + offset, random.normal(size=robot.m), start=home)
-            assert got.status is status
-            assert (got.residual > 1e-3) == (status is SampleStatus.UNREACHABLE)
-            assert np.isnan(got.q).all()
-    assert not work
+        work.clear()
+        near = at + away + 1e-3 * random.normal(size=robot.m)
+        got = dynamics.joint_state(near, random.normal(size=robot.m))
+        assert 0 < len(work) < 60
+        work.clear()
+        held = dynamics.joint_state(near, random.normal(size=robot.m))
+        far = dynamics.joint_state(at + away * 10.0 ** random.uniform(3.5, 8.0), random.normal(size=robot.m))
+        assert not work
+        want = rp.forward_kinematics(robot, near)
+        assert got.status is held.status is SampleStatus(int(want.status[0])) is SampleStatus.UNREACHABLE
+        assert got.residual == held.residual > 1e-3
+        assert far.status is SampleStatus.BRANCH_LOST
+        assert np.isnan(far.residual)
+        assert np.isnan([*got.q, *held.q, *far.q]).all()
     assert dynamics.joint_state(at, start=home).status is SampleStatus.OK
 
 
@@ -446,15 +456,29 @@ def test_far_set_points_are_those_that_forward_kinematics_reach(name: str, work:
         work.clear()
         got = dynamics.joint_state(position, start=home)
         asked = bool(work)
-        beyond += asked
         want = rp.forward_kinematics(robot, position)
         assert got.status.solved == want.known[0]
         if want.known[0]:
+            beyond += asked
             np.testing.assert_allclose(got.q, want.q[0], rtol=0.0, atol=1e-8)
             np.testing.assert_allclose(got.x, want.x[0], rtol=0.0, atol=1e-8)
         else:
-            assert not asked
+            assert got.status in (SampleStatus.UNREACHABLE, SampleStatus.BRANCH_LOST)
     assert beyond
+
+
+def test_legs_that_make_no_triangle_are_unreachable() -> None:
+    """The base of the 2-RPR is half a metre long; its legs may have any length, of either sign."""
+    robot, dynamics, random = machine("2rpr"), dynamics_of("2rpr"), np.random.default_rng(11)
+    legs, home = np.array(robot.q_reference)[actuated_positions(robot)], np.array(robot.q_reference)
+    apart = 0
+    for position in legs + random.normal(size=(60, 2)) * random.uniform(0.1, 2.0, (60, 1)):
+        got, (a, b) = dynamics.joint_state(position, start=home), np.abs(position)
+        if a + b < 0.5 or abs(a - b) > 0.5:
+            apart += 1
+            assert got.status is SampleStatus.UNREACHABLE
+            assert got.residual > 0.0
+    assert 15 < apart < 45
 
 
 def test_what_is_refused_is_not_looked_for_again_at_other_velocities(work: list[str]) -> None:

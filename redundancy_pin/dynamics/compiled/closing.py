@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple, TypeAlias
 
@@ -28,6 +29,9 @@ from redundancy_pin.robot.scales import column_scale, coordinate_unit, row_scale
 
 _PER_THREAD = 400
 """Samples below which a second thread costs more than it brings."""
+
+_FARTHEST_JOINT = 20.0
+"""rad or characteristic lengths, three turns: kinematics follow no longer way of several joints to one sample."""
 
 
 Start: TypeAlias = ClosedState | Array
@@ -56,8 +60,10 @@ def close_motion(
 
     Raises:
         RedundancyPinError: what ``kinematics.inverse_kinematics`` raises.
+        WorkingModeError: also where several joints are coordinates, and one is farther from the start than
+            ``_FARTHEST_JOINT``.
     """
-    lifted = None
+    lifted, here = None, _state_of(robot, start)
     if start is None:
         lifted = _lift(robot, kernel, motion, robot.q_reference)
         if lifted is None and len(motion) > 1:  # its beginning may be on no straight way from the reference
@@ -65,7 +71,9 @@ def close_motion(
             lifted = _lift(robot, kernel, motion, first.q[0]) if first.reachable[0] else None
     if lifted is not None:
         return lifted
-    tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=_state_of(robot, start))
+    if here is not None and robot.platform is None and robot.n > 1:
+        _require_near(here, motion.x[0])
+    tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=here)
     return ClosedMotion(tree, read_only(trig_at(robot, tree.q)))
 
 
@@ -100,6 +108,16 @@ def _state_of(robot: Robot, start: Start | None) -> ClosedState | None:
     raise WorkingModeError(f"The chains of {robot.name} do not close at the start.", remedy=remedy)
 
 
+def _require_near(here: ClosedState, x: Array) -> None:
+    """Raise WorkingModeError where a joint goes farther than ``_FARTHEST_JOINT`` from a state to coordinates (n,)."""
+    away = float(np.abs(difference(here.robot, x, here.x) / coordinate_unit(here.robot)).max())
+    if not away <= _FARTHEST_JOINT:
+        raise WorkingModeError(
+            f"A joint of {here.robot.name} would move by {away:.3g} rad or characteristic lengths to one sample.",
+            remedy=f"Ask for positions within {_FARTHEST_JOINT:g} of those before.",
+        )
+
+
 class Driven(NamedTuple):
     """A configuration from the main actuators: q (nq,), v (nv,), x and xd as of ``JointStateSample``.
 
@@ -119,19 +137,35 @@ class Driven(NamedTuple):
     residual: float
 
 
+@lru_cache(maxsize=32)
+def _driven(robot: Robot) -> Robot:
+    """Return the robot with its main actuators as coordinates; made once, for its follower is."""
+    return with_independent_joints(robot, robot.actuated)
+
+
 def follow_motors(robot: Robot, start: Start | None, position: Array, velocity: Array) -> Driven:
     """Return the configuration at positions (m,) and velocities (m,) of as many main actuators as degrees of freedom.
 
     They move straight, as the independent coordinates of a robot without a platform, whose K may be singular where that
     of the robot is not. With u̇ of the actuators ẋ = J_x Γ u̇, so that W⁻ᵀ = J_x Γ.
 
+    Args:
+        robot: the robot.
+        start: where kinematics go on from.
+        position: (m,) positions of the main actuators, m and rad.
+        velocity: (m,) their rates.
+
     Raises:
-        UnreachablePoseError, WorkingModeError: as ``inverse_kinematics``.
+        UnreachablePoseError: as ``inverse_kinematics``.
+        WorkingModeError: as ``inverse_kinematics``; an actuator is farther away than ``_FARTHEST_JOINT``.
         SingularPoseError: a type II singularity, or a rank loss that no smooth branch leads through.
     """
-    driven = with_independent_joints(robot, robot.actuated)
+    driven = _driven(robot)
+    here = _state_of(driven, start)
+    if here is not None:
+        _require_near(here, position)
     motion = PlatformMotion(np.zeros(1), position[None], velocity[None], np.zeros((1, robot.m)), check_rates=False)
-    tree = inverse_kinematics(driven, motion, start=_state_of(driven, start))
+    tree = inverse_kinematics(driven, motion, start=here)
     q, v, gamma, own = tree.q[0], tree.v[0], tree.gamma[0], follower(robot)
     closed = own.state_at(q)
     closing_margin = 0.0 if closed is None else closed.margin

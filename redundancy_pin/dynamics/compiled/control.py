@@ -42,7 +42,7 @@ _STATUSES = tuple(SampleStatus)
 """By code: an index takes a fifth of the time of ``SampleStatus(code)``."""
 
 _FOR_KINEMATICS = len(_STATUSES)
-"""Code of ``rp_joint_state``: kinematics may go on where the C ends, or say what is singular there."""
+"""Code of what the C does not follow: kinematics may follow it, or say why its branch ends."""
 
 _WITHOUT_RESULT = frozenset(
     {
@@ -120,19 +120,19 @@ class _Branch:
     Attributes:
         numbers: (P,) the robot's, as the C takes them. The signs of its working mode are those of the branch, so that
             the C keeps every leg on its side.
-        state: (nq + 1,) the last configuration, and the sign of the determinant of K, 0 where that is not known.
-        reached: (nq + 1,) the same of the last one on the way to a sample that the C does not get to; next to a rank
-            loss of the closures the first, where Γ is known better.
+        state: (nq + 1,) the last configuration, and the sign of the determinant of K, 0 where that is not known; NaN at
+            a rank loss of the closures.
         known: whether a start or a sample has determined the branch; before that it is the reference's.
         passed: the last sample at a rank loss of the closures, q and its state: Γ determines the branch, q does not.
+        refused: what kinematics refused last, and from where: None once a sample is solved.
     """
 
     def __init__(self, robot: Robot, code: Code) -> None:
         self.known = False
         self.passed: tuple[Array, Start] | None = None
-        self._refused: tuple[bytes, Refusal] | None = None
+        self.refused: tuple[bytes, Refusal] | None = None
         self._pose = np.setdiff1d(np.arange(robot.model.nq), robot.carrier_position)
-        self.state, self.reached = np.append(robot.q_reference, 0.0), np.zeros(robot.model.nq + 1)
+        self.state = np.append(robot.q_reference, 0.0)
         own, topology = parameter_vector(robot), topology_of(robot)
         places = places_of(robot)["mode",]
         begin = layout_of(topology).starts["MODEL"] + int(topology.free[: places.start].sum())
@@ -165,32 +165,34 @@ class _Branch:
         self.passed = (q, state) if margin < SINGULAR_MARGIN else None
         self.begin(q)
 
-    def _next_start(self) -> Start | None:
-        """Return from where kinematics go on: None from a start that the C does not close."""
-        if isnan(self.state[-1]):
-            return None if self.passed is None else self.passed[1]
-        return self.reached[:-1].copy() if self.reached[-1] else None
+    def refuses(self, given: Array) -> bool:
+        """Return whether kinematics have refused a set-point here, which a loop requests again while it is held.
+
+        Args:
+            given: coordinates, or positions of the actuators: rates do not decide what is in reach.
+        """
+        return self.refused is not None and self.refused[0] == self._key(given)
 
     def by_kinematics(self, given: Array, solve: Callable[[Start | None], T]) -> T | Refusal:
         """Return a sample that kinematics solve from here, or from the reference where no branch is known yet.
 
-        What they refuse is kept while the same set-point is requested again.
-
         Args:
-            given: coordinates, or positions of the actuators: rates do not decide what is in reach.
+            given: as of ``refuses``.
             solve: what solves it from a start, and raises ``REFUSALS``.
         """
-        start = self._next_start() if self.known else None
-        if self.known and start is None:
-            return Refusal(SampleStatus.BRANCH_LOST)
         key = self._key(given)
-        if self._refused is not None and self._refused[0] == key:
-            return self._refused[1]
+        if self.refused is not None and self.refused[0] == key:
+            return self.refused[1]
+        start: Start | None = self.state[:-1].copy() if self.known else None
+        if self.known and isnan(self.state[-1]):
+            if self.passed is None:
+                return Refusal(SampleStatus.BRANCH_LOST)
+            start = self.passed[1]
         try:
             return solve(start)
         except REFUSALS as error:
-            self._refused = key, refusal_of(error)
-            return self._refused[1]
+            self.refused = key, refusal_of(error)
+            return self.refused[1]
 
     def _key(self, given: Array) -> bytes:
         return b"".join(part.tobytes() for part in (self.state, self._signs, given))
@@ -230,7 +232,7 @@ class SampleCall:
         places = ends[2], ends[2] + 1, ends[4]
         self._residual, self._serial, self._margin = (partial(self._results.item, at) for at in places)
         self._ranges = range_table(robot)
-        given = branch.numbers, branch.state, branch.reached, self._arguments.memory, self._results
+        given = branch.numbers, branch.state, self._arguments.memory, self._results
         self._call_reach = _caller(code, "rp_reach", *given)
         self._call_torque = _caller(code, "rp_torque", *given, self._ranges, len(self._ranges)) if m else None
 
@@ -256,9 +258,9 @@ class SampleCall:
         saved = None if start is None else self._branch.save()
         if start is not None and not self._branch.begin(start):
             return without_answer(self._robot, SampleStatus.NOT_FINITE)
-        code = self._call_torque()
+        code = _FOR_KINEMATICS if self._branch.refuses(self._arguments.parts[0]) else self._call_torque()
         if code not in _WITHOUT_RESULT:
-            self._branch.known = True
+            self._branch.known, self._branch.refused = True, None
             margins = self._residual(), self._serial()
             return TorqueSample(self._tau.copy(), _STATUSES[code], self._margin(), self._force.copy(), *margins)
         solved = False
@@ -272,18 +274,17 @@ class SampleCall:
 
     def _answer(self, code: int, t: float) -> TorqueSample:
         """Return a sample that the C does not close; raises InputError where it is no sample."""
-        if code == SampleStatus.NOT_FINITE:
-            return without_answer(self._robot, SampleStatus.NOT_FINITE)
+        robot, branch, (x, xd, xdd, s, sd, sdd, _) = self._robot, self._branch, self._arguments.parts
+        if code == SampleStatus.NOT_FINITE or not is_finite(self._arguments.parts, t):
+            return without_answer(robot, SampleStatus.NOT_FINITE)
         if self._pose:
-            require_poses(self._arguments.parts[0].reshape(1, *self._shape))
-        if code == SampleStatus.UNREACHABLE and self._branch.known:
-            return without_answer(self._robot, SampleStatus.UNREACHABLE, self._residual())
-        motion, robot, branch = self._motion(t), self._robot, self._branch
-        found = branch.by_kinematics(self._arguments.parts[0], partial(self._followed, motion))
+            require_poses(x.reshape(1, *self._shape))
+        if code == SampleStatus.BRANCH_LOST and branch.known:
+            return without_answer(robot, SampleStatus.BRANCH_LOST)
+        found = branch.by_kinematics(x, lambda start: self._followed(self._motion(t), start))
         if isinstance(found, Refusal):
             return without_answer(robot, *found)
         (tree, _), reduced = found
-        x, xd, xdd, s, sd, sdd, _ = self._arguments.parts
         margin, residual = float(tree.serial_margin_bound[0]), float(tree.residual[0])
         branch.move(tree.q[0], tree.state(0), margin)
         sample = Sample(reduced.W[0], reduced.f[0], reduced.carrier_force[0])
@@ -361,7 +362,7 @@ class JointStateCall:
         branch.known = True  # that of the reference
         self._robot, self._ranges = robot, range_table(robot)
         self._own_coordinates = robot.platform is None and set(robot.independent_joints) == set(robot.actuated)
-        given = branch.numbers, branch.state, branch.reached, self._arguments.memory, self._results
+        given = branch.numbers, branch.state, self._arguments.memory, self._results
         self._call = _caller(code, "rp_joint_state", *given, self._ranges, len(self._ranges))
 
     def __call__(self, position: Any, velocity: Any, s: Any, sd: Any, start: ArrayLike | None) -> JointStateSample:
@@ -380,8 +381,15 @@ class JointStateCall:
         saved = None if start is None else branch.save()
         finite = start is None or branch.begin(start)
         self._results[-1] = np.nan
-        code = self._call() if finite else int(SampleStatus.NOT_FINITE)
-        if code in _WITHOUT_RESULT:
+        if not finite:
+            code = int(SampleStatus.NOT_FINITE)
+        elif branch.refuses(self._arguments.parts[0]):
+            code = _FOR_KINEMATICS
+        else:
+            code = self._call()
+        if code not in _WITHOUT_RESULT:
+            branch.refused = None
+        else:
             if code == _FOR_KINEMATICS:
                 code = self._by_kinematics()
             if code in _WITHOUT_RESULT:
@@ -403,11 +411,10 @@ class JointStateCall:
         """Solve a sample that the C does not get to by kinematics; returns its status."""
         robot, branch = self._robot, self._branch
         position, velocity, s, sd = self._arguments.parts
-        if not is_finite((position, velocity), 0.0):
+        if not is_finite(self._arguments.parts, 0.0):
             return int(SampleStatus.NOT_FINITE)
-        found = branch.by_kinematics(
-            position, lambda start: follow_motors(robot, start, position.copy(), velocity.copy())
-        )
+        given = position.copy(), velocity.copy()
+        found = branch.by_kinematics(position, lambda start: follow_motors(robot, start, *given))
         if isinstance(found, Refusal):
             self._results[-1] = found.residual
             # K of the actuators as coordinates is singular: they do not determine the platform's
