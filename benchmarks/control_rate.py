@@ -1,6 +1,6 @@
 """One sample from Python: accelerations beside Pinocchio's and MuJoCo's, and a 1 kHz loop, as ratios within one run.
 
-    python benchmarks/control_rate.py            the table of docs/control_rate.md, as markdown
+    python benchmarks/control_rate.py            the table of docs/compiled.md, as markdown
     python benchmarks/control_rate.py --calls    1e7 calls, and the memory of the process after each million
 
 Accelerations of a closed chain from (q, v, tau): ``CompiledDynamics.acceleration``, its test of rank and its copies

@@ -136,7 +136,6 @@ def _reference(robot: Robot) -> dict[str, Any]:
 
 
 def _joint(robot: Robot, index: int) -> dict[str, Any]:
-    from redundancy_pin.kinematics.coordinates import joint_position
     from redundancy_pin.robot.joint_ranges import all_ranges
 
     name, kind = str(robot.model.names[index]), str(robot.model.joints[index].shortname())
@@ -147,7 +146,7 @@ def _joint(robot: Robot, index: int) -> dict[str, Any]:
     if joint.nq == 1:  # continuous ones have none, and others several freedoms
         ends = (float(limit[joint.idx_q]) for limit in (model.lowerPositionLimit, model.upperPositionLimit))
         limits = [end if np.isfinite(end) and abs(end) < 1e300 else None for end in ends]
-    at = float(joint_position(robot, name, robot.q_reference[None])[0]) if joint.nv == 1 else None
+    at = float(robot.joint_positions(robot.q_reference, [name])[0]) if joint.nv == 1 else None
     kind = known.get(kind[: len("JointModelP")], kind)
     outside = any(not own.holds(float(robot.q_reference[own.at])) for own in all_ranges(robot) if own.name == name)
     return {"name": name, "type": kind, "role": role, "limits": limits, "reference": at, "outside": outside}

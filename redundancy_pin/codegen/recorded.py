@@ -14,7 +14,7 @@ from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import joint_position, moved
+from redundancy_pin.kinematics.coordinates import moved
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot
@@ -87,7 +87,7 @@ def record(robot: Robot, motion: PlatformMotion | None, carriers: CarrierMotion 
         type_I_margin=tree.serial_margin_bound[kept],
         closure=ConstraintSystem(robot).evaluate(tree.q[kept[:1]]).Jc[0],
         gamma=tree.gamma[kept[0]],
-        position=np.stack([joint_position(robot, name, tree.q[kept]) for name in robot.actuated], axis=1),
+        position=robot.joint_positions(tree.q[kept]),
         velocity=np.einsum("Nij,Ni->Nj", reduced.W, motion.xd[kept]),
     )
 

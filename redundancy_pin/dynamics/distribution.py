@@ -150,7 +150,7 @@ def distribute(
     All decisions are taken on D_x⁻¹ W D_a and D_x⁻¹ f, so that they do not depend on the unit of length.
 
     With fewer actuators than freedoms (m < n) the motion must ask for an f in the range of W. If it does, the status
-    is regular or near_singular; if not, it is underactuated_inconsistent, or singular_inconsistent where W lacks even
+    is ok or near_singular; if not, it is underactuated, or singular_inconsistent where W lacks even
     the rank m.
 
     Args:

@@ -20,6 +20,7 @@ from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.scales import is_revolute, row_scale
+from redundancy_pin.robot.types import joint_position
 
 
 class PlacedTree(Protocol):
@@ -39,7 +40,7 @@ def coordinates(robot: Robot, tree: PlacedTree) -> Array:
     See ``Platform``.
     """
     if robot.platform is None:
-        return np.array([_position(tree.q, *entry) for entry in _entries(robot)]).T
+        return np.array([joint_position(joint, tree.q) for joint in _independent(robot)]).T
     rotation, origin = tree.placement(robot.platform.frame)
     if robot.platform.is_pose:
         poses = np.zeros((*tree.q.shape[:-1], 4, 4))
@@ -166,23 +167,10 @@ _NORMAL = 1e-6
 """Sine of an angle that counts as zero: of axes written with six digits."""
 
 
-def joint_position(robot: Robot, name: str, q: Array) -> Array:
-    """Return (N,) positions of a joint of one freedom, m or rad; a continuous joint's lies in (−π, π]."""
-    joint = find_joint(robot.model, name)
-    return _position(q, joint.idx_q, joint.nq == 2)
-
-
-def _position(q: Array, index: int, is_circle: bool) -> Array:
-    """Return a number of q (nq,) or (N, nq), or the angle whose cosine it is, with the sine behind it."""
-    position: Array = np.arctan2(q[..., index + 1], q[..., index]) if is_circle else q[..., index]
-    return position
-
-
 @lru_cache(maxsize=64)
-def _entries(robot: Robot) -> list[tuple[int, bool]]:
-    """Return where in q the position of each independent joint is, and whether it is a cosine with its sine."""
-    joints = [find_joint(robot.model, name) for name in robot.independent_joints]
-    return [(int(joint.idx_q), joint.nq == 2) for joint in joints]
+def _independent(robot: Robot) -> list[pin.JointModel]:
+    """Return the independent joints."""
+    return [find_joint(robot.model, name) for name in robot.independent_joints]
 
 
 def reference_coordinates(robot: Robot, numbers: tuple[float, ...]) -> Array:

@@ -35,7 +35,7 @@ from redundancy_pin.kinematics.assembly import (
 from redundancy_pin.kinematics.branch import ClosedState, follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, joint_position, with_independent_joints
+from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import MotionSolution
 from redundancy_pin.kinematics.mobility import independent_columns
 from redundancy_pin.kinematics.whole_turns import are_too_many_turns_away
@@ -256,8 +256,7 @@ def motor_mismatch(system: ConstraintSystem, followed: IntArray, u: Array, q: Ar
     """Return (N,) how far motors that are not followed are from positions u (N, m) at configurations q, m."""
     robot, unit = system.robot, velocity_unit(system.robot)[system.robot.actuated_velocity]
     left = [j for j in range(robot.m) if j not in followed]
-    off = [(u[:, j] - joint_position(robot, robot.actuated[j], q)) / unit[j] for j in left]
-    worst: Array = np.abs(np.reshape(off, (len(off), len(u)))).max(axis=0, initial=0.0)
+    worst: Array = np.abs((u - robot.joint_positions(q)) / unit)[:, left].max(axis=1, initial=0.0)
     return worst * robot.characteristic_length
 
 

@@ -15,7 +15,6 @@ from redundancy_pin.kinematics.closing import closed_near
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import (
     in_working_mode,
-    joint_position,
     mode_name,
     reference_coordinates,
     working_modes,
@@ -141,4 +140,4 @@ def _require_radians(robot: Robot, positions: Mapping[str, float], key: str) -> 
 def reference_positions(robot: Robot) -> dict[str, float]:
     """Return where the joints of one degree of freedom are at the reference configuration, rad or m, by name."""
     single = [name for name in joint_names(robot.model) if find_joint(robot.model, name).nv == 1]
-    return {name: float(joint_position(robot, name, robot.q_reference[None])[0]) for name in single}
+    return dict(zip(single, robot.joint_positions(robot.q_reference, single).tolist(), strict=True))

@@ -19,7 +19,6 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, Frozen, positive, read_only
 from redundancy_pin.errors import InputError, OutputError, optional
 from redundancy_pin.io.files import refusing, replacing_file, write_text
-from redundancy_pin.kinematics.coordinates import joint_position
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.loading import RobotLike
 from redundancy_pin.motion import PlatformMotion
@@ -280,7 +279,7 @@ def _before(times: Array) -> BoolArray:
 
 def _position(robot: Robot, name: str, q: Array) -> Array:
     """Return (N,) the position of a joint of one freedom, m or rad."""
-    position = joint_position(robot, name, q)
+    position = robot.joint_positions(q, [name])[:, 0]
     continuous = find_joint(robot.model, name).nq == 2
     return np.unwrap(position) if continuous else position
 

@@ -8,13 +8,25 @@ from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, IntArray, frozen, read_only
+from redundancy_pin.errors import InputError
 from redundancy_pin.robot.loads import Load, Payload, carrying, checked_loads, of_kind
 from redundancy_pin.robot.lookup import find_joint
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 """Names of the rows a closure or a platform may use: translations, then rotations."""
+
+
+def joint_position(joint: pin.JointModel, q: Array) -> Array:
+    """Return (...) the position of a joint of one freedom at configurations (..., nq), m or rad.
+
+    A continuous joint has a cosine and a sine in q: its angle is theirs, in (−π, π].
+    """
+    at = int(joint.idx_q)
+    position: Array = np.arctan2(q[..., at + 1], q[..., at]) if joint.nq == 2 else q[..., at]
+    return position
 
 
 def slides(joint: pin.JointModel) -> bool:
@@ -166,7 +178,8 @@ class Robot(Frozen):
         name: its name.
         parameters: the resolved xacro arguments.
         urdf: the rendered URDF.
-        model: the Pinocchio tree; treat it as read-only.
+        model: the Pinocchio tree; treat it as read-only. Whoever puts another one in its place passes
+            ``closed_form=None``, too: closed forms read ``parameters``, not the model.
         closures: the loop closures.
         platform: the platform, or None where the independent velocities are named joints.
         independent_joints: names of the independent joints (empty when there is a platform).
@@ -263,6 +276,38 @@ class Robot(Frozen):
     def carrier_position(self) -> IntArray:
         """(k,) index of each carrier in q."""
         return _indices(self.model, self.carriers, "idx_q")
+
+    def joint_positions(self, q: ArrayLike, joints: Sequence[str] | None = None) -> Array:
+        """Return (..., J) positions of joints at configurations (..., nq), m and rad.
+
+        They are what an encoder reads: of a continuous joint, which has its cosine and its sine in q, the angle in
+        (−π, π].
+
+        Args:
+            q: (nq,) or (N, nq) configurations.
+            joints: J names of joints of one freedom; the main actuators when left out.
+
+        Raises:
+            InputError: no joint of that name, a joint of several freedoms, or configurations of another size.
+
+        Example:
+            >>> motors = robot.joint_positions(robot.q_reference)
+        """
+        given = np.asarray(q, dtype=np.float64)
+        if given.shape[-1:] != (self.model.nq,):
+            raise InputError(
+                f"q has shape {given.shape}; configurations of {self.name} have {self.model.nq} numbers each.",
+                remedy="Pass (nq,) or (N, nq), such as q_reference, or q of a result.",
+                shape=given.shape,
+            )
+        found = [find_joint(self.model, name) for name in (self.actuated if joints is None else joints)]
+        if wide := [str(self.model.names[joint.id]) for joint in found if joint.nv != 1]:
+            raise InputError(
+                f"Joint {wide[0]!r} has several freedoms, and no position that is one number.",
+                remedy="Name joints of one freedom each; the others are in q as Pinocchio has them.",
+                joints=wide,
+            )
+        return np.array([joint_position(joint, given) for joint in found]).reshape(len(found), *given.shape[:-1]).T
 
     @property
     def effort_limits(self) -> Array:

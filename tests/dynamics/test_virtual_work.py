@@ -125,6 +125,18 @@ def test_robots_without_a_closed_form_are_refused(name, change):
         rp.VirtualWork(replace(zoo.robot_of(name), **change))
 
 
+@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
+def test_masses_of_a_model_that_was_replaced_are_not_those_of_the_arguments(name):
+    robot = zoo.robot_of(name)
+    model = robot.model.copy()
+    max(model.inertias, key=lambda inertia: inertia.mass).mass *= 1.01
+    with pytest.raises(UnsupportedRobotError, match="closed_form=None"):
+        rp.VirtualWork(replace(robot, model=model))
+    last = next(body.links[0] for body in reversed(robot.bodies) if body.links)
+    carrying = robot.loaded(rp.Payload(last, 2.0))  # a payload is no other machine
+    assert rp.VirtualWork(carrying).robot is carrying
+
+
 @pytest.mark.parametrize(
     ("model", "old", "new"),
     [

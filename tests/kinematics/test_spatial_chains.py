@@ -55,6 +55,25 @@ def test_lifted_motion_closes_the_joint_as_pinocchio_sees_it(name: str) -> None:
             np.testing.assert_allclose(turn[:, 2], [0.0, 0.0, 1.0], atol=CLOSED)
 
 
+def test_positions_of_joints_are_what_encoders_read() -> None:
+    """Continuous joints, which have a cosine and a sine in q, lead from the motor to all joints and back."""
+    robot = chain_of("continuous")
+    motion = PlatformMotion(np.arange(5.0), np.array([[-3.0], [-1.0], [0.1], [1.0], [3.1]]), *np.zeros((2, 5, 1)))
+    tree = inverse_kinematics(robot, motion)
+    np.testing.assert_allclose(robot.joint_positions(tree.q), motion.x, atol=1e-15)
+    names = ["rocker", "crank", "coupler"]
+    rocker, crank, coupler = robot.joint_positions(tree.q, names).T
+    # the loop in the plane: crank pin from both sides
+    ends = 0.1 * np.exp(1j * crank) - 0.4 - 0.25 * np.exp(1j * rocker)
+    np.testing.assert_allclose(0.35 * np.exp(1j * (rocker + coupler)), ends, atol=1e-11)
+    home = robot.joint_positions(robot.q_reference)
+    assert home.shape == (1,)
+    found = forward_kinematics(robot, robot.joint_positions(tree.q), start=tree.q[0])
+    np.testing.assert_allclose(np.exp(1j * found.x), np.exp(1j * motion.x), atol=1e-12)
+    state = rp.CompiledDynamics(robot).joint_state(home)
+    np.testing.assert_allclose(robot.joint_positions(state.q, names), robot.joint_positions(robot.q_reference, names))
+
+
 @pytest.mark.parametrize("axis", AXES)
 def test_any_coordinate_of_the_rocker_has_the_efforts_of_the_crank(axis: str, tmp_path: Path) -> None:
     """One motion by the crank, and by a place or an angle of the rocker. Its z axis is the one about which it turns:

@@ -297,6 +297,10 @@ def test_a_ball_that_ends_where_it_begins_is_no_rod(long):
         robot = rp.robot_from_model(model, **given)
         assert robot.independent_joints == ("crank",)
         assert any("spin of ball" in note for note in robot.notes)
+        assert robot.joint_positions(robot.q_reference, ["rocker", "crank"]).shape == (2,)
+        for wrong in ({"joints": ["ball"]}, {"joints": ["no such joint"]}, {"q": np.zeros(3)}):
+            with pytest.raises(InputError):
+                robot.joint_positions(**{"q": robot.q_reference, **wrong})
     else:
         with pytest.raises(DeclarationError, match="the joint\\(s\\) 'ball' of several freedoms"):
             rp.robot_from_model(model, **given)

@@ -13,7 +13,6 @@ from zoo import places_of
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import DeclarationError, RedundancyPinError
-from redundancy_pin.kinematics.coordinates import joint_position
 from redundancy_pin.loading import propose_robot
 
 FILES = Path(__file__).parent / "files" / "urdf"
@@ -140,7 +139,7 @@ def test_the_branch_of_loops_that_lie_in_a_line_is_asked_for(side: int, tmp_path
     proposal, robot = propose_robot(flat, guess={name: round(angle, 2) for name, angle in angles.items()})
     assert proposal.questions == ()
     assert robot is not None
-    found = {name: joint_position(robot, name, robot.q_reference[None])[0] for name in angles}
+    found = dict(zip(angles, robot.joint_positions(robot.q_reference, list(angles)), strict=True))
     assert found == pytest.approx(angles, abs=0.02)
 
 

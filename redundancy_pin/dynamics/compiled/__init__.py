@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, lapack, read_only
 from redundancy_pin.dynamics.arguments import OnUnreachable, SampleArguments, require_choice, require_matching_carriers
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled.build import Library, bind, define
@@ -186,6 +186,7 @@ class _Calls(threading.local):
 
     def __init__(self, dynamics: CompiledDynamics) -> None:
         self._dynamics = dynamics
+        lapack()  # kinematics take what the C does not close: what they import would hold up a control loop
 
     @cached_property
     def sample(self) -> SampleCall:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, read_only
+from redundancy_pin.arrays import AGREEMENT_TOLERANCE, Array, BoolArray, Frozen, read_only
 from redundancy_pin.dynamics.arguments import OnUnreachable, SampleArguments, require_choice, require_matching_carriers
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.one_sample import solve_reduced_sample
@@ -20,7 +20,7 @@ from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprLegs, TwoRprMecha
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, UnsupportedRobotError, millimetres
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.robot import JointForces, Robot
+from redundancy_pin.robot import JointForces, Payload, Robot
 from redundancy_pin.robot.checks import require_matching
 from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES
 from redundancy_pin.robot.joint_ranges import joint_ranges
@@ -45,12 +45,14 @@ class VirtualWork(Dynamics):
         robot: a robot with a closed form ("2rpr" or "3rrr"), or its name or path.
 
     Raises:
-        UnsupportedRobotError: the robot declares no closed form, or one that is not known here.
+        UnsupportedRobotError: the robot declares no closed form, or one that is not known here; or its model was
+            changed, so that its masses are not those of its arguments.
     """
 
     def __init__(self, robot: RobotLike) -> None:
         self._robot = as_robot(robot)
         self._mechanism = _mechanism_of(self._robot)
+        _require_own_masses(self._robot, self._mechanism)
         require_known(self._robot, self._mechanism.frames, self._mechanism.joints)
 
     @property
@@ -205,6 +207,20 @@ def _mechanism_of(robot: Robot) -> Mechanism:
         closed_form=robot.closed_form,
         roles={name: (motors, modes) for name, (motors, modes, _, _) in CLOSED_FORM_ROLES.items()},
     )
+
+
+def _require_own_masses(robot: Robot, mechanism: Mechanism) -> None:
+    """Raise UnsupportedRobotError for a robot whose model was replaced: closed forms read its arguments."""
+    payloads = sum(load.mass for load in of_kind(robot.loads, Payload))
+    own, known = robot.moving_mass - payloads, sum(body.mass for body in mechanism.bodies)
+    if not abs(own - known) <= AGREEMENT_TOLERANCE * max(own, known):
+        raise UnsupportedRobotError(
+            f"The bodies of {robot.name} have {own:.9g} kg in its model and {known:.9g} kg by its arguments, which "
+            "virtual work reads.",
+            remedy="Use RneaDynamics, and pass closed_form=None where the model is replaced.",
+            robot=robot.name,
+            masses=(own, known),
+        )
 
 
 def _refuse(legs: TwoRprLegs | ThreeRrrLegs, sample: int, robot: Robot, mechanism: Mechanism) -> None:

@@ -109,9 +109,14 @@ def relax(
     )
 
 
-_REMEDY = "Widen these limits, slow the motion down, or leave the end free."
+_REMEDY = (
+    "Widen these limits, by 2 % more than that (the least leaves no room), slow the motion down, or leave the end free."
+)
 
-_REMEDY_OF_TIMING = "Widen these limits, lead the path elsewhere, or leave the ends free."
+_REMEDY_OF_TIMING = (
+    "Widen these limits, by a few per cent more than that (they are those at the nodes), lead the path elsewhere, or "
+    "leave the ends free."
+)
 
 
 def require_bounds(problem: Problem, guess: Mapping[str, Array]) -> None:
@@ -129,7 +134,7 @@ def require_bounds(problem: Problem, guess: Mapping[str, Array]) -> None:
         solution = solve(least, guess, deadline - time.perf_counter())
         fraction = objective_values(least, solution.values)[name] / bound - 1.0
         if solution.optimal and fraction > NOTHING:
-            events.append(_bound_event(problem, name, fraction))
+            events.append(_bound_event(problem, {name: fraction}))
     if events:
         text = "; and ".join(str(event.pop("text")) for event in events)
         known = "What would suffice" if len(settings.at_most) == 1 else "What is needed at least"
@@ -143,11 +148,16 @@ def require_bounds(problem: Problem, guess: Mapping[str, Array]) -> None:
         )
 
 
-def _bound_event(problem: Problem, name: str, fraction: float) -> dict[str, object]:
-    """Return by how much a bound of ``at_most`` has to be wider."""
-    bound = problem.settings.at_most[name]
-    text = f"{name} at most, from {bound:.6g} to {bound * (1.0 + fraction):.6g} ({100.0 * fraction:.3g} %)"
-    numbers = {"amount": bound * fraction, "limit": bound * (1.0 + fraction), "fraction": fraction}
+def _bound_event(problem: Problem, fractions: Mapping[str, float]) -> dict[str, object]:
+    """Return by which fractions bounds of ``at_most`` have to be wider, all of them together, the widest first."""
+    bounds = problem.settings.at_most
+    wider = {name: bounds[name] * (1.0 + fraction) for name, fraction in fractions.items()}
+    text = " with ".join(
+        f"{name} at most, from {bounds[name]:.6g} to {wider[name]:.6g} ({100.0 * fraction:.3g} %)"
+        for name, fraction in fractions.items()
+    )
+    name, fraction = next(iter(fractions.items()))
+    numbers = {"amount": bounds[name] * fraction, "limit": wider[name], "fraction": fraction, "limits": wider}
     return {"constraint": "at_most", "objective": name, "time": float(problem.grid.t[0]), **numbers, "text": text}
 
 
@@ -195,13 +205,14 @@ def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind:
     fraction = _slack(elastic, kind)
     t = problem.times(elastic.values)
     if kind == "at_most":
-        costs = objective_values(problem, elastic.values)
-        name, _ = max(problem.settings.at_most.items(), key=lambda one: costs[one[0]] / one[1])
-        return _bound_event(problem, name, fraction)
+        costs, bounds = objective_values(problem, elastic.values), problem.settings.at_most
+        widest, *others = sorted(bounds, key=lambda name: -costs[name] / bounds[name])
+        over = {name: costs[name] / bounds[name] - 1.0 for name in others}
+        return _bound_event(problem, {widest: fraction} | {k: more for k, more in over.items() if more > NOTHING})
     if kind == "end":
         missed = np.abs(elastic.values["s"][-1] - problem.settings.datum / problem.scales.s) * problem.scales.s
         if problem.settings.end == "datum":
-            text = f"the carriers end up to {missed.max():.4g} m from the datum"
+            text = f"another end: the carriers are {missed.max():.4g} m from the datum then"
         else:
             text = f"the end state by {fraction:.3g} of its size"
         return {"constraint": kind, "time": float(t[-1]), "amount": float(missed.max()), "text": text}

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, positive
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.planners.optimal.nlp import Expression
 
@@ -132,10 +132,10 @@ class ObjectiveTerm:
         return value
 
     def size_of(self, scales: Scales) -> float:
-        """Return its size after checking that it is one number.
+        """Return its size after checking that it is one positive number.
 
         Raises:
-            InputError: it has several, one for each carrier or actuator, as ``scales.sd`` has.
+            InputError: it has several, one for each carrier or actuator, as ``scales.sd`` has; or it is not positive.
         """
         size = np.asarray(self.size(scales), dtype=np.float64)
         if size.size != 1:
@@ -143,7 +143,7 @@ class ObjectiveTerm:
                 f"The size of an objective is {shown(size.tolist())}, not one number.",
                 remedy="Write float(u.sd.max()) in place of u.sd, for example.",
             )
-        return float(size.item())
+        return positive(size.item(), "the size of an objective", "")
 
 
 def _energy(q: Quantities) -> Expression:

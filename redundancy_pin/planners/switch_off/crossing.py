@@ -216,7 +216,12 @@ def _uncompensated_force(equation: CarrierEquation, t: float, stuck: StepGivenUp
         f"{place} t = {t:.6g} s nothing can carry the inertial force: the motion needs {abs(force):.6g} N along "
         f"({', '.join(f'{component:.6f}' for component in direction)}), but the main actuators are {phase} there and "
         f"no acceleration of the carriers has an effect in this direction ({where}).",
-        remedy=remedy + (", or leave the main actuators on: they could carry it." if by_main else "."),
+        remedy=remedy
+        + (
+            ", or leave the main actuators on (plan_whole_trajectory): they could carry it."
+            if by_main
+            else ", or plan with plan_whole_trajectory, which chooses where the carriers are at the pose."
+        ),
         constraint="singular_pose" if singular else "carrier_effect",
         time=t,
         amount=abs(force),

@@ -16,7 +16,6 @@ import pinocchio as pin
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, positive, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.coordinates import joint_position
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
@@ -176,7 +175,7 @@ def _readings(robot: Robot, q: Array, efforts: Mapping[str, Array]) -> tuple[Joi
         if robot.model.joints[body].nv != 1:
             continue
         role: Role = "carrier" if name in robot.carriers else "actuated" if name in robot.actuated else "passive"
-        position = joint_position(robot, name, q)
+        position = robot.joint_positions(q, [name])[:, 0]
         turning = not slides(robot.model.joints[body])
         if turning:
             position = np.unwrap(position)

@@ -148,6 +148,30 @@ def test_what_is_said_to_suffice_suffices_and_less_does_not(seed: int) -> None:
             planned(dynamics, trajectory, relaxed(dynamics, limits, details, NARROWER), steps)
 
 
+def test_bounds_that_have_to_be_wider_together_are_all_named() -> None:
+    """Two costs in conflict: each bound can be kept by itself, and to let out one of them is not enough."""
+    dynamics = rp.CompiledDynamics(zoo.robot_of("five_bar", carriers=True))
+    line = rp.trajectory.from_points([[0.15, 0.62], [0.35, 0.25]], speed=0.5, ramp_time=0.2)
+
+    def plan_within(**bounds: float) -> rp.Plan:
+        return rp.plan_whole_trajectory(dynamics, line, at_most=bounds, mesh=rp.Mesh(dt=0.02, refinements=0))
+
+    tight = {"peak": 1.409, "carrier_force": 0.844}
+    with pytest.raises(InfeasiblePlanError) as caught:
+        plan_within(**tight)
+    event = caught.value.details["relaxations"][0]
+    wider = event["limits"]
+    assert set(wider) == set(tight)
+    assert event["limit"] == wider[event["objective"]]
+    for name, limit in wider.items():
+        assert limit > tight[name]
+        assert f"{name} at most, from {tight[name]:.6g} to {limit:.6g}" in caught.value.message
+    plan_within(**{name: tight[name] + WIDER * (limit - tight[name]) for name, limit in wider.items()})
+    for name, limit in wider.items():
+        with pytest.raises(InfeasiblePlanError):
+            plan_within(**{**tight, name: tight[name] + WIDER * (limit - tight[name])})
+
+
 @pytest.mark.parametrize("sense", [1.0, pytest.param(-1.0, marks=pytest.mark.long)])
 def test_the_end_of_a_track_is_a_place_with_its_sign(sense: float) -> None:
     """A start with a speed that no acceleration stops before the end of the track: v² / 2a is needed."""

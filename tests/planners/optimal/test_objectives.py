@@ -79,6 +79,7 @@ def test_sizes_are_one_number_or_one_for_each_joint(monkeypatch):
         (lambda q: q.largest(q.sd, [1.0, 0.0]), lambda u: 1.0, "positive"),
         (lambda q: q.sd**2, lambda u: 1.0, "numbers, not one"),
         (lambda q: q.integral(q.sd**2), lambda u: u.sd, "not one number"),
+        (lambda q: q.integral(q.sd**2), lambda u: 0.0, "size of an objective"),
     ],
 )
 def test_sizes_and_formulas_of_another_shape_are_refused(monkeypatch, formula, size, message):
