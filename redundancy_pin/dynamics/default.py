@@ -60,6 +60,15 @@ def as_dynamics(dynamics: DynamicsLike) -> Dynamics:
         return RneaDynamics(robot)
 
 
+def as_dynamics_of_one_task(dynamics: DynamicsLike) -> Dynamics:
+    """Return ``as_dynamics`` for one task: RNEA solves each sample once, however often the task asks for it.
+
+    Errors and warnings are those of ``as_dynamics``.
+    """
+    own = as_dynamics(dynamics)
+    return own.with_memory() if type(own) is RneaDynamics else own
+
+
 def rnea_along(tree: JointTrajectory) -> DynamicsAlongMotion:
     """Return RNEA along a motion of the tree, carriers at zero: the reading copy, whatever backend made a plan."""
     return RneaAlongMotion(tree)

@@ -36,7 +36,7 @@ from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, refusal_of, 
 from redundancy_pin.dynamics.results import CarrierDerivatives, ReducedDynamics, TorqueSample
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort, tree_energy, tree_loads
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower
+from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, Rates, follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import in_working_mode
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
@@ -93,6 +93,7 @@ class RneaDynamics(Dynamics):
 
     def __init__(self, robot: RobotLike, *, progress: Callable[[int, int], None] | None = None) -> None:
         self._robot, self._progress = as_robot(robot), progress
+        self._known: dict[bytes, Rates] | None = None
         self._thread = threading.local()
         """Holds ``last``: the closed state of this thread where the next ``torque`` starts."""
 
@@ -109,8 +110,18 @@ class RneaDynamics(Dynamics):
         """Solve the kinematics of a platform motion once; raises as ``inverse_kinematics``."""
         require_choice(unreachable)
         marked = unreachable == "mark"
-        tree = inverse_kinematics(self._robot, motion, mark_unreachable=marked, progress=self._progress)
+        report, known = self._progress, self._known
+        tree = inverse_kinematics(self._robot, motion, mark_unreachable=marked, progress=report, known=known)
         return RneaAlongMotion(tree)
+
+    def with_memory(self) -> RneaDynamics:
+        """Return this backend with a memory of the samples that it solves along one motion, some kilobytes each.
+
+        To close them takes most of the time. The memory belongs to what is returned, and goes with it.
+        """
+        own = self.for_robot(self._robot)
+        own._known = {}
+        return own
 
     def for_robot(self, robot: Robot) -> RneaDynamics:
         """Return this backend for a robot that differs in its loads."""
@@ -317,13 +328,15 @@ class RneaAlongMotion(Frozen):
         chain, margin = ClosedChain(self.robot), np.full(len(self.motion), np.nan)
         if not chain.rows:
             return read_only(np.ones(len(margin)))
-        for i in np.flatnonzero(self.tree.reachable):
-            chain.update(self.tree.q[i], self.tree.v[i])
+        known = np.flatnonzero(self.tree.reachable)
+        K = np.empty((len(known), len(chain.pose_columns), len(chain.pose_columns)))
+        for own, q in zip(K, self.tree.q[known], strict=True):
+            chain.place(q)
             if chain.system.has_dependent_rows:
                 chain.renew_basis()
-            K = chain.matrix()
-            values = np.linalg.svd(K[: chain.rows], compute_uv=False)
-            margin[i] = np.linalg.slogdet(K)[0] * values[-1] / values[0]
+            own[:] = chain.matrix()
+        values = np.linalg.svd(K[:, : chain.rows], compute_uv=False)
+        margin[known] = np.linalg.slogdet(K)[0] * values[:, -1] / values[:, 0]
         return read_only(margin)
 
     def states(self, carriers: CarrierMotion | None = None) -> Iterator[TreeState]:

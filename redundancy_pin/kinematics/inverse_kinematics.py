@@ -106,6 +106,7 @@ def inverse_kinematics(
     mark_unreachable: bool = False,
     progress: Callable[[int, int], None] | None = None,
     start: ClosedState | None = None,
+    known: dict[bytes, Rates] | None = None,
 ) -> JointTrajectory:
     """Return the motion of the tree along a platform motion.
 
@@ -121,6 +122,8 @@ def inverse_kinematics(
         progress: called with samples done and samples in all, now and then.
         start: a point of the branch to come from, in place of the reference configuration: the first pose lies on the
             straight line from it, and is not looked for elsewhere.
+        known: samples of the same platform motion that were solved before, by ``sample_key``. They are taken from here,
+            and those solved now are added.
 
     Raises:
         InputError: the motion does not have the robot's coordinates.
@@ -130,12 +133,11 @@ def inverse_kinematics(
     """
     robot = as_robot(robot)
     require_matching(robot, motion)
-    solution = MotionSolution(follower(robot), motion, progress)
+    solution = MotionSolution(follower(robot), motion, progress, known)
     if mark_unreachable:
         solution.solve_what_is_reachable(start)
     else:
-        here = point_on_branch(solution.system, motion.x[0]) if start is None else start
-        count, _, end = solution.follow(range(len(motion)), here)
+        count, _, end = solution.follow(range(len(motion)), solution.first_state() if start is None else start)
         if end is not None:
             raise _error(end, motion, count, start)
     return solution.trajectory()
@@ -148,6 +150,7 @@ class MotionSolution:
         follower: of the robot.
         motion: N samples of the independent coordinates.
         progress: as of ``inverse_kinematics``.
+        known: as of ``inverse_kinematics``.
     """
 
     def __init__(
@@ -155,8 +158,10 @@ class MotionSolution:
         follower: Follower,
         motion: PlatformMotion,
         progress: Callable[[int, int], None] | None = None,
+        known: dict[bytes, Rates] | None = None,
     ) -> None:
-        self._follower, self._motion, self.system = follower, motion, follower.system
+        self._follower, self._motion = follower, motion
+        self.system, self._known = follower.system, known
         self._progress, self._done = progress, 0
         robot, samples = follower.robot, len(motion)
         self.q = np.full((samples, robot.model.nq), np.nan)
@@ -170,12 +175,21 @@ class MotionSolution:
         Returns:
             How many have a state, the last of the states, and why the branch ends there; None where all have one.
         """
+        known, motion = self._known, self._motion
         for count, k in enumerate(order):
-            reached = self._solved(here, k)
+            key = b"" if known is None else sample_key(motion, k)
+            reached = known[key] if known and key in known else self._solved(here, k)
             if isinstance(reached, BranchEnd):
                 return count, here, reached
+            if known is not None:
+                known[key] = reached
             here = self._keep(k, reached)
         return len(order), here, None
+
+    def first_state(self) -> ClosedState:
+        """Return where the branch is followed from: the first sample if it is known, else by ``point_on_branch``."""
+        reached = None if self._known is None else self._known.get(sample_key(self._motion, 0))
+        return point_on_branch(self.system, self._motion.x[0]) if reached is None else reached.state
 
     def solve_what_is_reachable(self, start: ClosedState | None) -> None:
         """Solve samples from the first reachable one on, then from there back; others stay NaN."""
@@ -266,6 +280,11 @@ class MotionSolution:
         margin = np.where(good, self.margin, 0.0)
         parts = (self.q, self.v, self.a, self.gamma, W, self.residual, good, margin)
         return JointTrajectory(robot, self._motion, *(read_only(part) for part in parts))
+
+
+def sample_key(motion: PlatformMotion, k: int) -> bytes:
+    """Return the bits of time, coordinates and rates of sample k: what its solution depends on along one motion."""
+    return b"".join(part[k].tobytes() for part in (motion.t, motion.x, motion.xd, motion.xdd))
 
 
 def is_rounded(follower: Follower, solved: Rates) -> bool:

@@ -16,6 +16,7 @@ from redundancy_pin.planners.optimal.solve import leaves_limits, solve
 from redundancy_pin.planners.optimal.transcription import (
     KIND_OF,
     KINDS,
+    half_range,
     objective_values,
     scaled_bounds,
     slack_name,
@@ -176,7 +177,7 @@ def is_touched(problem: Problem, robot: RobotRecord, elastic: Solution, kind: st
         return bool(problem.settings.at_most)
     if kind == "end" or (kind == "force" and "force" not in elastic.values):
         return False
-    values, low, high, _ = _quantity(problem, robot, elastic, kind)
+    values, low, high, *_ = _quantity(problem, robot, elastic, kind)
     with np.errstate(invalid="ignore"):
         near = TOUCHED * np.where(np.isfinite(high - low), high - low, 0.0)
     return bool(((values >= high - near) | (values <= low + near)).any())
@@ -216,15 +217,19 @@ def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind:
         else:
             text = f"the end state by {fraction:.3g} of its size"
         return {"constraint": kind, "time": float(t[-1]), "amount": float(missed.max()), "text": text}
-    values, low, high, names = _quantity(problem, robot, elastic, kind)
-    excess = np.maximum(values - high, low - values)
+    values, low, high, room, names = _quantity(problem, robot, elastic, kind)
+    with np.errstate(invalid="ignore"):
+        excess = np.maximum(values - high, low - values) / room
     i, j = np.unravel_index(int(np.argmax(np.where(np.isfinite(excess), excess, -np.inf))), excess.shape)
     upper = bool(values[i, j] - high[j] >= low[j] - values[i, j])
-    limit, amount, unit = float((high if upper else low)[j]), float(excess[i, j]), robot.limit_unit(kind, names[j])
+    # at the nodes less may be used than is needed between them
+    amount = fraction * float(room[j])
+    limit, unit = float((high if upper else low)[j]), robot.limit_unit(kind, names[j])
     enough = limit + (amount if upper else -amount)
     if kind != "track" and low[j] == -high[j]:
         # a limit of the size, as users write it; the ends of a track are places
         limit, enough = abs(limit), abs(enough)
+    fraction = amount / (0.5 * float(high[j] - low[j]))  # of the limit, however small that is
     percent = f"{100.0 * fraction:.3g}" if fraction < 1.0 else f"{100.0 * fraction:.0f}"
     where = f"t = {t[i]:.6g} s" if problem.timing is None else f"{100.0 * problem.grid.t[i] / problem.grid.t[-1]:.3g} %"
     where += "" if problem.timing is None else " of the path"
@@ -243,15 +248,17 @@ def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind:
 
 def _quantity(
     problem: Problem, robot: RobotRecord, elastic: Solution, kind: str
-) -> tuple[Array, Array, Array, tuple[str, ...]]:
-    """Return the values of a limited quantity at the nodes, its bounds, and whose they are."""
+) -> tuple[Array, Array, Array, Array, tuple[str, ...]]:
+    """Return the values of a limited quantity at the nodes, its bounds, their half ranges, and whose they are."""
     u = problem.scales
     if kind == "jerk":
         h = np.diff(problem.times(elastic.values))
         h = np.where(h > 0.0, h, np.inf)[:, None]
         jerk = np.diff(elastic.values["sdd"], axis=0) * u.sdd / h
-        return jerk, -problem.settings.limits.jerk, problem.settings.limits.jerk, robot.carriers
+        limit = problem.settings.limits.jerk
+        return jerk, -limit, limit, limit, robot.carriers
     name = next(name for name, limit in KIND_OF.items() if limit == kind)
     size = np.broadcast_to(getattr(u, name), elastic.values[name].shape[1:])
-    low, high = (bound * size for bound in scaled_bounds(problem)[name])
-    return elastic.values[name] * size, low, high, robot.actuated if kind == "effort" else robot.carriers
+    bounds = scaled_bounds(problem)[name]
+    low, high, room = (bound * size for bound in (*bounds, half_range(kind, *bounds)))
+    return elastic.values[name] * size, low, high, room, robot.actuated if kind == "effort" else robot.carriers

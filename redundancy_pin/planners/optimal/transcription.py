@@ -30,6 +30,9 @@ RESERVE = 1e-9
 BEYOND = 0.25 * RESERVE
 """Fraction by which a limit on which the carriers start or end is let out: less than what counts as exceeding it."""
 
+LEAST_RANGE = 1e-3
+"""Least scaled limit of efforts and forces that gives way by a fraction of itself; smaller ones by one of this."""
+
 KINDS = ("track", "speed", "acceleration", "jerk", "effort", "force", "end", "at_most")
 """Limits that an elastic programme lets go."""
 
@@ -85,6 +88,8 @@ def scaled_bounds(problem: Problem) -> dict[str, tuple[Array, Array]]:
     if problem.shares is not None:
         m, k = len(limits.effort), len(limits.names)
         most |= {"tau": most["tau"] * problem.shares[:, :m], "force": most["force"] * problem.shares[:, m : m + k]}
+    # IPOPT ends the process where the bounds of a variable are nearer than rounding
+    most |= {name: np.maximum(most[name], RESERVE) for name in ("tau", "force")}
     symmetric = {name: (-bound * (1.0 - RESERVE), bound * (1.0 - RESERVE)) for name, bound in most.items()}
     return {"s": ((lower + low_margin) / u.s, (upper - high_margin) / u.s), **symmetric}
 
@@ -95,13 +100,19 @@ def relaxed_bounds(problem: Problem, values: Mapping[str, Array]) -> dict[str, t
     for name, kind in KIND_OF.items():
         if slack_name(kind) in values:
             (lower, upper), fraction = bounds[name], float(values[slack_name(kind)][0, 0])
-            bounds[name] = lower - fraction * _room(lower, upper), upper + fraction * _room(lower, upper)
+            more = fraction * half_range(kind, lower, upper)
+            bounds[name] = lower - more, upper + more
     return bounds
 
 
-def _room(lower: Array, upper: Array) -> Array:
-    """Return half the distance of two bounds, a fraction of which an elastic limit gives way by; 1 without a bound."""
-    return np.where(np.isfinite(upper - lower) & (upper > lower), 0.5 * (upper - lower), 1.0)
+def half_range(kind: str, lower: Array, upper: Array) -> Array:
+    """Return half the distance of two scaled bounds, a fraction of which an elastic limit gives way by.
+
+    1 without a bound. Of efforts and forces ``LEAST_RANGE`` at least: a fraction of a much smaller limit, as large as
+    these need, is beyond the solver.
+    """
+    half = np.maximum(0.5 * (upper - lower), LEAST_RANGE if kind in ("effort", "force") else 0.0)
+    return np.where(np.isfinite(half) & (upper > lower), half, 1.0)
 
 
 class Transcription(Quantities):
@@ -217,7 +228,7 @@ class Transcription(Quantities):
             self.nlp.within(expression, lower, upper)
             return
         lower, upper = (np.broadcast_to(bound, expression.shape) for bound in (lower, upper))
-        half = _room(lower, upper)
+        half = half_range(kind, lower, upper)
         slack = ca.repmat(self._slack[kind][: expression.shape[0]], 1, expression.shape[1])
         self.nlp.within(expression + half * slack, lower, np.inf)
         self.nlp.within(expression - half * slack, -np.inf, upper)
@@ -301,7 +312,10 @@ class Transcription(Quantities):
         if len(limited):
             change = self.nlp.blocks["sdd"][1:, limited.tolist()] - self.nlp.blocks["sdd"][:-1, limited.tolist()]
             most = self.h * np.broadcast_to((settings.limits.jerk / u.sdd)[limited], change.shape)
-            self.limit("jerk", change, -most, most)
+            steps = np.flatnonzero(self._problem.grid.h).tolist()
+            jumps = np.flatnonzero(self._problem.grid.h == 0.0).tolist()
+            self.limit("jerk", change[steps, :], -most[steps, :], most[steps, :])
+            self.nlp.within(change[jumps, :])  # no limit of the jerk, however wide, lets s̈ jump
         self._start()
         first, last = ({name: self.nlp.blocks[name][i, :] for name in ("s", "sd", "sdd")} for i in (0, -1))
         if settings.end in ("rest", "datum"):

@@ -213,6 +213,48 @@ def test_the_jerk_that_two_singular_poses_take_is_named_in_its_unit() -> None:
     assert enough.findings.optimal
 
 
+def test_what_suffices_suffices_where_the_reference_acceleration_jumps() -> None:
+    """A limit of the jerk keeps s̈ from jumping with it, however wide it is: then it is not said to be enough."""
+    dynamics, corner = rp.VirtualWork(zoo.robot_of("3rrr")), reference.corner(0.025)
+    mesh, limits = rp.Mesh(dt=0.05, refinements=0), {"jerk": 2.0, "effort": 2.0}
+    with pytest.raises(InfeasiblePlanError) as caught:
+        rp.plan_whole_trajectory(dynamics, corner, limits=rp.Limits(**limits), mesh=mesh)
+    assert not caught.value.details["together"]
+    for event in caught.value.details["relaxations"]:
+        enough = rp.Limits(**{**limits, event["constraint"]: WIDER * event["limit"]})
+        assert rp.plan_whole_trajectory(dynamics, corner, limits=enough, mesh=mesh).findings.optimal
+
+
+def test_a_track_is_as_long_as_is_needed_between_the_nodes() -> None:
+    """Where the carriers turn back between two nodes these show less."""
+    dynamics, corner = rp.VirtualWork(zoo.robot_of("3rrr")), reference.corner(0.025)
+    with pytest.raises(InfeasiblePlanError) as caught:
+        rp.plan_whole_trajectory(
+            dynamics,
+            corner,
+            limits=rp.Limits(track=(-0.05, 0.05), effort=2.5),
+            mesh=rp.Mesh(dt=0.1, refinements=0),
+        )
+    (track,) = (event for event in caught.value.details["relaxations"] if event["constraint"] == "track")
+    assert track["amount"] == pytest.approx(0.05 * track["fraction"], rel=1e-6)
+    assert abs(track["limit"]) == pytest.approx(0.05 + track["amount"], rel=1e-6)
+
+
+@pytest.mark.parametrize("effort", [1e-8, 1e-18, 1e-60])
+def test_a_limit_below_rounding_is_one_like_others(effort: float) -> None:
+    """IPOPT ended the process: at once, or where limits at the nodes were lowered for what is between them."""
+    line, mesh = straight((0.15, 0.4), (0.25, 0.3), 0.2), rp.Mesh(dt=0.04, refinements=0)
+    massless, heavy = zoo.robot_of("2rpr"), zoo.robot_of("2rpr", end_effector_mass=0.5, cylinder_mass=0.3)
+
+    def plan(robot: Any, effort: float) -> Any:
+        return rp.plan_whole_trajectory(robot, line, limits=rp.Limits(effort=effort), mesh=mesh, end="free")
+
+    assert plan(massless, effort).status is ResultStatus.LIMIT_VIOLATED  # by what is between the nodes
+    with pytest.raises(InfeasiblePlanError, match="What would suffice: ") as caught:
+        plan(heavy, effort)
+    assert {event["constraint"] for event in caught.value.details["relaxations"]} <= {"effort", "acceleration", "track"}
+
+
 def test_what_would_suffice_for_efforts_is_the_least_peak() -> None:
     """Which the peak objective finds by itself."""
     dynamics, circle = rp.VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.75, 0.2, 0.075)
