@@ -216,7 +216,7 @@ def propose(
     own = {frozenset(joint.links) for joint in given}
     loops = [joint for joint in mechanism.loop_joints if frozenset(joint.links) not in own]
     found = {joint.name: BY_NAME for joint in loops if joint.name in mechanism.presumed}
-    is_stated = bool(loops)
+    is_stated = bool(mechanism.loop_joints)
     presumed = [*found, *(joint.name for joint, text in zip(given, close, strict=True) if text.count(",") == 1)]
     loops += given
     found |= {joint.name: _BY_FLAG for joint in given}
@@ -519,5 +519,5 @@ def _which_motors(mechanism: Mechanism, count: int | None = None) -> str:
             reasons.setdefault(tuple(names), []).append(why)
     ways = [f"--actuate {','.join(names)} ({', '.join(why)})" for names, why in reasons.items()]
     degrees = "" if count is None else f" The mechanism has {count} DOF."
-    letters = ",".join("ABCDEF"[:count]) if count and count <= 6 else "A,B,..."
+    letters = ",".join("ABCDEF"[:count]) if count and count <= min(6, len(joints)) else "A,B,..."
     return f"Which joints are driven, of {', '.join(joints)}?{degrees} {'; '.join(ways) or f'--actuate {letters}'}."

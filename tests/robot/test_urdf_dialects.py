@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,49 @@ def changed(folder: Path, *changes: tuple[str, str], name: str = "urdf_plus") ->
     path = folder / f"{name}.urdf"
     path.write_text(text)
     return path
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_what_tinyxml2_reads_is_read(name: str, tmp_path: Path) -> None:
+    """Gazebo, Drake and urdfdom do: "--" in comments, a blank before the declaration, prefixes of no namespace."""
+    text = (FILES / "good" / f"{name}.urdf").read_text().replace(' xmlns:drake="http://drake.mit.edu"', "")
+    head, rest = text.split("\n", 1)
+    odd = f"\n<?xml version='1.0'?>\n{head}\n<!-- gz topic --echo -->{rest}".replace(
+        "</robot>", "<gz:x gz:y='1'/><!-----></robot>"
+    )
+    (tmp_path / f"{name}.urdf").write_text(odd)
+    robot, own = (rp.load_robot(folder / f"{name}.urdf", gravity=GRAVITY) for folder in (tmp_path, FILES / "good"))
+    assert torque(robot) == torque(own)
+    last = odd.count("\n")  # the file ends with a line break
+    assert {*robot.notes} - {*own.notes} == {f"Passed over: <x> in line {last}, which is not understood."}
+
+
+def test_an_axis_of_gazebo_in_the_frame_of_the_model_is_that_of_the_joint_or_refused(tmp_path: Path) -> None:
+    """``use_parent_model_frame`` is of old SDF: Gazebo reads a URDF as a new one, which does not know it."""
+    flag = "<use_parent_model_frame>1</use_parent_model_frame></axis>"
+    same = rp.load_robot(
+        changed(tmp_path, ("</axis>\n  </joint>", f"{flag}\n  </joint>"), name="gazebo"), gravity=GRAVITY
+    )
+    whole = rp.load_robot(FILES / "good" / "gazebo.urdf", gravity=GRAVITY)
+    assert (torque(same), same.notes) == (torque(whole), whole.notes)
+    turned = changed(
+        tmp_path,
+        ("<pose>0.2 0 0 0 0 0", "<pose>0.2 0 0 0.5 0 0"),
+        ("</axis>\n  </joint>", f"{flag}\n  </joint>"),
+        name="gazebo",
+    )
+    with pytest.raises(
+        RedundancyPinError, match=r"'pin' of gazebo\.urdf has an axis in the frame of the model.*line 17"
+    ) as refusal:
+        rp.load_robot(turned)
+    axis = re.search(r"\[(.*)\]", refusal.value.remedy)[1].replace(",", "")
+    mended = changed(
+        tmp_path,
+        ("<pose>0.2 0 0 0 0 0", "<pose>0.2 0 0 0.5 0 0"),
+        ("<xyz>0 0 1</xyz></axis>\n  </joint>", f"<xyz>{axis}</xyz></axis>\n  </joint>"),
+        name="gazebo",
+    )
+    assert torque(rp.load_robot(mended, gravity=GRAVITY)) == pytest.approx(torque(whole), rel=1e-6)
 
 
 @pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])

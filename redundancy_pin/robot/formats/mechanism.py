@@ -27,6 +27,9 @@ MOST_FREEDOMS = 120
 NOT_IN_FORCE = "Not in force, though the file says it:"
 """How the note begins that names forces which are left out."""
 
+SAME_DIRECTION = 1e-6
+"""Largest difference of two unit vectors that are one: files carry six digits."""
+
 UNLIMITED = {"lower": -np.inf, "upper": np.inf, "effort": np.inf, "velocity": np.inf}
 
 

@@ -20,6 +20,7 @@ from redundancy_pin.errors import shown
 from redundancy_pin.robot.formats.mechanism import (
     MOST_FREEDOMS,
     NOT_IN_FORCE,
+    SAME_DIRECTION,
     SIX,
     UNLIMITED,
     LinkEntry,
@@ -37,9 +38,6 @@ from redundancy_pin.robot.lookup import find_joint, has_joint
 from redundancy_pin.robot.loop_joints import LOOP_KINDS, LoopJoint, joint_between
 from redundancy_pin.robot.rebuild import joint_along, rebuilt
 from redundancy_pin.robot.types import Coupling
-
-_SAME_DIRECTION = 1e-6
-"""Largest difference of two unit vectors that are one: files carry six digits."""
 
 _UNLIMITED = 1e15
 """SDF writes 1e16 where there is no limit, and −1 for speeds and efforts."""
@@ -353,7 +351,7 @@ class _Reader:
                 if {joint.parent, joint.child} == {reference, link} and joint.kind in ("revolute", "continuous")
             ]
             along = float(between[0].axes[0] @ axis) if between else 0.0
-            if abs(abs(along) - 1.0) > _SAME_DIRECTION:
+            if abs(abs(along) - 1.0) > SAME_DIRECTION:
                 ends_named = f"from {frames.name(reference)!r} to {frames.name(link)!r}"
                 part.refuse(
                     f"{part.owner} needs a hinge about its axis {ends_named}", "Add it, or correct the gearbox."
@@ -474,7 +472,7 @@ class _Reader:
         nothing, is welded to the child.
         """
         kind, ends, axes = LOOP_KINDS.get(joint.kind, ""), (joint.parent, joint.child), joint.axes
-        is_skew = kind == "universal" and abs(axes[0] @ axes[1]) > _SAME_DIRECTION
+        is_skew = kind == "universal" and abs(axes[0] @ axes[1]) > SAME_DIRECTION
         if not kind or is_skew or not counted.isdisjoint(step.name for step in joint.steps):
             index, place = self._add_joint(joint, joint.parent, turned_round=False)
             end = f"{joint.name}::end"
