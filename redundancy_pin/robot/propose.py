@@ -152,7 +152,7 @@ class Proposal:
         asked, rows = list[str](), {each.name: len(each.axes) for each in robot.closures}
         for loop in self.mechanism.loop_joints:
             ends, flag, held = ",".join(loop.links), _close(loop.links), rows.get(loop.name, 0)
-            if self.found.get(loop.name, _BY_FLAG) != _BY_FLAG and held < _FEWEST_ROWS:
+            if self.found.get(loop.name, _BY_FLAG) not in (_BY_FLAG, BY_NAME) and held < _FEWEST_ROWS:
                 asked.append(_is_cut(loop.links, f"Closing it holds {held} direction(s) only"))
             elif self.motors and len(motors) > robot.n and loop in self.doubtful:
                 asked.append(_is_cut(loop.links, f"Closing it leaves {robot.n} DOF to {len(motors)} motors"))
