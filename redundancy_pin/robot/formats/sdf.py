@@ -200,8 +200,8 @@ class _Reader:
             keys = ["i" + "".join(sorted(one + other)) for one in "xyz" for other in "xyz"]
             values = [tensor.value(key, 1.0 if key in _MOMENTS else 0.0) for key in keys]
             inertia = np.array(values).reshape(3, 3)
-        missing = [key for key in _MOMENTS if tensor is None or tensor.one(key) is None]
-        if missing or inertial is None or inertial.one("mass") is None:
+        missing = [key for key in _MOMENTS if tensor is None or not tensor.says(key)]
+        if missing or inertial is None or not inertial.says("mass"):
             self._assumed.append(name)
         if what := negative_inertia(mass, inertia):
             part.refuse(f"{part.owner} has {what}", "Correct it.")
@@ -281,7 +281,7 @@ class _Reader:
         self.frames.pass_over(limit)
         for key in UNLIMITED:
             try:
-                value = decimal(limit.text(key, "inf"))
+                value = decimal(limit.text(key, "inf") or "inf")
             except ValueError:
                 value = math.nan
             if math.isnan(value):

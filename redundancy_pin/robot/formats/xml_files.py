@@ -53,6 +53,7 @@ def remedy_of_format(found: str) -> str:
 _BEFORE_TOP = (("<?", "?>"), ("<!--", "-->"), ("<!", ">"))
 _SPACE = re.compile(r"\s*")
 _TAG = re.compile(r"<\s*([\w:.-]+)")
+_OWN_NAMESPACE = re.compile(r"""[^<>]*?(?<=\s)(xmlns\s*=\s*("[^"<]*"|'[^'<]*'))""")
 
 
 def format_of(text: str) -> str:
@@ -100,7 +101,8 @@ def parsed_text(text: str, where: str, *, is_xacro: bool = False) -> Element:
     """Return the root element of a document.
 
     A document type is refused, whole: models need none, and entities make gigabytes of a few lines. What is no XML, but
-    read by the program that the file was written for, is read (``_mended``).
+    read by the program that the file was written for, is read (``_mended``). A namespace without a prefix on the top
+    element, as in files of old Drake, is none: no program looks at it.
 
     Args:
         text: the document.
@@ -110,6 +112,8 @@ def parsed_text(text: str, where: str, *, is_xacro: bool = False) -> Element:
     Raises:
         ModelFileError: as ``parsed``.
     """
+    if (top := _top(text)) and (own := _OWN_NAMESPACE.match(text, top.end())):
+        text = text[: own.start(1)] + " " * len(own[1]) + text[own.end(1) :]
     try:
         return _parsed_strictly(text, where)
     except expat.ExpatError as error:
