@@ -109,6 +109,15 @@ class Mechanism:
                 start[name] = math.atan2(sine, cosine)
         return self.with_joints(replaced, start) if replaced else self
 
+    def with_hinges_of(self, names: Collection[str]) -> Mechanism:
+        """Return the mechanism with three hinges in place of each ball joint of which some names are: ``ball_rz``."""
+        balls = [
+            ball
+            for ball in joint_names(self.model)
+            if find_joint(self.model, ball).nq == 4 and not {f"{ball}_r{axis}" for axis in "xyz"}.isdisjoint(names)
+        ]
+        return self.with_hinges(balls) if balls else self
+
     def with_hinges(self, names: Sequence[str]) -> Mechanism:
         """Return the mechanism with three hinges (yaw, pitch, roll) in place of each of some ball joints."""
         start: dict[str, float] = {}

@@ -4,7 +4,7 @@
 |---|---|
 | ``<loop>``, ``<coupling>`` | URDF+ (generalized_rbda) |
 | ``<constraint>`` | the proposal for urdfdom, joint_state_transformer |
-| ``<loop_joint>`` | Isaac Sim |
+| ``<loop_joint>`` | Isaac Sim, Drake of old |
 | ``<gazebo><joint>`` | Gazebo: SDF in a URDF; the joint is where its child is when all joints are at zero |
 | ``<drake:ball_constraint>``, ``<drake:distance_constraint>`` of infinite stiffness | Drake |
 | ``closing_NAME_1``, ``closing_NAME_2`` | links of onshape-to-robot and placo, at one point when closed |
