@@ -36,6 +36,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.robot.build import characteristic_length
 from redundancy_pin.robot.formats.mechanism import Mechanism
+from redundancy_pin.robot.inertia import NO_MASS
 from redundancy_pin.robot.lookup import (
     find_joint,
     find_joint_index,
@@ -58,9 +59,6 @@ _CUTS = frozenset(("closing", "closure", "close", "closed", "loop", "cut"))
 
 _ENDS = frozenset(("end", "tip", "pin", "mark"))
 """Words in names of marks that may be ends of loops, whatever they weigh."""
-
-_NO_MASS = 1e-6
-"""Fraction of the mass of the mechanism below which a link weighs nothing: exporters give frames 1e-9 kg."""
 
 _FRAMES = frozenset(
     (
@@ -382,7 +380,7 @@ def _cut_ends(
 
 def _marks(mechanism: Mechanism, tree: _Tree) -> list[str]:
     """Return the links that may be ends of loops."""
-    light = _NO_MASS * pin.computeTotalMass(mechanism.model)
+    light = NO_MASS * pin.computeTotalMass(mechanism.model)
     return [
         mark
         for mark, mass in mechanism.marks.items()
@@ -401,7 +399,7 @@ def _idle_ends(mechanism: Mechanism, tree: _Tree, joined: set[frozenset[int]]) -
     idle = {
         link: body
         for link, body in tree.bodies.items()
-        if body and body not in carriers and model.inertias[body].mass <= _NO_MASS * total and total > 0.0
+        if body and body not in carriers and model.inertias[body].mass <= NO_MASS * total and total > 0.0
     }
     pairs = [
         (link, other)

@@ -144,6 +144,48 @@ def test_an_axis_of_gazebo_in_the_frame_of_the_model_is_that_of_the_joint_or_ref
     assert torque(rp.load_robot(mended, gravity=GRAVITY)) == pytest.approx(torque(whole), rel=1e-6)
 
 
+MASS = '<mass value="{}"/><inertia ixx="{}" ixy="0" ixz="0" iyy="{}" iyz="0" izz="{}"/></inertial></link>'
+NONE, ROD = MASS.format(0, 0, 0, 0), MASS.format(0.5, 1e-3, 2e-3, 1.5e-3)
+RSSR = f"""<robot name="rssr" xmlns:drake="http://drake.mit.edu"><link name="ground"/>
+<link name="crank"><inertial>{ROD}<link name="rocker"><inertial>{ROD}
+<link name="rod"><inertial><origin xyz="0.15 0.1 0.125"/>{ROD}
+<joint name="motor" type="continuous"><parent link="ground"/><child link="crank"/><axis xyz="0 0 1"/></joint>
+<joint name="foot" type="continuous"><parent link="ground"/><child link="rocker"/>
+<origin xyz="0.4 0.2 0"/><axis xyz="1 0 0"/></joint>
+<loop name="far" type="spherical"><predecessor link="rod"><origin xyz="0.3 0.2 0.25"/></predecessor>
+<successor link="rocker"><origin xyz="0 0 0.25"/></successor></loop>
+<transmission name="t"><joint name="motor"/></transmission>{{}}</robot>"""
+
+
+@pytest.mark.parametrize("damped", ["", '<dynamics damping="0.1"/>'])
+def test_three_hinges_through_a_point_are_the_ball_of_a_rod(damped: str, tmp_path: Path) -> None:
+    """As onshape-to-robot writes balls: the spin of the rod is held, and torques are those with a ball of Drake."""
+    links = [f'<link name="{name}"><inertial>{NONE}' for name in ("first", "second")]
+    ends = ["crank", "first", "second", "rod"]
+    hinges = [
+        f'<joint name="near_{axis}" type="continuous"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{"0.1 0 0" if axis == "x" else "0 0 0"}"/><axis xyz="{xyz}"/>{damped}</joint>'
+        for axis, parent, child, xyz in zip("xyz", ends, ends[1:], ("1 0 0", "0 1 0", "0 0 1"), strict=False)
+    ]
+    ball = '<drake:joint name="near" type="ball"><parent link="crank"/><child link="rod"/>'
+    ball += '<origin xyz="0.1 0 0"/></drake:joint>'
+    robots = []
+    for name, parts in (("hinges", [*links, *hinges]), ("ball", [ball])):
+        path = tmp_path / f"{name}.urdf"
+        path.write_text(RSSR.format("".join(parts)))
+        robots.append(rp.load_robot(path, gravity=GRAVITY))
+        assert (robots[-1].n, robots[-1].independent_joints) == (1, ("motor",))
+        assert sum("The spin of near" in note for note in robots[-1].notes) == 1
+    assert list(robots[0].model.names)[1:] == ["foot", "motor", "near_x", "near_y", "near_z"]
+    if not damped:
+        assert torque(robots[0]) == pytest.approx(torque(robots[1]), rel=1e-9)
+    driven = rp.load_robot(tmp_path / "hinges.urdf", actuated=["motor", "near_x"], gravity=GRAVITY)
+    assert driven.n == 2  # a hinge that a motor turns is no part of a ball
+    far = RSSR.format("".join([*links, *hinges])).replace('xyz="0 0 0"', 'xyz="0 0 0.01"')
+    (tmp_path / "apart.urdf").write_text(far)
+    assert rp.load_robot(tmp_path / "apart.urdf", gravity=GRAVITY).n == 2  # nor are hinges that miss one another
+
+
 @pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])
 @pytest.mark.parametrize(("one", "other", "factor"), [("bar", "arm", 2.0), ("arm", "bar", 0.5)])
 def test_a_coupling_is_of_sums_of_angles(backend: type, one: str, other: str, factor: float, tmp_path: Path) -> None:
