@@ -503,7 +503,9 @@ def _rotation_vector(relative: Array, turning: list[int]) -> Array:
         vector: Array = pin.log3(relative)
         return vector
     free = 3 - sum(turning)
-    normal = np.cross(np.eye(3)[free], relative[:, free])
+    after, last = (free + 1) % 3, (free + 2) % 3
+    normal = np.zeros(3)  # the axis of frame A × that of frame B; np.cross takes twenty times as long
+    normal[after], normal[last] = -relative[last, free], relative[after, free]
     sine, cosine = float(np.linalg.norm(normal)), float(relative[free, free])
     if sine < RANK_TOLERANCE:  # axes the same way, or opposite: either way round
         return normal if cosine > 0.0 else np.pi * np.eye(3)[turning[0]]

@@ -8,7 +8,7 @@ Grübler's count (Bricard's six hinges) has rows that are redundant there and st
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence, Set
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.closing import closed_near, closed_neighbours
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.mobility import free_motions, independent_columns, row_names
-from redundancy_pin.kinematics.spinning_rods import centre_off_axis, find_spinning_rod, with_spin_fixed
+from redundancy_pin.kinematics.spinning_rods import centre_off_axis, find_spinning_rod, hinges_of, with_spin_fixed
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint
 
@@ -64,7 +64,7 @@ class Selection(NamedTuple):
 
 
 def selected(
-    robot: Robot, q: Array, *, redundant: bool, declared: int | None, resisted: Collection[str] = ()
+    robot: Robot, q: Array, *, redundant: bool, declared: int | None, resisted: Set[str] = frozenset()
 ) -> Selection:
     """Choose closure rows and independent joints near a configuration.
 
@@ -97,12 +97,16 @@ def selected(
         q = closed_near(robot, start)
     rods, off_axis = list[str](), dict[str, float]()
     independent, loose = _independent(robot, q)
-    while redundant and (spinning := find_spinning_rod(robot, loose, rods, q)):
+    while redundant:
+        # a spin of hinges may be an independent coordinate, where a declaration counts it
+        hinges = independent if declared is None or len(independent) > declared else ()
+        if not (spinning := find_spinning_rod(robot, (*loose, *hinges), rods, q)):
+            break
         name, rod = spinning
         rods.append(name)
         if (away := centre_off_axis(robot, name, rod, q)) > _ON_AXIS * robot.characteristic_length:
             off_axis[name] = away
-        robot = with_spin_fixed(robot, name, rod, q, at_first=name in resisted)
+        robot = with_spin_fixed(robot, name, rod, q, at_first=not resisted.isdisjoint(hinges_of(robot, name)))
         independent, loose = _independent(robot, q)
     if loose:
         balls = tuple(name for name in loose if find_joint(robot.model, name).nq == 4)

@@ -12,6 +12,9 @@ from redundancy_pin.arrays import Array
 ROUNDED_MOMENTS = 1e-6
 """Fraction of the largest moment of inertia by which a file with six digits misses a limit."""
 
+NO_MASS = 1e-6
+"""Fraction of the mass of a mechanism below which a link weighs nothing: exporters give frames 1e-9 kg."""
+
 NO_MOMENT = 1e-12
 """kg·m². Less is zero: exporters leave products of 1e-35 beside moments of nothing, as for iCub's head."""
 

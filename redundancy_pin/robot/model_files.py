@@ -60,7 +60,7 @@ class Reader(Protocol):
         Args:
             kinds: by joint, the kind that replaces its own; None without a declaration.
             named: joints that have a role, which the tree must contain. SDF does not say which of its joints these are,
-                and one that closes a loop is no joint of the tree otherwise.
+                and one that closes a loop is no joint of the tree otherwise; hinges of a ball are its three joints.
         """
         ...
 
@@ -109,7 +109,7 @@ def open_model(
             made = read_sdf(path, base=base, named=(*_names(driven), *named))
         else:
             made = read_parallel_yaml(path, base=base)
-        return _driving(made, driven)
+        return _driving(made.with_hinges_of((*_names(driven), *named)), driven)
 
     return dict(given), read
 
@@ -140,7 +140,12 @@ def _open_urdf(
     others = {name: value for name, value in arguments.items() if name not in own}
     known_values(path, others)
     text, values = render(path, others, trust=trust, untrusted=untrusted)
-    return {**values, **own}, lambda kinds, named=(): mechanism_of_urdf(text, path, own, kinds)
+    driven = _names(str(own.get("actuated", "")))
+
+    def read(kinds: Mapping[str, str] | None, named: Sequence[str] = ()) -> Mechanism:
+        return mechanism_of_urdf(text, path, own, kinds).with_hinges_of((*driven, *named))
+
+    return {**values, **own}, read
 
 
 def mechanism_of_urdf(

@@ -36,6 +36,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.robot.build import characteristic_length
 from redundancy_pin.robot.formats.mechanism import Mechanism
+from redundancy_pin.robot.inertia import NO_MASS
 from redundancy_pin.robot.lookup import (
     find_joint,
     find_joint_index,
@@ -58,9 +59,6 @@ _CUTS = frozenset(("closing", "closure", "close", "closed", "loop", "cut"))
 
 _ENDS = frozenset(("end", "tip", "pin", "mark"))
 """Words in names of marks that may be ends of loops, whatever they weigh."""
-
-_NO_MASS = 1e-6
-"""Fraction of the mass of the mechanism below which a link weighs nothing: exporters give frames 1e-9 kg."""
 
 _FRAMES = frozenset(
     (
@@ -152,7 +150,7 @@ class Proposal:
         asked, rows = list[str](), {each.name: len(each.axes) for each in robot.closures}
         for loop in self.mechanism.loop_joints:
             ends, flag, held = ",".join(loop.links), _close(loop.links), rows.get(loop.name, 0)
-            if self.found.get(loop.name, _BY_FLAG) != _BY_FLAG and held < _FEWEST_ROWS:
+            if self.found.get(loop.name, _BY_FLAG) not in (_BY_FLAG, BY_NAME) and held < _FEWEST_ROWS:
                 asked.append(_is_cut(loop.links, f"Closing it holds {held} direction(s) only"))
             elif self.motors and len(motors) > robot.n and loop in self.doubtful:
                 asked.append(_is_cut(loop.links, f"Closing it leaves {robot.n} DOF to {len(motors)} motors"))
@@ -216,7 +214,7 @@ def propose(
     own = {frozenset(joint.links) for joint in given}
     loops = [joint for joint in mechanism.loop_joints if frozenset(joint.links) not in own]
     found = {joint.name: BY_NAME for joint in loops if joint.name in mechanism.presumed}
-    is_stated = bool(loops)
+    is_stated = bool(mechanism.loop_joints)
     presumed = [*found, *(joint.name for joint, text in zip(given, close, strict=True) if text.count(",") == 1)]
     loops += given
     found |= {joint.name: _BY_FLAG for joint in given}
@@ -382,7 +380,7 @@ def _cut_ends(
 
 def _marks(mechanism: Mechanism, tree: _Tree) -> list[str]:
     """Return the links that may be ends of loops."""
-    light = _NO_MASS * pin.computeTotalMass(mechanism.model)
+    light = NO_MASS * pin.computeTotalMass(mechanism.model)
     return [
         mark
         for mark, mass in mechanism.marks.items()
@@ -401,7 +399,7 @@ def _idle_ends(mechanism: Mechanism, tree: _Tree, joined: set[frozenset[int]]) -
     idle = {
         link: body
         for link, body in tree.bodies.items()
-        if body and body not in carriers and model.inertias[body].mass <= _NO_MASS * total and total > 0.0
+        if body and body not in carriers and model.inertias[body].mass <= NO_MASS * total and total > 0.0
     }
     pairs = [
         (link, other)
@@ -519,5 +517,5 @@ def _which_motors(mechanism: Mechanism, count: int | None = None) -> str:
             reasons.setdefault(tuple(names), []).append(why)
     ways = [f"--actuate {','.join(names)} ({', '.join(why)})" for names, why in reasons.items()]
     degrees = "" if count is None else f" The mechanism has {count} DOF."
-    letters = ",".join("ABCDEF"[:count]) if count and count <= 6 else "A,B,..."
+    letters = ",".join("ABCDEF"[:count]) if count and count <= min(6, len(joints)) else "A,B,..."
     return f"Which joints are driven, of {', '.join(joints)}?{degrees} {'; '.join(ways) or f'--actuate {letters}'}."

@@ -195,6 +195,35 @@ def test_a_joint_that_is_driven_closes_the_loop_too() -> None:
     assert efforts(pinned, *state[own])[0] * state["pin"][1] == pytest.approx(power, rel=1e-9)
 
 
+def test_the_hinges_of_a_ball_that_moves_freely_can_be_driven(tmp_path: Path) -> None:
+    """By the names that notes call them: torques are those of a file with the three hinges in a row."""
+    inertia = "<inertia><ixx>0.02</ixx><iyy>0.03</iyy><izz>0.04</izz></inertia>"
+    body = f"<inertial><pose>0.1 0.2 0.3 0 0 0</pose><mass>2</mass>{inertia}</inertial>"
+    none = "<inertial><mass>0</mass><inertia><ixx>0</ixx><iyy>0</iyy><izz>0</izz></inertia></inertial>"
+    ends = ["world", "first", "second", "body"]
+    hinges = "".join(
+        f'<joint name="{name}" type="revolute"><parent>{parent}</parent><child>{child}</child>'
+        f"<axis><xyz>{xyz}</xyz></axis></joint>"
+        for name, parent, child, xyz in zip(
+            ("rz", "ry", "rx"), ends, ends[1:], ("0 0 1", "0 1 0", "1 0 0"), strict=False
+        )
+    )
+    parts = {
+        "ball": '<joint name="b" type="ball"><parent>world</parent><child>body</child></joint>',
+        "hinges": f'<link name="first">{none}</link><link name="second">{none}</link>{hinges}',
+    }
+    tau = {}
+    for name, part in parts.items():
+        link = f'<link name="body">{body}</link>'
+        (tmp_path / f"{name}.sdf").write_text(f'<sdf version="1.9"><model name="m">{link}{part}</model></sdf>')
+        own = "b_" if name == "ball" else ""
+        robot = rp.load_robot(tmp_path / f"{name}.sdf", actuated=[f"{own}{axis}" for axis in ("rx", "ry", "rz")])
+        assert (robot.n, robot.m) == (3, 3)
+        tau[name] = rp.RneaDynamics(robot).torque([0.3, -0.2, 0.5], [1.0, 2.0, -1.0], [0.1, 3.0, -2.0]).tau
+    np.testing.assert_allclose(tau["ball"], tau["hinges"], atol=1e-12)
+    assert np.abs(tau["ball"]).min() > 0.01
+
+
 def hooke(axis2: str) -> list[str]:
     """Two shafts that meet at 0.4 rad, and a cross between them."""
     arms = f"<axis><xyz>0 0 1</xyz></axis><axis2><xyz>{axis2}</xyz></axis2>"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,95 @@ def changed(folder: Path, *changes: tuple[str, str], name: str = "urdf_plus") ->
     path = folder / f"{name}.urdf"
     path.write_text(text)
     return path
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_what_tinyxml2_reads_is_read(name: str, tmp_path: Path) -> None:
+    """Gazebo, Drake and urdfdom do: "--" in comments, a blank before the declaration, prefixes of no namespace.
+
+    Nor do they look at the namespace of the top element.
+    """
+    text = (FILES / "good" / f"{name}.urdf").read_text().replace(' xmlns:drake="http://drake.mit.edu"', "")
+    text = text.replace("<robot ", "<robot xmlns='http://drake.mit.edu' ", 1)
+    head, rest = text.split("\n", 1)
+    odd = f"\n<?xml version='1.0'?>\n{head}\n<!-- gz topic --echo -->{rest}".replace(
+        "</robot>", "<gz:x gz:y='1'/><!-----></robot>"
+    )
+    (tmp_path / f"{name}.urdf").write_text(odd)
+    robot, own = (rp.load_robot(folder / f"{name}.urdf", gravity=GRAVITY) for folder in (tmp_path, FILES / "good"))
+    assert torque(robot) == torque(own)
+    last = odd.count("\n")  # the file ends with a line break
+    assert {*robot.notes} - {*own.notes} == {f"Passed over: <x> in line {last}, which is not understood."}
+
+
+def test_an_axis_of_gazebo_in_the_frame_of_the_model_is_that_of_the_joint_or_refused(tmp_path: Path) -> None:
+    """``use_parent_model_frame`` is of old SDF: Gazebo reads a URDF as a new one, which does not know it."""
+    flag = "<use_parent_model_frame>1</use_parent_model_frame></axis>"
+    same = rp.load_robot(
+        changed(tmp_path, ("</axis>\n  </joint>", f"{flag}\n  </joint>"), name="gazebo"), gravity=GRAVITY
+    )
+    whole = rp.load_robot(FILES / "good" / "gazebo.urdf", gravity=GRAVITY)
+    assert (torque(same), same.notes) == (torque(whole), whole.notes)
+    turned = changed(
+        tmp_path,
+        ("<pose>0.2 0 0 0 0 0", "<pose>0.2 0 0 0.5 0 0"),
+        ("</axis>\n  </joint>", f"{flag}\n  </joint>"),
+        name="gazebo",
+    )
+    with pytest.raises(
+        RedundancyPinError, match=r"'pin' of gazebo\.urdf has an axis in the frame of the model.*line 17"
+    ) as refusal:
+        rp.load_robot(turned)
+    axis = re.search(r"\[(.*)\]", refusal.value.remedy)[1].replace(",", "")
+    mended = changed(
+        tmp_path,
+        ("<pose>0.2 0 0 0 0 0", "<pose>0.2 0 0 0.5 0 0"),
+        ("<xyz>0 0 1</xyz></axis>\n  </joint>", f"<xyz>{axis}</xyz></axis>\n  </joint>"),
+        name="gazebo",
+    )
+    assert torque(rp.load_robot(mended, gravity=GRAVITY)) == pytest.approx(torque(whole), rel=1e-6)
+
+
+MASS = '<mass value="{}"/><inertia ixx="{}" ixy="0" ixz="0" iyy="{}" iyz="0" izz="{}"/></inertial></link>'
+NONE, ROD = MASS.format(0, 0, 0, 0), MASS.format(0.5, 1e-3, 2e-3, 1.5e-3)
+RSSR = f"""<robot name="rssr" xmlns:drake="http://drake.mit.edu"><link name="ground"/>
+<link name="crank"><inertial>{ROD}<link name="rocker"><inertial>{ROD}
+<link name="rod"><inertial><origin xyz="0.15 0.1 0.125"/>{ROD}
+<joint name="motor" type="continuous"><parent link="ground"/><child link="crank"/><axis xyz="0 0 1"/></joint>
+<joint name="foot" type="continuous"><parent link="ground"/><child link="rocker"/>
+<origin xyz="0.4 0.2 0"/><axis xyz="1 0 0"/></joint>
+<loop name="far" type="spherical"><predecessor link="rod"><origin xyz="0.3 0.2 0.25"/></predecessor>
+<successor link="rocker"><origin xyz="0 0 0.25"/></successor></loop>
+<transmission name="t"><joint name="motor"/></transmission>{{}}</robot>"""
+
+
+@pytest.mark.parametrize("damped", ["", '<dynamics damping="0.1"/>'])
+def test_three_hinges_through_a_point_are_the_ball_of_a_rod(damped: str, tmp_path: Path) -> None:
+    """As onshape-to-robot writes balls: the spin of the rod is held, and torques are those with a ball of Drake."""
+    links = [f'<link name="{name}"><inertial>{NONE}' for name in ("first", "second")]
+    ends = ["crank", "first", "second", "rod"]
+    hinges = [
+        f'<joint name="near_{axis}" type="continuous"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{"0.1 0 0" if axis == "x" else "0 0 0"}"/><axis xyz="{xyz}"/>{damped}</joint>'
+        for axis, parent, child, xyz in zip("xyz", ends, ends[1:], ("1 0 0", "0 1 0", "0 0 1"), strict=False)
+    ]
+    ball = '<drake:joint name="near" type="ball"><parent link="crank"/><child link="rod"/>'
+    ball += '<origin xyz="0.1 0 0"/></drake:joint>'
+    robots = []
+    for name, parts in (("hinges", [*links, *hinges]), ("ball", [ball])):
+        path = tmp_path / f"{name}.urdf"
+        path.write_text(RSSR.format("".join(parts)))
+        robots.append(rp.load_robot(path, gravity=GRAVITY))
+        assert (robots[-1].n, robots[-1].independent_joints) == (1, ("motor",))
+        assert sum("The spin of near" in note for note in robots[-1].notes) == 1
+    assert list(robots[0].model.names)[1:] == ["foot", "motor", "near_x", "near_y", "near_z"]
+    if not damped:
+        assert torque(robots[0]) == pytest.approx(torque(robots[1]), rel=1e-9)
+    driven = rp.load_robot(tmp_path / "hinges.urdf", actuated=["motor", "near_x"], gravity=GRAVITY)
+    assert driven.n == 2  # a hinge that a motor turns is no part of a ball
+    far = RSSR.format("".join([*links, *hinges])).replace('xyz="0 0 0"', 'xyz="0 0 0.01"')
+    (tmp_path / "apart.urdf").write_text(far)
+    assert rp.load_robot(tmp_path / "apart.urdf", gravity=GRAVITY).n == 2  # nor are hinges that miss one another
 
 
 @pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])

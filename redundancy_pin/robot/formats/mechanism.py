@@ -27,6 +27,9 @@ MOST_FREEDOMS = 120
 NOT_IN_FORCE = "Not in force, though the file says it:"
 """How the note begins that names forces which are left out."""
 
+SAME_DIRECTION = 1e-6
+"""Largest difference of two unit vectors that are one: files carry six digits."""
+
 UNLIMITED = {"lower": -np.inf, "upper": np.inf, "effort": np.inf, "velocity": np.inf}
 
 
@@ -105,6 +108,15 @@ class Mechanism:
                 cosine, sine = self.start[span(self.model, index, "q")]
                 start[name] = math.atan2(sine, cosine)
         return self.with_joints(replaced, start) if replaced else self
+
+    def with_hinges_of(self, names: Collection[str]) -> Mechanism:
+        """Return the mechanism with three hinges in place of each ball joint of which some names are: ``ball_rz``."""
+        balls = [
+            ball
+            for ball in joint_names(self.model)
+            if find_joint(self.model, ball).nq == 4 and not {f"{ball}_r{axis}" for axis in "xyz"}.isdisjoint(names)
+        ]
+        return self.with_hinges(balls) if balls else self
 
     def with_hinges(self, names: Sequence[str]) -> Mechanism:
         """Return the mechanism with three hinges (yaw, pitch, roll) in place of each of some ball joints."""

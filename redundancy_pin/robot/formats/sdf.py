@@ -20,6 +20,7 @@ from redundancy_pin.errors import shown
 from redundancy_pin.robot.formats.mechanism import (
     MOST_FREEDOMS,
     NOT_IN_FORCE,
+    SAME_DIRECTION,
     SIX,
     UNLIMITED,
     LinkEntry,
@@ -37,9 +38,6 @@ from redundancy_pin.robot.lookup import find_joint, has_joint
 from redundancy_pin.robot.loop_joints import LOOP_KINDS, LoopJoint, joint_between
 from redundancy_pin.robot.rebuild import joint_along, rebuilt
 from redundancy_pin.robot.types import Coupling
-
-_SAME_DIRECTION = 1e-6
-"""Largest difference of two unit vectors that are one: files carry six digits."""
 
 _UNLIMITED = 1e15
 """SDF writes 1e16 where there is no limit, and −1 for speeds and efforts."""
@@ -202,8 +200,8 @@ class _Reader:
             keys = ["i" + "".join(sorted(one + other)) for one in "xyz" for other in "xyz"]
             values = [tensor.value(key, 1.0 if key in _MOMENTS else 0.0) for key in keys]
             inertia = np.array(values).reshape(3, 3)
-        missing = [key for key in _MOMENTS if tensor is None or tensor.one(key) is None]
-        if missing or inertial is None or inertial.one("mass") is None:
+        missing = [key for key in _MOMENTS if tensor is None or not tensor.says(key)]
+        if missing or inertial is None or not inertial.says("mass"):
             self._assumed.append(name)
         if what := negative_inertia(mass, inertia):
             part.refuse(f"{part.owner} has {what}", "Correct it.")
@@ -283,7 +281,7 @@ class _Reader:
         self.frames.pass_over(limit)
         for key in UNLIMITED:
             try:
-                value = decimal(limit.text(key, "inf"))
+                value = decimal(limit.text(key, "inf") or "inf")
             except ValueError:
                 value = math.nan
             if math.isnan(value):
@@ -353,7 +351,7 @@ class _Reader:
                 if {joint.parent, joint.child} == {reference, link} and joint.kind in ("revolute", "continuous")
             ]
             along = float(between[0].axes[0] @ axis) if between else 0.0
-            if abs(abs(along) - 1.0) > _SAME_DIRECTION:
+            if abs(abs(along) - 1.0) > SAME_DIRECTION:
                 ends_named = f"from {frames.name(reference)!r} to {frames.name(link)!r}"
                 part.refuse(
                     f"{part.owner} needs a hinge about its axis {ends_named}", "Add it, or correct the gearbox."
@@ -474,7 +472,7 @@ class _Reader:
         nothing, is welded to the child.
         """
         kind, ends, axes = LOOP_KINDS.get(joint.kind, ""), (joint.parent, joint.child), joint.axes
-        is_skew = kind == "universal" and abs(axes[0] @ axes[1]) > _SAME_DIRECTION
+        is_skew = kind == "universal" and abs(axes[0] @ axes[1]) > SAME_DIRECTION
         if not kind or is_skew or not counted.isdisjoint(step.name for step in joint.steps):
             index, place = self._add_joint(joint, joint.parent, turned_round=False)
             end = f"{joint.name}::end"

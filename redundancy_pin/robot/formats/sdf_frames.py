@@ -108,11 +108,16 @@ class SdfPart(Part):
         return part.content()
 
     def value(self, tag: str, default: float | None = None) -> float:
-        """Return the number of an element in the element."""
-        part = self.one(tag)
-        if part is None and default is not None:
+        """Return the number of an element in the element; one that is empty has its default, as in Gazebo."""
+        if default is not None and not self.says(tag):
             return default
+        part = self.one(tag)
         return float((part or self.required(tag)).numbers(self.text(tag), 1, f"the {tag}")[0])
+
+    def says(self, tag: str) -> bool:
+        """Return whether an element is in the element, and not empty."""
+        part = self.one(tag)
+        return part is not None and bool(part.content() or len(part.element))
 
     def flag(self, tag: str, *, default: bool = False) -> bool:
         """Return whether an element in the element says true."""

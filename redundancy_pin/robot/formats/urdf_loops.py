@@ -4,7 +4,7 @@
 |---|---|
 | ``<loop>``, ``<coupling>`` | URDF+ (generalized_rbda) |
 | ``<constraint>`` | the proposal for urdfdom, joint_state_transformer |
-| ``<loop_joint>`` | Isaac Sim |
+| ``<loop_joint>`` | Isaac Sim, Drake of old |
 | ``<gazebo><joint>`` | Gazebo: SDF in a URDF; the joint is where its child is when all joints are at zero |
 | ``<drake:ball_constraint>``, ``<drake:distance_constraint>`` of infinite stiffness | Drake |
 | ``closing_NAME_1``, ``closing_NAME_2`` | links of onshape-to-robot and placo, at one point when closed |
@@ -26,8 +26,8 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import DeclarationError, did_you_mean, one_of
-from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, not_understood
+from redundancy_pin.errors import DeclarationError, did_you_mean, one_of, shown
+from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, SAME_DIRECTION, not_understood
 from redundancy_pin.robot.formats.urdf_parts import UrdfPart
 from redundancy_pin.robot.formats.xml_files import DRAKE, ZEROS
 from redundancy_pin.robot.lookup import find_link_index, joint_names, link_names
@@ -52,6 +52,9 @@ _FORCES = ("linear_spring_damper", "linear_bushing_rpy")
 
 _FORCES_OF_GAZEBO = ("springStiffness", "springReference", "implicitSpringDamper", "gravity", "turnGravityOff")
 """Elements of Gazebo that change forces on a link or joint."""
+
+_IN_MODEL = "use_parent_model_frame"
+"""Flag of an axis of Gazebo up to SDF 1.6."""
 
 _CLOSING = re.compile(r"closing_(.+)_([12])")
 
@@ -111,8 +114,8 @@ def read_loops(robot: UrdfPart, carriers: Mapping[str, tuple[str, str]], model: 
             for each in part.parts("joint"):
                 joints.append(_of_gazebo(each, model, links))
                 notes += _left_out(each, ("parent", "child", "pose", "axis"))
-                notes += [note for axis in each.parts("axis") for note in _left_out(axis, ("xyz",))]
-            forces = [each.place for each in part.parts() if each.tag in _FORCES_OF_GAZEBO]
+                notes += [note for axis in each.parts("axis") for note in _left_out(axis, ("xyz", _IN_MODEL))]
+            forces = [each.place for each in part.parts() if _changes_forces(each)]
             notes += [f"{NOT_IN_FORCE} {place} of Gazebo." for place in forces]
         elif tag in _FORCES:
             notes.append(f"{NOT_IN_FORCE} {part.place} of Drake.")
@@ -132,6 +135,12 @@ def read_loops(robot: UrdfPart, carriers: Mapping[str, tuple[str, str]], model: 
         robot.refuse(f"Two loops have the name {sorted(twice)[0]!r}")
     closing = _closing(robot, links)
     return Loops(tuple(joints), tuple(couplings), tuple(motors), armature, closing, tuple(notes))
+
+
+def _changes_forces(part: UrdfPart) -> bool:
+    """Return whether an element of Gazebo changes forces: gravity that is on does not."""
+    usual = ("1", "true") if part.tag == "gravity" else ZEROS
+    return part.tag in _FORCES_OF_GAZEBO and part.content().lower() not in usual
 
 
 def _left_out(part: UrdfPart, known: tuple[str, ...]) -> list[str]:
@@ -228,6 +237,12 @@ def _of_gazebo(part: UrdfPart, model: pin.Model, links: set[str]) -> LoopJoint:
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     at = {link: data.oMf[find_link_index(model, link)] for link in (parent, child)}
+    flag = axis.one(_IN_MODEL) if axis else None
+    if flag and flag.content().lower() not in ZEROS:
+        in_joint = (at[child].rotation @ place[:3, :3]).T @ along
+        if np.linalg.norm(in_joint - along) > SAME_DIRECTION * np.linalg.norm(along):
+            remedy = f"Write it in the frame of the joint, {shown(in_joint.round(9).tolist())}, without <{_IN_MODEL}>."
+            flag.refuse(f"{part.owner} has an axis in the frame of the model, which only old versions know", remedy)
     in_parent = (at[parent].actInv(at[child]) * pin.SE3(place)).homogeneous
     return _joint(part, name, kind, [parent, child], [in_parent, place], [along, along])
 

@@ -192,7 +192,7 @@ class _Engine:
             )
         text = read_model(path)
         self._evaluator.spend(len(text) // 16)
-        parsed_text(text, str(path))
+        parsed_text(text, str(path), is_xacro=True)
         return io.StringIO(text)
 
     def _load_yaml(self, filename: str) -> Any:

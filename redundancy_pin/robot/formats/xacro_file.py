@@ -100,7 +100,7 @@ def _declared(path: Path) -> tuple[dict[str, str | None], bool]:
         if (place := current.resolve()) in seen:  # a file may include itself by ever longer paths
             continue
         seen.add(place)
-        root = parsed(current)
+        root = parsed(current, is_xacro=current.suffix == ".xacro")
         size += place.stat().st_size
         if size > _MOST_BYTES:
             return defaults, False

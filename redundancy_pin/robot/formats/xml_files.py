@@ -53,18 +53,24 @@ def remedy_of_format(found: str) -> str:
 _BEFORE_TOP = (("<?", "?>"), ("<!--", "-->"), ("<!", ">"))
 _SPACE = re.compile(r"\s*")
 _TAG = re.compile(r"<\s*([\w:.-]+)")
+_OWN_NAMESPACE = re.compile(r"""[^<>]*?(?<=\s)(xmlns\s*=\s*("[^"<]*"|'[^'<]*'))""")
 
 
 def format_of(text: str) -> str:
     """Return what a text is, if it is XML: one of ``FORMATS``, or by its top element; empty if it is no XML."""
     if not text.lstrip().startswith("<"):
         return ""
+    top = _top(text)
+    return FORMATS.get(top[1], f"an XML file with <{shortened(top[1], 40)}> on top") if top else "an XML file"
+
+
+def _top(text: str) -> re.Match[str] | None:
+    """Return the beginning of the top element, up to its name."""
     place = _SPACE.match(text).end()  # type: ignore[union-attr]
     while begun := next((pair for pair in _BEFORE_TOP if text.startswith(pair[0], place)), None):
         end = text.find(begun[1], place)
         place = _SPACE.match(text, end + len(begun[1]) if end >= 0 else len(text)).end()  # type: ignore[union-attr]
-    top = _TAG.match(text, place)
-    return FORMATS.get(top[1], f"an XML file with <{shortened(top[1], 40)}> on top") if top else "an XML file"
+    return _TAG.match(text, place)
 
 
 class Element(ElementTree.Element):
@@ -73,13 +79,13 @@ class Element(ElementTree.Element):
     line: int = 0
 
 
-def parsed(path: Path) -> Element:
-    """Return the root element of an XML file.
+def parsed(path: Path, *, is_xacro: bool = False) -> Element:
+    """Return the root element of an XML file; see ``parsed_text``.
 
     Raises:
         ModelFileError: missing file, broken XML, or more of it than a model may have.
     """
-    return parsed_text(read_model(path), str(path))
+    return parsed_text(read_model(path), str(path), is_xacro=is_xacro)
 
 
 def read_model(path: Path) -> str:
@@ -91,18 +97,58 @@ def read_model(path: Path) -> str:
     return read_text(path, ModelFileError, "The model ", largest=MOST_BYTES)
 
 
-def parsed_text(text: str, where: str) -> Element:
+def parsed_text(text: str, where: str, *, is_xacro: bool = False) -> Element:
     """Return the root element of a document.
 
-    A document type is refused, whole: models need none, and entities make gigabytes of a few lines.
+    A document type is refused, whole: models need none, and entities make gigabytes of a few lines. What is no XML, but
+    read by the program that the file was written for, is read (``_mended``). A namespace without a prefix on the top
+    element, as in files of old Drake, is none: no program looks at it.
 
     Args:
         text: the document.
         where: what to call it in messages.
+        is_xacro: xacro reads it next, which is as strict as the standard.
 
     Raises:
         ModelFileError: as ``parsed``.
     """
+    if (top := _top(text)) and (own := _OWN_NAMESPACE.match(text, top.end())):
+        text = text[: own.start(1)] + " " * len(own[1]) + text[own.end(1) :]
+    try:
+        return _parsed_strictly(text, where)
+    except expat.ExpatError as error:
+        try:
+            return _parsed_strictly(text if is_xacro else _mended(text), where)
+        except expat.ExpatError:
+            raise ModelFileError(
+                f"{where} is not well-formed XML: {error}.", remedy="Repair the file at that place.", path=where
+            ) from error
+
+
+def _mended(text: str) -> str:
+    """Return a text as tinyxml2 reads it, line by line the same.
+
+    Gazebo, MuJoCo, Drake and urdfdom read by tinyxml2. It takes blanks before the declaration, "--" in a comment, and
+    prefixes that are bound to no namespace: 1 of 20 of Gazebo's example worlds has these. Here "drake:" is Drake's
+    namespace, and another prefix is its own.
+    """
+    text = re.sub(r"^(\s+)<\?xml[^<>]*\?>", r"\1", text)
+    parts, place = list[str](), 0
+    while (begin := text.find("<!--", place)) >= 0 and (end := text.find("-->", begin + 4)) >= 0:
+        parts += [text[place : begin + 4], text[begin + 4 : end].replace("-", "=")]
+        place = end
+    text = "".join(parts) + text[place:]
+    bound = set(re.findall(r"\bxmlns:([\w.-]+)", text))
+    prefixes = sorted(set(re.findall(r"[<\s]([A-Za-z][\w.-]*):[\w.-]+", text)) - bound - {"xml", "xmlns"})
+    top = _top(text)
+    if top is None or len(prefixes) > MOST_ATTRIBUTES:
+        return text
+    spaces = "".join(f' xmlns:{each}="{DRAKE[1:-1] if each == "drake" else each}"' for each in prefixes)
+    return text[: top.end()] + spaces + text[top.end() :]
+
+
+def _parsed_strictly(text: str, where: str) -> Element:
+    """Return the root element of a document that is XML."""
     builder = ElementTree.TreeBuilder(element_factory=Element)
     parser = expat.ParserCreate("utf-8", "}")
     parser.buffer_text = True
@@ -152,14 +198,8 @@ def parsed_text(text: str, where: str) -> Element:
     parser.CharacterDataHandler = builder.data
     parser.CommentHandler = parser.ProcessingInstructionHandler = comment
     parser.StartDoctypeDeclHandler = document_type
-    try:
-        parser.Parse(text.encode("utf-8", "surrogatepass"), True)
-        root = builder.close()
-    except expat.ExpatError as error:
-        raise ModelFileError(
-            f"{where} is not well-formed XML: {error}.", remedy="Repair the file at that place.", path=where
-        ) from error
-    return cast("Element", root)
+    parser.Parse(text.encode("utf-8", "surrogatepass"), True)
+    return cast("Element", builder.close())
 
 
 def _name(name: str) -> str:
