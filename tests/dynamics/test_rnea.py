@@ -115,10 +115,12 @@ def stacked_carriers(folder: Path) -> Robot:
 
 
 def test_derivatives_of_loads_on_a_carrier_that_turns(tmp_path: Path) -> None:
-    """A wrench in world axes turns in the frame of its body: against differences of sixth order."""
+    """A wrench in world axes turns in the frame of its body, one in local axes does not: sixth-order differences."""
     robot = arm_with(tmp_path, J("turn", "revolute", "lower", "mass", axis=(0.6, 0.0, 0.8))).loaded(
         Wrench("mass", [3.0, -2.0, 1.0, 0.5, -0.7, 0.9], "world", (0.3, 0.1, 0.2)),
+        Wrench("mass", [-1.0, 4.0, 2.0, 0.6, 0.8, -0.5], "local", (0.2, -0.1, 0.1)),
         Spring("base", "mass", 40.0, 3.0, 0.2, (0.1, 0.2, 0.0), (0.2, 0.0, 0.1)),
+        Spring("mass", "base", 25.0, 2.0, 0.3, (0.0, 0.1, 0.2), (-0.2, 0.3, 0.0)),
         JointForces("turn", 0.4, 0.3, 0.5, 2.0, 0.1, 0.02, -6.0),
     )
     t = np.linspace(0.0, 1.0, 4)

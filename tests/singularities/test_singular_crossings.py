@@ -223,6 +223,17 @@ def test_five_bar_crosses_where_its_distal_links_align() -> None:
     np.testing.assert_allclose(np.abs(crossing.uncontrolled_twist), [0.0, 1.0], atol=1e-9)
 
 
+@pytest.mark.parametrize(("mode", "combined"), [((1, 1), True), ((1, -1), False)])
+def test_a_stretched_leg_with_the_other_distal_link_in_line_is_combined(mode: tuple[int, int], combined: bool) -> None:
+    """Leg 1 of the five-bar is stretched at 60° where both elbows may coincide: the tip then turns about them."""
+    along_leg, across = np.array([0.5, np.sqrt(0.75)]), np.array([np.sqrt(0.75), -0.5])
+    trajectory = along(through_points([[0.3, 0.5], along_leg.tolist()]))
+    (end,) = find_crossings(zoo.robot_of("five_bar", working_mode=mode), trajectory)
+    assert (end.kind, end.leg) == (SingularityKind.COMBINED if combined else SingularityKind.TYPE_I, 1)
+    np.testing.assert_allclose(end.lost_direction, along_leg, atol=1e-6)
+    np.testing.assert_allclose(end.uncontrolled_twist, across if combined else [np.nan] * 2, atol=1e-6)
+
+
 def test_gough_platform_is_singular_a_quarter_turn_from_home() -> None:
     """Fichter 1986: two similar hexagons with six legs are singular after a turn of 90° about their common axis."""
     robot = zoo.robot_of("gough")

@@ -199,7 +199,7 @@ def test_one_freedom_driven_where_its_motor_stands_still() -> None:
 
 
 def test_scaling_makes_the_condition_number_independent_of_the_unit_of_length() -> None:
-    """The 3-RRR in decimetres: the plain condition number changes, the scaled one does not."""
+    """The 3-RRR in decimetres: the plain condition number, of virtual work's W, changes; the scaled one does not."""
     names = ("base_radius", "platform_radius", "proximal_length", "distal_length", "tail_length")
     metres = zoo.robot_of("3rrr")
     decimetres = zoo.robot_of("3rrr", **{name: 10.0 * float(metres.parameters[name]) for name in names})
@@ -207,6 +207,9 @@ def test_scaling_makes_the_condition_number_independent_of_the_unit_of_length() 
     assert ten.condition[0] == pytest.approx(one.condition[0], rel=1e-9)
     assert ten.parallel_margin[0] == pytest.approx(one.parallel_margin[0], rel=1e-9)
     assert ten.condition_unscaled[0] != pytest.approx(one.condition_unscaled[0], rel=0.05)
+    for robot, found in ((metres, one), (decimetres, ten)):
+        W = rp.VirtualWork(robot).sample(zoo.home_of(robot), *np.zeros((2, 3))).W
+        assert found.condition_unscaled[0] == pytest.approx(np.linalg.cond(W), rel=1e-9)
 
 
 def test_near_singular_is_told_from_singular() -> None:
