@@ -104,7 +104,7 @@ def test_a_singularity_crossed_twice_between_two_samples_has_no_peak(depth: floa
 
 
 def test_a_turn_of_a_micrometre_far_from_a_singularity_has_a_peak() -> None:
-    """At 0.3 m/s it lasts microseconds: no halving resolves it, and its peak is that of samples a hundred times denser."""
+    """At 0.3 m/s it lasts microseconds: no halving resolves it, and its peak is that of samples denser still."""
     robot = rp.load_robot("2rpr", end_effector_mass=0.2)
     path = SplinePath(np.array([[0.15, 0.2], [0.25, 0.25], [0.15, 0.201]]))
     motion = Trajectory(path, SpeedProfile(path.length, 0.3, 0.1))
