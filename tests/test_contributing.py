@@ -120,3 +120,4 @@ def test_recipes_work_as_they_are_written() -> None:
     assert np.abs(power(least_effort)).max() > bound
     assert (parked.carriers.s == 0.1).all()
     assert np.abs(power(parked)).max() > 0.0
+    assert 0.0025 < np.diff(parked.t).min() <= np.diff(parked.t).max() < 0.005 + 1e-9  # even steps, of at most dt

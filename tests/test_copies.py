@@ -7,6 +7,7 @@ import multiprocessing
 import pickle
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import FrozenInstanceError, fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -159,6 +160,13 @@ def test_copies_hold_the_same_bits_and_none_that_can_be_changed(objects: dict[st
         assert {path for path in before if "chain" not in path} <= set(after) | {
             path for path, _, owner in arrays_of(one) if not isinstance(owner, Frozen)
         }, name
+
+
+def test_no_field_of_them_can_be_set(objects: dict[str, Any]) -> None:
+    for name, one in objects.items():
+        if is_dataclass(one):
+            with pytest.raises(FrozenInstanceError):
+                setattr(one, fields(one)[0].name, name)
 
 
 @pytest.mark.long

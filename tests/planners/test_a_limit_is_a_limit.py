@@ -233,3 +233,17 @@ def test_a_joint_that_leaves_its_range_between_two_samples_breaks_a_limit(backen
         assert [event.joint for event in events] == ([name] if status is ResultStatus.LIMIT_VIOLATED else [])
         for event in events:
             assert event.amount == pytest.approx(top - end, rel=0.05)
+
+
+@pytest.mark.parametrize("room", [-1e-4, 1e-9])
+def test_a_joint_may_come_to_rest_at_the_end_of_its_range(room: float) -> None:
+    """The crank that is farthest at the end of the corner; a range that ends before that is exceeded by as much."""
+    whole, corner = zoo.robot_of("3rrr", working_mode=(1, 1, 1)), reference.corner()
+    crank = along_the_corner()[:, 0]
+    assert crank.argmax() == len(crank) - 1
+    model = whole.model.copy()
+    model.lowerPositionLimit[0], model.upperPositionLimit[0] = crank[-1] - 6.0, crank[-1] + room
+    dynamics = rp.CompiledDynamics(replace(whole, model=model))
+    plan = rp.plan_stepwise(dynamics, corner, mesh=rp.Mesh(dt=0.05), stop="within")
+    events = [event for event in plan.limits.violated if event.quantity == "range"]
+    assert [event.amount for event in events] == ([pytest.approx(-room, rel=1e-3)] if room < 0.0 else [])

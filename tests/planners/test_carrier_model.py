@@ -48,14 +48,15 @@ def test_samples_however_dense_give_the_acceleration(dt):
     assert np.abs(ours.xdd - exact.xdd).max() < 3e-9
 
 
-def test_the_worst_condition_number_is_that_of_dense_samples():
-    """Beside a singularity, by the singular values of W as the backend gives it."""
-    dynamics = RneaDynamics(load_robot("2rpr"))
+@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
+def test_the_worst_condition_number_and_margin_are_those_of_dense_samples(name):
+    """Beside a singularity, by the singular values of W as the backend gives it: two of them, and three."""
+    dynamics = RneaDynamics(load_robot(name))
     line = Line((0.1, 0.05), (0.4, 0.03))
-    beside = Trajectory(line, SpeedProfile(line.length, 0.1, 0.1))
+    beside = Trajectory(line, SpeedProfile(line.length, 0.1, 0.1)) if name == "2rpr" else reference.corner()
     actuation = Actuation.along(dynamics, as_motion(beside))
     reduced = dynamics.along(beside.sample_at(np.linspace(0.0, beside.duration, 4001))).reduce()
-    values = np.linalg.svd(reduced.W / reduced.row_scale[:, None] / reduced.column_scale, compute_uv=False)
+    values = np.linalg.svd(reduced.W / reduced.row_scale[:, None] * reduced.column_scale, compute_uv=False)
     condition = values[:, 0] / values[:, -1]
     assert actuation.worst("condition") == pytest.approx(condition.max(), rel=1e-5)
     assert actuation.worst("margin") == pytest.approx(values[:, -1].min(), rel=1e-5)

@@ -22,7 +22,15 @@ from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.trajectory import RestToRest, SplinePath, Trajectory, reference, rounded_polygon, with_constant
+from redundancy_pin.trajectory import (
+    RestToRest,
+    SpeedProfile,
+    SplinePath,
+    Trajectory,
+    reference,
+    rounded_polygon,
+    with_constant,
+)
 from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -93,6 +101,18 @@ def test_a_singularity_crossed_twice_between_two_samples_has_no_peak(depth: floa
         assert np.isinf(plan.peak_effort).all()
         assert plan.motion.t[-1] > plan.between.time[0] > 0.48
         assert np.isfinite(plan.between.force_peak).all()
+
+
+def test_a_turn_of_a_micrometre_far_from_a_singularity_has_a_peak() -> None:
+    """At 0.3 m/s it lasts microseconds: no halving resolves it, and its peak is that of samples denser still."""
+    robot = rp.load_robot("2rpr", end_effector_mass=0.2)
+    path = SplinePath(np.array([[0.15, 0.2], [0.25, 0.25], [0.15, 0.201]]))
+    motion = Trajectory(path, SpeedProfile(path.length, 0.3, 0.1))
+    plan = rp.plan_stepwise(rp.VirtualWork(robot), motion, mesh=rp.Mesh(dt=0.02), limits=Limits(effort=np.inf))
+    t = plan.between.time[0] + np.linspace(-1e-5, 1e-5, 2001)
+    turn = rp.RneaDynamics(robot).reduce(motion.sample_at(t), plan.carriers_at(t))
+    assert plan.peak_effort == pytest.approx(np.abs(rp.distribute(turn).tau).max(axis=0), rel=PEAK)
+    assert plan.peak_effort.min() > 1e4
 
 
 def test_a_jump_of_the_acceleration_is_a_jerk_over_the_shorter_piece() -> None:

@@ -170,6 +170,8 @@ def test_units_are_converted(heading: str, unit: str | None, factor: float, tmp_
         ("x [m]", "x [rad]", r"column 'x': 'rad' is no unit of length\. Give one of m, mm"),
         ("rz [rad]", "rz [mm]", r"column 'rz': 'mm' is no unit of angle\. Give one of rad"),
         ("xd [m/s]", "xd [m]", r"column 'xd': 'm' is no unit of length by time\. Give one of m/s, mm/s"),
+        ("xd [m/s]", "xd [inch/s]", r"column 'xd': 'inch/s' is no unit that is known; .* Give one of m/s, mm/s"),
+        ("xd [m/s]", "xd [m/h]", r"column 'xd': 'm/h' is no unit that is known; .* Give one of m/s, mm/s"),
         ("xdd [m/s^2]", "xdd [m/s]", r"'m/s' is no unit of length by time squared\. Give one of m/s\^2"),
         ("t [s]", "t [m]", r"column 't': 'm' is no unit of time\. Give one of s, ms"),
         (

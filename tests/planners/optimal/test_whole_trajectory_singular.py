@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import zoo
 
-from redundancy_pin import VirtualWork, plan_whole_trajectory
+from redundancy_pin import Limits, Mesh, RneaDynamics, VirtualWork, check_plan, distribute, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.case import in_groups
-from redundancy_pin.trajectory import SpeedProfile, Trajectory
+from redundancy_pin.trajectory import SpeedProfile, Trajectory, rounded_polygon
 from redundancy_pin.trajectory.paths import Line, circle_path
 
 RADIUS, SPEED, X = 0.2, 0.3, 0.25
@@ -92,3 +92,21 @@ def test_passing_close_by_is_planned_as_carefully(objective, height):
     assert plan.diagnostics["dense_ratios"][0] <= 10.0
     assert plan.status is ResultStatus.OK
     assert plan.between.passed
+
+
+def test_where_a_path_bends_on_a_singularity_the_efforts_jump_and_each_side_has_its_own():
+    """The straight ends on the line of the hinges: efforts there against those beside it, to the other backend too."""
+    robot = zoo.robot_of("2rpr", cylinder_mass=0.3, piston_mass=0.2)
+    path = rounded_polygon([[0.15, 0.2], [0.15, -0.05], [0.35, -0.05]], 0.05, closed=False)
+    bend = Trajectory(path, SpeedProfile(path.length, 0.3, 0.1))
+    wide = Limits(track=(-1.0, 1.0), speed=10.0, acceleration=100.0)
+    plan = plan_whole_trajectory(VirtualWork(robot), bend, mesh=Mesh(dt=0.02), limits=wide)
+    (t,) = plan.findings.singular_instants
+    assert t == bend.breaks[0]
+    before, after = np.flatnonzero(plan.t == t)
+    for i, away in ((before, np.array([-2e-4, -1e-4])), (after, np.array([1e-4, 2e-4]))):
+        beside = RneaDynamics(robot).reduce(bend.sample_at(t + away), plan.carriers_at(t + away))
+        limit = np.polyfit(away, distribute(beside).tau, 1)[1]
+        np.testing.assert_allclose(plan.tau[i], limit, atol=1e-3 * np.abs(plan.tau).max())
+    assert np.abs(plan.tau[after] - plan.tau[before]).max() > 0.1
+    assert check_plan(plan, RneaDynamics(robot)).passed

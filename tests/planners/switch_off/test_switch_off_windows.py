@@ -90,3 +90,14 @@ def test_every_step_of_the_grid_is_a_sample():
     right = np.searchsorted(plan.t, grid).clip(1, len(plan.t) - 1)
     apart = np.minimum(np.abs(plan.t[right] - grid), np.abs(plan.t[right - 1] - grid))
     assert apart.max() <= 1e-9 * dt
+
+
+def test_no_step_is_as_short_as_rounding():
+    """A break of the path that is on the grid, but for its last bits, is one sample with it."""
+    path = rounded_polygon([[0.1, 0.3], [0.1, -0.04], [0.4, -0.04], [0.4, 0.3]], 0.08, start=0.09)
+    trajectory = Trajectory(path, SpeedProfile(path.length, 0.4, 0.1))
+    corner = trajectory.breaks[0]
+    steps = next(n for n in range(100, 200) if n * (corner / n) != corner)
+    plan = plan_switch_off(two_rpr(), trajectory, ramp_down=0.02, return_time=0.2, mesh=Mesh(dt=corner / steps))
+    apart = np.diff(np.unique(plan.t))
+    assert apart.min() > 1e-9 * plan.t[-1]
