@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, Frozen, IntArray, frozen, read_only
+from redundancy_pin.arrays import Array, Frozen, IntArray, frozen, numbers, read_only, require_type
 from redundancy_pin.errors import InputError
 from redundancy_pin.robot.loads import Load, Payload, carrying, checked_loads, of_kind
 from redundancy_pin.robot.lookup import find_joint
@@ -278,7 +278,7 @@ class Robot(Frozen):
         return _indices(self.model, self.carriers, "idx_q")
 
     def joint_positions(self, q: ArrayLike, joints: Sequence[str] | None = None) -> Array:
-        """Return (..., J) positions of joints at configurations (..., nq), m and rad.
+        """Return (J,) or (N, J) positions of joints at configurations, m and rad.
 
         They are what an encoder reads: of a continuous joint, which has its cosine and its sine in q, the angle in
         (−π, π].
@@ -293,21 +293,21 @@ class Robot(Frozen):
         Example:
             >>> motors = robot.joint_positions(robot.q_reference)
         """
-        given = np.asarray(q, dtype=np.float64)
-        if given.shape[-1:] != (self.model.nq,):
-            raise InputError(
-                f"q has shape {given.shape}; configurations of {self.name} have {self.model.nq} numbers each.",
-                remedy="Pass (nq,) or (N, nq), such as q_reference, or q of a result.",
-                shape=given.shape,
-            )
-        found = [find_joint(self.model, name) for name in (self.actuated if joints is None else joints)]
+        several = np.asarray(q, dtype=object).ndim > 1
+        given = numbers(q, "q", ("N", self.model.nq) if several else (self.model.nq,))
+        names = self.actuated if joints is None else joints
+        require_type(names, (list, tuple), "A list of joints", "Pass names in a list, such as robot.actuated.")
+        found = [find_joint(self.model, name) for name in names]
         if wide := [str(self.model.names[joint.id]) for joint in found if joint.nv != 1]:
             raise InputError(
                 f"Joint {wide[0]!r} has several freedoms, and no position that is one number.",
                 remedy="Name joints of one freedom each; the others are in q as Pinocchio has them.",
                 joints=wide,
             )
-        return np.array([joint_position(joint, given) for joint in found]).reshape(len(found), *given.shape[:-1]).T
+        positions = np.empty((*given.shape[:-1], len(found)))
+        for k, joint in enumerate(found):
+            positions[..., k] = joint_position(joint, given)
+        return positions
 
     @property
     def effort_limits(self) -> Array:

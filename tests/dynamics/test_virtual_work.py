@@ -133,7 +133,7 @@ def test_masses_of_a_model_that_was_replaced_are_not_those_of_the_arguments(name
     with pytest.raises(UnsupportedRobotError, match="closed_form=None"):
         rp.VirtualWork(replace(robot, model=model))
     last = next(body.links[0] for body in reversed(robot.bodies) if body.links)
-    carrying = robot.loaded(rp.Payload(last, 2.0))  # a payload is no other machine
+    carrying = robot.loaded(rp.Payload(last, 2.0), rp.Payload("base", 3.0))  # payloads are no other machine
     assert rp.VirtualWork(carrying).robot is carrying
 
 

@@ -298,7 +298,10 @@ def test_a_ball_that_ends_where_it_begins_is_no_rod(long):
         assert robot.independent_joints == ("crank",)
         assert any("spin of ball" in note for note in robot.notes)
         assert robot.joint_positions(robot.q_reference, ["rocker", "crank"]).shape == (2,)
-        for wrong in ({"joints": ["ball"]}, {"joints": ["no such joint"]}, {"q": np.zeros(3)}):
+        for wrong in (
+            *({"joints": names} for names in (["ball"], ["no such joint"], "crank")),
+            *({"q": q} for q in (np.zeros(3), np.zeros((2, 3, 7)), "text", [[1.0], [1.0, 2.0]])),
+        ):
             with pytest.raises(InputError):
                 robot.joint_positions(**{"q": robot.q_reference, **wrong})
     else:

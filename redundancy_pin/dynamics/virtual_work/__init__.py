@@ -46,7 +46,7 @@ class VirtualWork(Dynamics):
 
     Raises:
         UnsupportedRobotError: the robot declares no closed form, or one that is not known here; or its model was
-            changed, so that its masses are not those of its arguments.
+            replaced by one of another mass than its arguments say (other changes of the model are not seen).
     """
 
     def __init__(self, robot: RobotLike) -> None:
@@ -211,7 +211,8 @@ def _mechanism_of(robot: Robot) -> Mechanism:
 
 def _require_own_masses(robot: Robot, mechanism: Mechanism) -> None:
     """Raise UnsupportedRobotError for a robot whose model was replaced: closed forms read its arguments."""
-    payloads = sum(load.mass for load in of_kind(robot.loads, Payload))
+    moving = {name for body in robot.bodies for name in body.links}
+    payloads = sum(load.mass for load in of_kind(robot.loads, Payload) if load.frame in moving)
     own, known = robot.moving_mass - payloads, sum(body.mass for body in mechanism.bodies)
     if not abs(own - known) <= AGREEMENT_TOLERANCE * max(own, known):
         raise UnsupportedRobotError(
