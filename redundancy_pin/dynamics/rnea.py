@@ -319,8 +319,7 @@ class RneaAlongMotion(Frozen):
             return read_only(np.ones(len(margin)))
         for i in np.flatnonzero(self.tree.reachable):
             chain.update(self.tree.q[i], self.tree.v[i])
-            if chain.system.has_dependent_rows:
-                chain.renew_basis()
+            chain.renew_basis()
             K = chain.matrix()
             values = np.linalg.svd(K[: chain.rows], compute_uv=False)
             margin[i] = np.linalg.slogdet(K)[0] * values[-1] / values[0]

@@ -71,16 +71,21 @@ class ClosedChain(TreePlacement):
         basis, least = row_basis(self.every_row()[0], self.rows)
         return basis, float(least)
 
-    def renew_basis(self) -> None:
-        """Use the best basis where the rows in use come near a rank loss of theirs, oriented like them.
+    def renew_basis(self) -> bool:
+        """Use the best basis where the rows in use come near a rank loss of theirs; return whether they do.
 
-        Along a motion det K then changes its sign where all closure rows together lose rank, and only there.
+        It is oriented like the rows in use: along a motion det K changes its sign where all closure rows together lose
+        rank, and only there.
         """
+        if not (self.rows and self.system.has_dependent_rows):  # without independent rows none are lost
+            return False
         before, (basis, least) = self.closure_rows(), self.best_basis()
-        if least > max(RESTORED * np.linalg.svd(before, compute_uv=False)[-1], FILE_TOLERANCE):
-            self.use_basis(basis)
-            if np.linalg.det(before @ self.closure_rows().T) < 0.0:
-                self.use_basis(basis * np.where(np.arange(self.rows) == 0, -1.0, 1.0))
+        if not least > max(RESTORED * np.linalg.svd(before, compute_uv=False)[-1], FILE_TOLERANCE):
+            return False
+        self.use_basis(basis)
+        if np.linalg.det(before @ self.closure_rows().T) < 0.0:
+            self.use_basis(basis * np.where(np.arange(self.rows) == 0, -1.0, 1.0))
+        return True
 
     def update(self, q: Array, v: Array) -> None:
         """Set the state: q (nq,), v (nv,)."""
