@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, Frozen, frozen, numbers, read_only
+from redundancy_pin.arrays import Array, Frozen, blocks, frozen, numbers, read_only
 from redundancy_pin.dynamics.arguments import (
     OnUnreachable,
     SampleArguments,
@@ -322,21 +322,20 @@ class RneaAlongMotion(Frozen):
     def closure_margin(self) -> Array:
         """Return (N,) smallest over largest singular value of the scaled closures, with the sign of det K.
 
-        K stacks the closure rows and the platform rows, columns of the pose's velocities. Zero where the closures lose
-        rank; NaN where the motion is not reachable.
+        K stacks the independent closure rows and the platform rows, columns of the pose's velocities. Zero where these
+        lose rank, though dependent rows may keep it; NaN where the motion is not reachable.
         """
         chain, margin = ClosedChain(self.robot), np.full(len(self.motion), np.nan)
         if not chain.rows:
             return read_only(np.ones(len(margin)))
         known = np.flatnonzero(self.tree.reachable)
-        K = np.empty((len(known), len(chain.pose_columns), len(chain.pose_columns)))
-        for own, q in zip(K, self.tree.q[known], strict=True):
-            chain.place(q)
-            if chain.system.has_dependent_rows:
-                chain.renew_basis()
-            own[:] = chain.matrix()
-        values = np.linalg.svd(K[:, : chain.rows], compute_uv=False)
-        margin[known] = np.linalg.slogdet(K)[0] * values[:, -1] / values[:, 0]
+        for part in blocks(len(known)):
+            K = np.empty((part.stop - part.start, len(chain.pose_columns), len(chain.pose_columns)))
+            for own, q in zip(K, self.tree.q[known[part]], strict=True):
+                chain.place(q)
+                own[:] = chain.matrix()
+            values = np.linalg.svd(K[:, : chain.rows], compute_uv=False)
+            margin[known[part]] = np.linalg.slogdet(K)[0] * values[:, -1] / values[:, 0]
         return read_only(margin)
 
     def states(self, carriers: CarrierMotion | None = None) -> Iterator[TreeState]:

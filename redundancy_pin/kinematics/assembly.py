@@ -77,16 +77,14 @@ class Assembly:
 
         Combinations of all closure rows take the place of independent ones that lose rank, if they keep it.
         """
-        system = self.system
+        system, r = self.system, len(self.system.rows)
         K = system.relative(self.state.K)
-        inverse = inverses(K)
         if system.has_dependent_rows:
-            K[:, : len(system.rows)], least = system.combined_rows(self.q)
-            other = inverses(K)
-            size, other_size = (np.linalg.norm(part, axis=(1, 2)) for part in (inverse, other))
-            restored = (least > FILE_TOLERANCE) & (other_size < np.nan_to_num(size, nan=np.inf) / RESTORED)
-            inverse[restored] = other[restored]
-        return inverse
+            rows, least = system.combined_rows(self.q)
+            own = np.linalg.svd(K[:, :r], compute_uv=False).min(axis=1, initial=np.inf)
+            restored = least > np.maximum(RESTORED * own, FILE_TOLERANCE)
+            K[restored, :r] = rows[restored]
+        return inverses(K)
 
     @cached_property
     def margin(self) -> Array:

@@ -11,7 +11,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_link_index
 
 _RANK_KEPT = 1e3
-"""Ratio of the smallest singular values of all rows and of those in use, no unit, beyond which all rows keep the rank.
+"""Ratio of the smallest singular values of all rows and of those in use, no unit, at a rank loss of the latter alone.
 Where all rows lose rank the two are alike; a place where those in use alone lose it is known to 1e-6 and better."""
 
 
@@ -71,16 +71,34 @@ class ClosedChain(TreePlacement):
         basis, least = row_basis(self.every_row()[0], self.rows)
         return basis, float(least)
 
-    def renew_basis(self) -> None:
-        """Use the best basis where the rows in use come near a rank loss of theirs, oriented like them.
+    def dependent_rows_restore_rank(self, ratio: float = _RANK_KEPT) -> bool:
+        """Return whether all closure rows keep the rank that the rows in use lose at the configuration.
 
-        Along a motion det K then changes its sign where all closure rows together lose rank, and only there.
+        Which rows are independent changes along the motion of some mechanisms (Bennett's four hinges). The branch goes
+        smoothly through such a place, and it is no singularity. Rows that contradict each other by the rounding of a
+        file restore nothing.
+
+        Args:
+            ratio: least ratio of the smallest singular values of all rows and of those in use, no unit.
         """
-        before, (basis, least) = self.closure_rows(), self.best_basis()
-        if least > max(RESTORED * np.linalg.svd(before, compute_uv=False)[-1], FILE_TOLERANCE):
-            self.use_basis(basis)
-            if np.linalg.det(before @ self.closure_rows().T) < 0.0:
-                self.use_basis(basis * np.where(np.arange(self.rows) == 0, -1.0, 1.0))
+        if not (self.rows and self.system.has_dependent_rows):  # without independent rows none are lost
+            return False
+        least = float(np.linalg.svd(self.closure_rows(), compute_uv=False)[-1])
+        return self.best_basis()[1] > max(ratio * least, FILE_TOLERANCE)
+
+    def renew_basis(self) -> bool:
+        """Use the best basis where the rows in use come near a rank loss of theirs; return whether they do.
+
+        It is oriented like the rows in use: along a motion det K changes its sign where all closure rows together lose
+        rank, and only there.
+        """
+        if not self.dependent_rows_restore_rank(RESTORED):
+            return False
+        before, basis = self.closure_rows(), self.best_basis()[0]
+        self.use_basis(basis)
+        if np.linalg.det(before @ self.closure_rows().T) < 0.0:
+            self.use_basis(basis * np.where(np.arange(self.rows) == 0, -1.0, 1.0))
+        return True
 
     def update(self, q: Array, v: Array) -> None:
         """Set the state: q (nq,), v (nv,)."""
@@ -153,8 +171,7 @@ class ClosedChain(TreePlacement):
 
     def closure_rows(self) -> Array:
         """Return J_c (r, p) without units and without the carrier columns."""
-        rows: Array = self.jacobian().take(self.pose_columns, 1) * self._factor[: self.rows]
-        return rows
+        return self.matrix()[: self.rows]
 
     def every_row(self) -> tuple[Array, Array]:
         """Return the Jacobian (R, p) and residuals (R,) of all closure rows, without units, whatever the basis."""
@@ -162,18 +179,6 @@ class ClosedChain(TreePlacement):
         placed, count = every.all_rows.place(self.vectors, self.q), len(every.rows)
         rows = every.relative(placed.jacobian(self.J)[:count, self.pose_columns])
         return rows, placed.residual()[:count] / every.closure_unit
-
-    def dependent_rows_restore_rank(self) -> bool:
-        """Return whether all closure rows keep the rank that the rows in use lose at the configuration.
-
-        Which rows are independent changes along the motion of some mechanisms (Bennett's four hinges). The branch goes
-        smoothly through such a place, and it is no singularity. Rows that contradict each other by the rounding of a
-        file restore nothing.
-        """
-        if not (self.rows and self.system.has_dependent_rows):  # without independent rows none are lost
-            return False
-        least = float(np.linalg.svd(self.closure_rows(), compute_uv=False)[-1])
-        return self.best_basis()[1] > max(_RANK_KEPT * least, FILE_TOLERANCE)
 
     def bias(self) -> Array:
         """Return J̇_c v (r,)."""

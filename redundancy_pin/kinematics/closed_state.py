@@ -20,7 +20,6 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import (
     CLOSURE_TOLERANCE,
-    FILE_TOLERANCE,
     SINGULAR_MARGIN,
     Array,
     Frozen,
@@ -33,7 +32,7 @@ from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, Assembly, evaluated, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closing import closed_neighbours
-from redundancy_pin.kinematics.closure import RESTORED, ConstraintSystem, constraint_system
+from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.kinematics.multistart import SEED, draw_starts
 from redundancy_pin.robot import Robot
@@ -188,14 +187,11 @@ class LoopSolver:
         size = float(np.nan_to_num(np.linalg.norm(plain), nan=np.inf))  # NaN where K is exactly singular
         if size * self._ample < 1.0:
             return None, plain
+        self.chain.use_basis(None)
         self.chain.place(q)
-        own, least = self.chain.best_basis()
-        if not least > FILE_TOLERANCE:  # contradictions of rounded numbers restore no rank
+        if not self.chain.renew_basis():
             return None, plain
-        other = inverses(self.matrix(q, own)[0][None])[0]
-        if not float(np.linalg.norm(other)) < size / RESTORED:
-            return None, plain
-        return own, other
+        return self.chain.basis, inverses(self.chain.matrix()[None])[0]
 
     def closure_margin(self, q: Array, basis: Array | None = None, block: int | None = None) -> float:
         """Return the smallest singular value of the closure rows at q (nq,), of all or those of a block of K.

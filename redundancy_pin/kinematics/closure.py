@@ -70,8 +70,8 @@ _NARROWEST, _WIDEST = 1e-4, 20.0 * FILE_TOLERANCE
 where placements are exact, and what no machine of rounded numbers comes to (``FILE_TOLERANCE`` times the 20 above)."""
 
 RESTORED = 3.0
-"""Ratio of margins, no unit, beyond which all closure rows take the place of independent ones near a loss of rank. At
-the loss itself ``ClosedChain.dependent_rows_restore_rank`` decides."""
+"""Ratio of the smallest singular values of all closure rows and of those in use, no unit, beyond which combinations of
+all take the place of those in use near a loss of rank."""
 
 _ORIGIN = 3
 """Column of a frame's origin, behind its three axes."""

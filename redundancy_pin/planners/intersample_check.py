@@ -28,6 +28,7 @@ from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.kinematics.branch import follower
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import SINGULAR_SAMPLE, PlanFunctions, unique_times
@@ -600,14 +601,27 @@ def closure_rank_losses(
     ``along``: dynamics along samples of the platform's motion. Only where these show a rank loss are more needed.
     """
     t, first = np.unique(along.motion.t, return_index=True)
-    known = along.closure_margin()[first]
+    known, chain = along.closure_margin()[first], ClosedChain(dynamics.robot)
+
+    def followed(times: Array) -> tuple[DynamicsAlongMotion, IntArray]:
+        every = np.union1d(t, times)  # the branch is followed from the start
+        return dynamics.along(platform.sample_at(every), unreachable="mark"), np.searchsorted(every, times)
 
     def margin(times: Array) -> Array:
         if times is t:
             return known
-        every = np.union1d(t, times)  # the branch is followed from the start
-        there = dynamics.along(platform.sample_at(every), unreachable="mark").closure_margin()
-        return there[np.searchsorted(every, times)]
+        there, at = followed(times)
+        return there.closure_margin()[at]
+
+    def rank_is_kept(time: float) -> bool:
+        """Return whether the rows in use alone lose rank, which the sign of their determinant does not say."""
+        there, at = followed(np.array([time]))
+        if there.q is None or not np.isfinite(there.q[at]).all():
+            return False
+        chain.place(there.q[at][0])
+        return chain.dependent_rows_restore_rank()
 
     roots = [zero.t for zero in zeros(margin, t, RANK_LOST)] if len(t) > 1 else []
+    if chain.system.has_dependent_rows:
+        roots = [time for time in roots if not rank_is_kept(time)]
     return tuple({"time": time, "x": platform.sample_at(np.array([time])).x[0].tolist()} for time in roots)

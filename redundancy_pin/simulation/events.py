@@ -221,19 +221,20 @@ class EventFunctions:
         return (*(() if self._by_legs else ("type_I",)), *(("type_II",) if self._square else ()))
 
     def rank_loss(self, t: float, y: Array) -> list[Event]:
-        """Return the events at a rank loss of the closure rows that count, for the state y (nq + nv) there.
-
-        There are none where rows that were left out make up for them.
-        """
-        self._chain.place(y[: self.nq])
-        if self._chain.dependent_rows_restore_rank():
-            return []
+        """Return the events at a rank loss of the closure rows in use, for the state y (nq + nv) there."""
         kinds = ("closure_rank", *self.determinants)
-        return [self.event(self.kinds.index(kind), t) for kind in kinds]
+        return [event for kind in kinds for event in self.zero(self.kinds.index(kind), t, y)]
 
-    def event(self, index: int, t: float) -> Event:
-        """Return the event of one of the functions."""
-        return Event(self.kinds[index], self.names[index], t, bool(self._terminal[index]))
+    def zero(self, index: int, t: float, y: Array) -> list[Event]:
+        """Return the event of one of the functions at a zero of it, for the state y (nq + nv) there.
+
+        There is none where the closure rows in use lose rank and dependent rows restore it.
+        """
+        if self.kinds[index] in ("closure_rank", *self.determinants):
+            self._chain.place(y[: self.nq])
+            if self._chain.dependent_rows_restore_rank():
+                return []
+        return [Event(self.kinds[index], self.names[index], t, bool(self._terminal[index]))]
 
 
 def _stops(robot: Robot) -> tuple[list[tuple[str, str]], Array, Array]:
@@ -382,9 +383,8 @@ def _find_exactly(functions: EventFunctions, before: Array, step: Step, looks: S
     after = functions(np.array([step.at(x) for x in ends[1:]])[:, : functions.nq])
     values = np.concatenate([before[None], after])
     changes = np.argwhere(functions.sign_changes(values[:-1], values[1:])).tolist()
-    return _until_terminal(
-        [functions.event(i, _root(functions, step, i, ends[part], ends[part + 1])) for part, i in changes]
-    )
+    roots = [(i, _root(functions, step, i, ends[part], ends[part + 1])) for part, i in changes]
+    return _until_terminal([event for i, t in roots for event in functions.zero(i, t, step(t))])
 
 
 def _root(functions: EventFunctions, step: Step, index: int, left: float, right: float) -> float:

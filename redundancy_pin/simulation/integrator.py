@@ -239,14 +239,12 @@ def _with_all_rows(
 
     ``changed``: when that was done last, s; it is not done twice at one place.
     """
-    machine = problem.machine
     if progress.status is not ResultStatus.NOT_CONVERGED or progress.t <= changed:
         return None
-    q = progress.y[: machine.robot.model.nq]
-    machine.chain.place(q)
-    if not machine.chain.dependent_rows_restore_rank():
+    q = progress.y[: problem.functions.nq]
+    machine = problem.machine.with_all_rows(q)
+    if machine is None:
         return None
-    machine = machine.with_all_rows(q)
     functions = EventFunctions(machine.chain, problem.functions.stop_at, q)
     going_on = replace(progress, status=None, reason="", sheet=None, near=NEAR, next_step=None, short=0)
     going_on = replace(going_on, values=functions.at_start(q))

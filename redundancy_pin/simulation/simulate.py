@@ -153,6 +153,9 @@ def simulate(
     kernel = _kernel(robot, dynamics, method)
     machine = Machine(robot, Amplifiers(controller, *limits), law, external, method, kernel)
     first = machine.state(state.t, np.concatenate([state.q, state.v]))
+    machine.chain.place(first.q)
+    if machine.chain.dependent_rows_restore_rank():
+        machine = machine.with_all_rows(first.q) or machine
     functions = EventFunctions(machine.chain, tuple(stop_at), first.q)
     time = _time_scale(robot, first.v, float(grid[-1] - grid[0]))
     _require_closed(machine, first, time)  # before it is projected, which would close any start

@@ -127,14 +127,19 @@ class Machine:
         self._constraint_dynamics = _constraint_dynamics(robot, method, carrier_law is not None)
         self._split = robot.model.nq
 
-    def with_all_rows(self, q: Array) -> Machine:
+    def with_all_rows(self, q: Array) -> Machine | None:
         """Return the machine with the combinations of all closure rows that suit q (nq,), by the projected equations.
 
-        Machine code, and Pinocchio's ``constraintDynamics``, have the independent rows alone.
+        None where the rows in use keep their rank. Machine code, and Pinocchio's ``constraintDynamics``, have the
+        independent rows alone.
         """
+        if not self.chain.system.has_dependent_rows:
+            return None
         machine = Machine(self.robot, self.amplifiers, self._law, self._external, "projected")
+        machine.chain.use_basis(self.chain.basis)
         machine.chain.place(q)
-        machine.chain.renew_basis()
+        if not machine.chain.renew_basis():
+            return None
         machine.dynamics.adapt(q)
         return machine
 
