@@ -129,8 +129,9 @@ class Assembly:
         return self.regular & self.in_mode
 
 
-_ROUNDED = 1e-3 * CLOSURE_TOLERANCE
-"""Residual that is rounding, characteristic lengths or rad: a step that does not shorten it is not halved."""
+ROUNDED_RESIDUAL = 1e-3 * CLOSURE_TOLERANCE
+"""Residual that is rounding, characteristic lengths or rad: a step that does not shorten it is not halved. So is a
+Newton step ten times as long."""
 
 _HALVED = 0.02
 """Largest deviation from 1/2 of the ratio of two Newton steps that counts as convergence to a double root."""
@@ -238,7 +239,7 @@ def newton(
         residual, matrix = linearise(tried, active)
         decrease = np.linalg.norm(residual, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size
         decrease |= longest < SETTLED_STEP  # a step at rounding level is taken whole
-        stalled = ~decrease & ((scale < shortest_step) | (size < _ROUNDED))
+        stalled = ~decrease & ((scale < shortest_step) | (size < ROUNDED_RESIDUAL))
         accepted = decrease | stalled
         kept = accepted & ~stalled  # a step that no fraction of makes better is not taken
         q[active[kept]] = tried[kept]

@@ -29,7 +29,14 @@ from redundancy_pin.arrays import (
     read_only,
 )
 from redundancy_pin.errors import SingularPoseError
-from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, Assembly, evaluated, inverses
+from redundancy_pin.kinematics.assembly import (
+    ROUNDED_RESIDUAL,
+    SETTLED_STEP,
+    TURNED_OVER,
+    Assembly,
+    evaluated,
+    inverses,
+)
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closing import closed_neighbours
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
@@ -56,9 +63,6 @@ the largest inverse margin, 1e4, that is not treated as a rank loss."""
 
 _NEWTON_STEPS = 10
 """Most steps of Newton's method, which doubles the correct digits: from 0.1 to rounding it takes five."""
-
-_CONVERGED = 0.01 * CLOSURE_TOLERANCE
-"""A Newton step, or ten times a residual, this small (rad or characteristic lengths) is rounding."""
 
 _COS_TURNED_OVER = math.cos(TURNED_OVER)
 
@@ -241,7 +245,7 @@ class LoopSolver:
                 return None
             step[self._columns] = change * self._step_unit
             q = self.integrate(q, step)
-            settled = size < 0.1 * _CONVERGED or longest < _CONVERGED
+            settled = size < ROUNDED_RESIDUAL or longest < 10.0 * ROUNDED_RESIDUAL
             if settled or (size >= before and longest < SETTLED_STEP):
                 inverse = lapack().dgetri(factored, pivots)[0]
                 open_row = 0.0

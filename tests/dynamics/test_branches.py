@@ -22,7 +22,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
-from redundancy_pin.kinematics.branch import follower
+from redundancy_pin.kinematics.branch import BranchEnd, follower
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.machine_code import find_compiler
 from redundancy_pin.robot import Robot
@@ -166,6 +166,20 @@ def test_noise_of_a_start_counts_by_the_distance_from_a_stretched_leg(
     q = np.array(rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], x[None], still[None], still[None])).q[0])
     q[[1, 4]] += [noise, -noise]
     assert backend(robot).torque(x, still, still, start=q).status is status
+
+
+@BOTH
+def test_a_start_at_a_singular_pose_says_no_branch(backend: type[Dynamics]) -> None:
+    """The first leg of the five-bar at full stretch: its elbow may leave to either side."""
+    robot, still = zoo.robot_of("five_bar"), np.zeros(2)
+    dynamics, own = backend(robot), follower(robot)
+    stretched = own.advance(own.home, np.array([0.25, 0.968]) / np.hypot(0.25, 0.968))
+    assert isinstance(stretched, BranchEnd)
+    assert stretched.status is SampleStatus.TYPE_I
+    assert dynamics.torque(own.home.x, still, still).status is SampleStatus.OK
+    assert dynamics.torque(0.9 * stretched.x, still, still, start=stretched.q).status is SampleStatus.BRANCH_LOST
+    assert dynamics.torque(own.home.x, still, still).status is SampleStatus.OK
+    assert dynamics.torque(stretched.x, still, still).status is SampleStatus.TYPE_I
 
 
 def asked_one_by_one(dynamics: rp.RneaDynamics, motion: rp.PlatformMotion) -> list[Any]:

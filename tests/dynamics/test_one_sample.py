@@ -549,6 +549,19 @@ def test_masked_starts_are_refused(backend: type[Dynamics]) -> None:
             assert call(*given, start=np.ma.masked_array(q)).status is SampleStatus.OK
 
 
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
+@pytest.mark.parametrize("beyond", [1e101, -1e160])
+def test_places_beyond_1e100_are_no_numbers(backend: type[Dynamics], beyond: float) -> None:
+    robot, dynamics, zero = machine("3rrr"), backend(machine("3rrr")), np.zeros(3)
+    home, motors = zoo.home_of(robot), np.array(robot.q_reference)[actuated_positions(robot)]
+    assert dynamics.torque(home, zero, zero).status is SampleStatus.OK
+    assert dynamics.torque(home + beyond, zero, zero).status is SampleStatus.NOT_FINITE
+    assert dynamics.torque(home, zero, zero).status is SampleStatus.OK
+    if isinstance(dynamics, rp.CompiledDynamics):
+        assert dynamics.joint_state(motors + beyond).status is SampleStatus.NOT_FINITE
+        assert dynamics.joint_state(motors).status is SampleStatus.OK
+
+
 @ALL
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -1e200])
 def test_whatever_is_not_finite_or_too_large_is_a_status(backend: Backend, bad: float) -> None:

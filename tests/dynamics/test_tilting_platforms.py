@@ -268,6 +268,17 @@ def test_W_and_f_are_those_of_the_closed_form_and_of_the_energy(name: str) -> No
         near((rp.distribute(result).tau * speeds).sum(axis=1), rate, DIFFERENCES)
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_accelerations_of_compiled_dynamics_are_those_that_the_efforts_are_for(name: str) -> None:
+    """The motion's a is that of Pinocchio's rows, and its efforts are RNEA's; velocity terms are a third of it."""
+    tree, tau, dynamics = lifted(name), rp.distribute(reduced(name)[0]).tau, CompiledDynamics(robot_of(name))
+    found = [dynamics.acceleration(q, v, effort) for q, v, effort in zip(tree.q, tree.v, tau, strict=True)]
+    assert {each.status for each in found} == {SampleStatus.OK}
+    near(np.array([each.a for each in found]), tree.a, 1e-9)
+    due_to_velocities = tree.a - np.einsum("nvi,ni->nv", tree.gamma, tree.motion.xdd)
+    assert np.abs(due_to_velocities).max() > 0.3 * np.abs(tree.a).max()
+
+
 def _energy(robot: Robot, tree: JointTrajectory) -> Array:
     data = robot.model.createData()
     return np.array(

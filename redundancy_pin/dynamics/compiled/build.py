@@ -12,6 +12,7 @@ import functools
 import importlib.metadata
 import importlib.resources
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -288,7 +289,7 @@ def _sources() -> tuple[str, ...]:
     return (*versions, repr(_CONSTANTS), _STATUSES, *names, *map(text_of, names))
 
 
-class Code:
+class Code(ABC):
     """A compiled topology with the numbers of one robot; a class for each kind of library.
 
     Args:
@@ -320,9 +321,9 @@ class Code:
         return type(self), (self.robot,)
 
     @staticmethod
+    @abstractmethod
     def source(robot: Robot) -> str:
         """Return the C of a robot."""
-        raise NotImplementedError
 
     def call(self, name: str, *arguments: object) -> int:
         """Call a function of the library with arrays, which must be contiguous, and numbers of ctypes or integers."""

@@ -44,7 +44,7 @@ static void keep(const Pose *pose, double *state) {
 
 /* Close the loops where the state is a start, whose sign of the determinant is not known yet. It may be open by the noise of
    measurements: so little that K stays regular on the way, as RneaDynamics has it. The distance moved proves the branch, so that
-   Newton's steps need only shrink. Returns whether they close. */
+   Newton's steps need only shrink. Returns whether they close, away from singularities. */
 static int begin_at(const double *numbers, double *state) {
   double all, platform, moved = 0.0, x[NX], trig[2 * NT + 1];
   Pose pose;
@@ -54,7 +54,7 @@ static int begin_at(const double *numbers, double *state) {
   if (!newton_by(1.0, numbers, state, x, 0, &pose)) return 0;
   inverse_sizes(pose.lu, pose.pivot, &all, &platform);
   for (int i = 0; i < NQ; ++i) moved = fmax(moved, fabs(pose.q[i] - state[i]) / POSITION_UNIT[i]);
-  if (!(moved * moved * all < 0.25)) return 0; /* half of the margin, 1 / sqrt(all) */
+  if (!(fmax(4.0 * moved * moved, SINGULAR_MARGIN * SINGULAR_MARGIN) * all < 1.0)) return 0; /* the margin is 1 / sqrt(all) */
   keep(&pose, state);
   return 1;
 }

@@ -12,7 +12,6 @@
 #define LONGEST 0.5     /* longest first step, rad or characteristic lengths: beyond it the linear model says nothing */
 #define FLOOR 1e-9      /* rad or characteristic lengths: smaller steps that no longer shrink are rounding next to a singularity */
 #define SETTLED (0.01 * TOLERANCE) /* so are all steps this small: a hundredth of the tolerance of closures */
-#define ROUNDED (2.0 * EPSILON) /* and steps that are this share of the largest coordinate and no longer shrink */
 #define SHORTEST 1e-4   /* share of the way to a sample, no unit; the way is lost where shorter steps fail */
 #define PART 0.1        /* least share of the platform in the norm of K's inverse at the end of a branch, no unit: 1e-4 at a rank loss */
 #define ITERATIONS 15   /* three times as many as quadratic convergence takes from LONGEST to SETTLED */
@@ -52,8 +51,8 @@ static int newton_by(double ratio, const double *numbers, const double *q, const
     if (out->sign == 0.0) return 0;
     solve(out->lu, out->pivot, step);
     double size = largest(step, NP);
-    int stalled = size > ratio * last && size <= FLOOR;
-    int settled = size <= SETTLED || (stalled && (out->residual < TOLERANCE || size <= ROUNDED * largest_over(out->q, POSITION_UNIT, NQ)));
+    int stalled = size > ratio * last && size <= FLOOR; /* at rounding, also where that is two units in the last place of a coordinate */
+    int settled = size <= SETTLED || (stalled && (out->residual < TOLERANCE || size <= 2.0 * EPSILON * largest_over(out->q, POSITION_UNIT, NQ)));
     if (settled) {
       if (!left)
         for (int i = 0; i < NALIGN; ++i)

@@ -198,20 +198,15 @@ typedef struct {
 } Driven;
 
 #if M == N
-/* The rows of the actuators, below those of the closures: S, and what they miss (M), without unit. A is null where it is decomposed. */
-static void drive_rows(const double *numbers, const double *off, double *A, double *missing) {
+/* Newton's step (NP) for closures and actuators at once, [J_c; S] step = [residual; off] without unit; returns 0 where it is singular. */
+static int actuated_step(const double *numbers, Pose *pose, const double *off, double *step, Driven *driven) {
+  if (!driven->known) copy(driven->A, pose->lu, NP * NP);
   for (int i = 0; i < NP; ++i)
     for (int j = 0; j < M; ++j) {
       int drives_it = ACTUATED[j] == COLUMNS[i];
-      if (A) A[R + j + i * NP] = drives_it;
-      if (drives_it) missing[R + j] = off[j] / VELOCITY_UNIT[COLUMNS[i]];
+      if (!driven->known) driven->A[R + j + i * NP] = drives_it;
+      if (drives_it) step[R + j] = off[j] / VELOCITY_UNIT[COLUMNS[i]];
     }
-}
-
-/* Newton's step (NP) for closures and actuators at once, [J_c; S] step = [residual; off]; returns 0 where it is singular. */
-static int actuated_step(const double *numbers, Pose *pose, const double *off, double *step, Driven *driven) {
-  if (!driven->known) copy(driven->A, pose->lu, NP * NP);
-  drive_rows(numbers, off, driven->known ? 0 : driven->A, step);
   if (!driven->known && decompose(driven->A, driven->pivot) == 0.0) return 0;
   driven->known = 1;
   solve(driven->A, driven->pivot, step);
