@@ -86,6 +86,8 @@ def relax(
             continue
         solution = solve(problem, elastic.values, seconds, elastic=(kind,), most=left)
         left -= solution.iterations
+        if solution.optimal and not _exceeded(solution):
+            return solution  # nothing is in the way: with a price on several the solver ended elsewhere
         if solution.optimal:
             alone[kind] = solution
         elif not solution.infeasible:
