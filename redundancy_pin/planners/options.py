@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal, ParamSpec, TypeVar
 
@@ -241,12 +241,12 @@ Planned = TypeVar("Planned")
 
 
 def takes_groups(
-    *without: str,
+    refused: Mapping[str, str],
 ) -> Callable[[Callable[Parameters, Planned]], Callable[Parameters, Planned]]:
     """Return a decorator: the planner says of a field given as a keyword of its own in which group it belongs.
 
     Args:
-        without: fields that the planner takes in no group (it says why where they are given).
+        refused: fields that the planner takes in no group, as for ``refuse_fields``.
 
     Raises:
         InputError: a keyword that the planner does not take.
@@ -258,7 +258,7 @@ def takes_groups(
         @functools.wraps(planner)
         def call(*args: Parameters.args, **keywords: Parameters.kwargs) -> Planned:
             for name in keywords.keys() - taken.keys():
-                remedy = _where(name, taken, without)
+                remedy = _where(name, taken, refused)
                 raise InputError(f"{planner.__name__} has no keyword {shown(name)}.", remedy=remedy, name=name)
             return planner(*args, **keywords)
 
@@ -267,8 +267,8 @@ def takes_groups(
     return decorate
 
 
-def _where(name: str, taken: Mapping[str, object], without: Sequence[str]) -> str:
-    for group in GROUPS.keys() & taken.keys() if name not in without else ():
+def _where(name: str, taken: Mapping[str, object], refused: Mapping[str, str]) -> str:
+    for group in GROUPS.keys() & taken.keys() if name not in refused else ():
         kind = GROUPS[group]
         if name in (field.name for field in fields(kind)):
             return f"Pass {group}={kind.__name__}({name}=...)."
@@ -289,19 +289,21 @@ def group_of(given: Group | None, kind: type[Group]) -> Group:
     return given
 
 
-def refuse_fields(group: object, reasons: Mapping[str, str]) -> None:
-    """Check that a group of options leaves fields at their defaults that a planner does not take.
+def refuse_fields(refused: Mapping[str, str], *groups: Any) -> None:
+    """Check that groups of options leave fields at their defaults that a planner does not take.
 
-    ``reasons``: by field, why the planner does not.
+    ``refused``: by field, why the planner does not.
 
     Raises:
         InputError: one of them is given.
     """
-    defaults = {field.name: field.default for field in fields(group)}  # type: ignore[arg-type]
-    for name, reason in reasons.items():
-        value = getattr(group, name)
-        if value is not defaults[name] and not (np.isscalar(value) and value == defaults[name]):
-            raise InputError(f"{name} does not apply: {reason}.", remedy="Leave it out.", name=name)
+    for group in groups:
+        for field in (own for own in fields(group) if own.name in refused):
+            value = getattr(group, field.name)
+            if value is not field.default and not (np.isscalar(value) and value == field.default):
+                raise InputError(
+                    f"{field.name} does not apply: {refused[field.name]}.", remedy="Leave it out.", name=field.name
+                )
 
 
 NO_NODES = dict.fromkeys(("refinements", "steps"), "the plan has samples a step apart, and nothing is refined")

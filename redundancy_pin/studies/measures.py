@@ -394,7 +394,7 @@ def bounds(plan: Plan, kind: str | None = None, carrier: int | None = None) -> l
     """
     events: Any = plan.diagnostics["bounds"]
     numbers = {name: i + 1 for i, name in enumerate(plan.robot.carriers)}
-    met = [(numbers[event["carrier"]], event["bound"], event["start"], event["end"]) for event in events]
+    met = [(numbers[event["joint"]], event["bound"], event["start"], event["end"]) for event in events]
     return [event for event in met if kind in (None, event[1]) and carrier in (None, event[0])]
 
 

@@ -314,7 +314,7 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
         require_type(task.options, Mapping, "A mapping of a task's options", remedy)
         positive(task.weight, "weight", "")
         objective = Objective.of(task.options.get("objective", "effort"))
-        refuse_fields(objective, {"calm": "machines are compared by least costs"})
+        refuse_fields({"calm": "machines are compared by least costs"}, objective)
         planner = plan_time_optimal if objective.weights == TIME else plan_whole_trajectory
         known = {"objective", *inspect.signature(planner).parameters} - {"dynamics", "motion", "path"}
         for name in task.options:

@@ -61,7 +61,7 @@ def relax(
             Or nothing admits a plan, or the time ran out.
     """
     problem, settings = replace(problem, shares=None), problem.settings.solver  # messages state the limits themselves
-    deadline = time.perf_counter() + settings.seconds
+    deadline, kinds = time.perf_counter() + settings.seconds, [kind for kind in kinds if _is_limited(problem, kind)]
     # with limits at the nodes alone: most often one limit does by itself, and is held between the nodes then
     most = None if problem.timing is None else ITERATIONS_OF_TIMING
     elastic = solve(problem, guess, settings.seconds, lambda _: True, elastic=kinds, most=most)
@@ -77,6 +77,7 @@ def relax(
     candidates = sorted([*exceeded, *touched], key=lambda kind: (exceeded != [kind], kind != "effort"))
     alone: dict[str, Solution] = {}
     untried: list[str] = []
+    in_vain: list[str] = []
     left = max(AGAIN * elastic.iterations, SPARED // len(problem.grid.t))
     for kind in candidates if len(candidates) > 1 else ():
         seconds = deadline - time.perf_counter()
@@ -85,10 +86,12 @@ def relax(
             continue
         solution = solve(problem, elastic.values, seconds, elastic=(kind,), most=left)
         left -= solution.iterations
+        if solution.optimal and not _exceeded(solution):
+            return solution  # nothing is in the way: with a price on several the solver ended elsewhere
         if solution.optimal:
             alone[kind] = solution
         elif not solution.infeasible:
-            untried.append(kind)
+            (in_vain if solution.stalled else untried).append(kind)
     seconds = deadline - time.perf_counter()
     if not alone and seconds > 0.0 and leaves_limits(problem, elastic.values).any():
         between = solve(problem, elastic.values, seconds, elastic=kinds)
@@ -99,13 +102,14 @@ def relax(
     events = [elastic_event(problem, robot, relaxed[kind], kind) for kind in order]
     text = ("; or " if alone else "; and ").join(str(event.pop("text")) for event in events)
     rest = f" Not tried to the end: {', '.join(untried)} alone." if untried else ""
+    rest += f" Tried without a motion, which is no proof: {', '.join(in_vain)} alone." if in_vain else ""
     what = "motion of the carriers" if problem.timing is None else "timing"
     raise InfeasiblePlanError(
         f"No {what} keeps every limit. What would suffice: {text}.{rest}",
         remedy=_REMEDY if problem.timing is None else _REMEDY_OF_TIMING,
         relaxations=tuple(events),
         together=not alone and len(exceeded) > 1,
-        untried=tuple(untried),
+        untried=(*untried, *in_vain),
         **events[0],
     )
 
@@ -171,10 +175,24 @@ def _exceeded(elastic: Solution) -> list[str]:
     return [kind for kind in KINDS if slack_name(kind) in elastic.values and _slack(elastic, kind) > NOTHING]
 
 
+def _is_limited(problem: Problem, kind: str) -> bool:
+    """Return whether there is any limit of a kind: what no row needs the solver may leave at any value."""
+    settings = problem.settings
+    if kind in ("at_most", "end"):
+        return bool(settings.at_most) if kind == "at_most" else settings.end != "free"
+    if kind == "jerk":
+        return bool(np.isfinite(settings.limits.jerk).any())
+    return bool(np.isfinite(scaled_bounds(problem)[_variable_of(kind)]).any())
+
+
+def _variable_of(kind: str) -> str:
+    return next(name for name, limit in KIND_OF.items() if limit == kind)
+
+
 def is_touched(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> bool:
     """Return whether a limit is reached somewhere."""
     if kind == "at_most":
-        return bool(problem.settings.at_most)
+        return True
     if kind == "end" or (kind == "force" and "force" not in elastic.values):
         return False
     values, low, high, *_ = _quantity(problem, robot, elastic, kind)
@@ -257,7 +275,7 @@ def _quantity(
         jerk = np.diff(elastic.values["sdd"], axis=0) * u.sdd / h
         limit = problem.settings.limits.jerk
         return jerk, -limit, limit, limit, robot.carriers
-    name = next(name for name, limit in KIND_OF.items() if limit == kind)
+    name = _variable_of(kind)
     size = np.broadcast_to(getattr(u, name), elastic.values[name].shape[1:])
     bounds = scaled_bounds(problem)[name]
     low, high, room = (bound * size for bound in (*bounds, half_range(kind, *bounds)))

@@ -33,6 +33,10 @@ End = Literal["free", "rest", "datum", "periodic"]
 """How the carriers end: anyhow; at rest; at rest where they park; or as they began (s, ṡ and s̈)."""
 
 
+REFUSED = {"steps": "the nodes are in time, and dt is their largest distance"}
+"""Fields of groups that a plan over a given time does not take, and why."""
+
+
 @dataclass(frozen=True, eq=False)
 class Settings:
     """Checked options of a plan over a whole path: weights by name, one number a carrier or actuator.
@@ -93,7 +97,7 @@ def checked_settings(
     """Return the settings of a plan over a whole trajectory after checking every option."""
     one_of(end, "end", get_args(End))
     goal, mesh, solver = Objective.of(objective), group_of(mesh, Mesh), group_of(solver, Solver)
-    refuse_fields(mesh, {"steps": "the nodes are in time, and dt is their largest distance"})
+    refuse_fields(REFUSED, mesh)
     weights = weights_of(goal.weights or {}, OBJECTIVES)
     resolved = group_of(limits, Limits).resolved(robot)
     park = resolved.on_track(datum, "datum")

@@ -50,7 +50,14 @@ NEVER_KEPT = ("effort", "force", "track")
 """Limits that a motion may exceed however slow it is, as under gravity beside a singularity."""
 
 
-@takes_groups("dt", "starts")
+REFUSED = {
+    "dt": "the timing is planned, and steps is the least number of steps along the path",
+    "starts": "there is one first guess, a harmonic motion along the path",
+}
+"""Fields of groups that the planner does not take, and why."""
+
+
+@takes_groups(REFUSED)
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_time_optimal(
     dynamics: DynamicsLike,
@@ -136,8 +143,7 @@ def path_task(
     one_of(begin, "begin", get_args(Begin))
     one_of(end, "end", get_args(End))
     mesh, solver = group_of(mesh, Mesh), group_of(solver, Solver)
-    refuse_fields(mesh, {"dt": "the timing is planned, and steps is the least number of steps along the path"})
-    refuse_fields(solver, {"starts": "there is one first guess, a harmonic motion along the path"})
+    refuse_fields(REFUSED, mesh, solver)
     resolved = group_of(limits, Limits).resolved(robot)
     if not (np.isfinite(resolved.effort).any() or np.isfinite(resolved.actuator_speed).any()):
         raise InputError(

@@ -23,7 +23,7 @@ from redundancy_pin.planners.optimal.mesh import first_mesh, steps_around, with_
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
 from redundancy_pin.planners.optimal.refine import Planned, Planning, plan_and_refine
-from redundancy_pin.planners.optimal.settings import End, checked_settings
+from redundancy_pin.planners.optimal.settings import REFUSED, End, checked_settings
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, solve, with_seconds
 from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
 from redundancy_pin.planners.options import Limits, Mesh, Objective, Solver, takes_groups
@@ -41,7 +41,7 @@ TWICE = 1.08
 """Ratio of efforts between the nodes to those at them from which steps are halved twice."""
 
 
-@takes_groups("steps")
+@takes_groups(REFUSED)
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_whole_trajectory(
     dynamics: DynamicsLike,

@@ -17,7 +17,7 @@ from redundancy_pin.planners.base_wrench import weights_of
 from redundancy_pin.planners.carrier_model import EffortModel
 from redundancy_pin.planners.carrier_return import CarrierState, no_force, return_polynomial, shortest_return
 from redundancy_pin.planners.limits import ResolvedLimits
-from redundancy_pin.planners.options import Limits, Objective, refuse_fields, return_duration
+from redundancy_pin.planners.options import NO_NODES, Limits, Objective, refuse_fields, return_duration
 from redundancy_pin.planners.stepwise.step import AccelerationBox, OptimisedSteps, optimise
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -59,6 +59,15 @@ class StepwiseSettings:
         return own | {name: tuple(own[name].tolist()) for name in ("start", "datum")}
 
 
+REFUSED = {
+    **NO_NODES,
+    "calm": "each step has one minimum, and there is none that is calmer",
+    "base_point": "the stepwise planner minimises no moment on the base",
+    "jerk": "the carriers' accelerations jump from step to step; use plan_whole_trajectory",
+}
+"""Fields of groups that the planner does not take, and why."""
+
+
 def checked_settings(robot: Robot, objective: Objective, limits: Limits, **options: Any) -> StepwiseSettings:
     """Return the settings of ``plan_stepwise`` after checking them; ``options`` are the other fields."""
     for name, allowed in (("active", get_args(Active)), ("stop", get_args(Stop)), ("anticipate", (True, False))):
@@ -66,14 +75,7 @@ def checked_settings(robot: Robot, objective: Objective, limits: Limits, **optio
     weights = weights_of(objective.weights or {}, GOALS)
     if len(weights) > 1:
         raise InputError("Each step has one objective.", remedy=f"Use {' or '.join(GOALS)}.", name="objective")
-    refuse_fields(
-        objective,
-        {
-            "calm": "each step has one minimum, and there is none that is calmer",
-            "base_point": "the stepwise planner minimises no moment on the base",
-        },
-    )
-    refuse_fields(limits, {"jerk": "the carriers' accelerations jump from step to step; use plan_whole_trajectory"})
+    refuse_fields(REFUSED, objective, limits)
     resolved = limits.resolved(robot)
     if options["stop"] == "within" and np.isinf(resolved.acceleration).any():
         raise InputError(

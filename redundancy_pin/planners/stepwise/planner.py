@@ -26,7 +26,6 @@ from redundancy_pin.planners.intersample_check import Findings, PlannedMotion
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.options import (
     LARGEST_STEP,
-    NO_NODES,
     Limits,
     Mesh,
     Objective,
@@ -37,6 +36,7 @@ from redundancy_pin.planners.options import (
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.course import (
     PHASES,
+    REFUSED,
     RETURN,
     Active,
     Course,
@@ -60,7 +60,7 @@ _FEWEST_SAMPLES = 10
 """Second differences over fewer samples do not describe a motion."""
 
 
-@takes_groups("refinements", "steps", "calm", "base_point", "jerk")
+@takes_groups(REFUSED)
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_stepwise(
     dynamics: DynamicsLike,
@@ -137,7 +137,7 @@ def plan_stepwise(
     """
     dynamics, mesh = as_dynamics_of_one_task(dynamics), group_of(mesh, Mesh)
     own_steps = {"dt": "the motion has steps of its own"} if isinstance(motion, PlatformMotion) else {}
-    refuse_fields(mesh, {**NO_NODES, **own_steps})
+    refuse_fields({**REFUSED, **own_steps}, mesh)
     robot = dynamics.robot
     require_carriers(robot)
     source = None
@@ -234,14 +234,14 @@ def _diagnostics(course: Course, gradient: float, limits: ResolvedLimits) -> dic
 
     - ``largest_gradient``: the largest deviation of a step from the first-order conditions of a minimum, N or N·m: the
       gradient of ½ ‖r‖² over the largest slope.
-    - ``bounds``: mappings with carrier, bound (``speed``, ``acceleration``, ``track``, or ``stop``: the carrier is kept
-      able to stop), side, start and end, s.
+    - ``bounds``: mappings with joint, the carrier's; bound (``speed``, ``acceleration``, ``track``, or ``stop``: the
+      carrier is kept able to stop); side, start and end, s.
     - ``returns``: start and end of each, s; ``braking``: start and end, NaN where nothing moved.
     """
     events = [event for first, steps in course.optimised for event in _bounds_met(course.t[first + 1 :], steps, limits)]
     return {
         "largest_gradient": gradient,
-        "bounds": tuple(sorted(events, key=lambda event: (event["start"], event["carrier"]))),
+        "bounds": tuple(sorted(events, key=lambda event: (event["start"], event["joint"]))),
         "returns": tuple(course.returns),
         "braking": course.braking,
     }
@@ -252,7 +252,7 @@ _MET = 1e-9
 
 
 def _bounds_met(t: Array, steps: OptimisedSteps, limits: ResolvedLimits) -> Iterator[dict[str, Any]]:
-    """Give carrier, bound, side, start and end, s, where the box of the steps binds; ``t`` (P,) ends of the steps."""
+    """Give joint, bound, side, start and end, s, where the box of the steps binds; ``t`` (P,) ends of the steps."""
     length = np.diff(limits.track)[:, 0]
     slack = _MET * np.where(np.isfinite(length), length, 1.0)
     sides = ("upper", 1.0, steps.upper, limits.track[:, 1]), ("lower", -1.0, steps.lower, -limits.track[:, 0])
@@ -267,5 +267,5 @@ def _bounds_met(t: Array, steps: OptimisedSteps, limits: ResolvedLimits) -> Iter
             for j, name in enumerate(limits.names):
                 for a, b in runs((steps.sdd == box)[:, j] & there[:, j]):
                     yield {
-                        "carrier": name, "bound": bound, "side": side, "start": float(t[a]), "end": float(t[b - 1])
+                        "joint": name, "bound": bound, "side": side, "start": float(t[a]), "end": float(t[b - 1])
                     }  # fmt: skip

@@ -67,7 +67,7 @@ Returned = tuple[Crossing, PiecewisePolynomial]
 """A crossing, and the return of the carriers (k,) after it, m over time."""
 
 
-@takes_groups("refinements", "steps")
+@takes_groups(NO_NODES)
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_switch_off(
     dynamics: DynamicsLike,
@@ -116,7 +116,7 @@ def plan_switch_off(
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
     dynamics, mesh = as_dynamics(dynamics), group_of(mesh, Mesh)
-    refuse_fields(mesh, NO_NODES)
+    refuse_fields(NO_NODES, mesh)
     robot, source = dynamics.robot, as_motion(motion)
     if robot.k < robot.n:
         raise UnsupportedRobotError(

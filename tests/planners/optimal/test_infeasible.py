@@ -255,6 +255,26 @@ def test_a_limit_below_rounding_is_one_like_others(effort: float) -> None:
     assert {event["constraint"] for event in caught.value.details["relaxations"]} <= {"effort", "acceleration", "track"}
 
 
+def test_what_has_no_limit_does_not_give_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor is it said to be untried: the solver ended with such fractions above zero; their message raised."""
+    asked, solve = [], infeasible.solve
+
+    def recorded(*arguments: Any, **options: Any) -> Any:
+        asked.append(options["elastic"])
+        return solve(*arguments, **options)
+
+    monkeypatch.setattr(infeasible, "solve", recorded)
+    with pytest.raises(InfeasiblePlanError):
+        rp.plan_whole_trajectory(
+            rp.VirtualWork(zoo.robot_of("2rpr", end_effector_mass=0.5)),
+            straight((0.15, 0.4), (0.25, 0.3), 0.2),
+            limits=rp.Limits(effort=1e-3, speed=np.inf),
+            mesh=rp.Mesh(dt=0.04, refinements=0),
+            end="free",
+        )
+    assert set(asked[0]) == {"track", "acceleration", "effort", "force"}
+
+
 def test_what_would_suffice_for_efforts_is_the_least_peak() -> None:
     """Which the peak objective finds by itself."""
     dynamics, circle = rp.VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.75, 0.2, 0.075)

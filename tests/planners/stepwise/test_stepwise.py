@@ -197,7 +197,7 @@ def test_random_plans_are_minimal_within_limits_and_end_at_rest(lam, mode, mass,
     assert (plan.carriers.sd[-1] == 0.0).all()
     assert plan.findings.optimal
     assert plan.diagnostics["largest_gradient"] < 1e-6
-    narrowed = {event["carrier"] for event in plan.diagnostics["bounds"] if event["bound"] == "stop"}
+    narrowed = {event["joint"] for event in plan.diagnostics["bounds"] if event["bound"] == "stop"}
     if not narrowed:
         require_true_minimum(plan, dynamics, motion, limits, lam * baseline, steps_of(plan)[7::80])
 
@@ -258,7 +258,7 @@ def events_of(plan):
     optimised = steps_of(plan)
     for event in plan.diagnostics["bounds"]:
         during = optimised[(plan.t[optimised] >= event["start"]) & (plan.t[optimised] <= event["end"])]
-        yield event["bound"], int(event["carrier"][-1]) - 1, 1.0 if event["side"] == "upper" else -1.0, during
+        yield event["bound"], int(event["joint"][-1]) - 1, 1.0 if event["side"] == "upper" else -1.0, during
 
 
 @pytest.mark.parametrize("radius", [0.013, 0.025])
@@ -332,7 +332,7 @@ def test_steps_that_do_not_reach_their_minimum_are_a_status():
 def test_the_thesis_corner_in_its_mode():
     """Mode (+,+,+), r = 0.025, 5 ms: carrier 2 meets its speed, then its acceleration limit (Parsa 2014, fig. 4.9)."""
     plan = plan_stepwise(dynamics_of(), corner(0.005))
-    bounds = {(event["carrier"], event["bound"]) for event in plan.diagnostics["bounds"]}
+    bounds = {(event["joint"], event["bound"]) for event in plan.diagnostics["bounds"]}
     assert bounds == {("carrier_2", "speed"), ("carrier_2", "acceleration")}
     assert not plan.limits.violated
     assert plan.status is ResultStatus.UNRESOLVED  # single samples
