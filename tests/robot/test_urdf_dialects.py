@@ -182,7 +182,7 @@ def test_three_hinges_through_a_point_are_the_ball_of_a_rod(damped: str, tmp_pat
     driven = rp.load_robot(tmp_path / "hinges.urdf", actuated=["motor", "near_x"], gravity=GRAVITY)
     assert driven.n == 2  # a hinge that a motor turns is no part of a ball
     whole = RSSR.format("".join([*links, *hinges]))
-    flag = f'<link name="flag"><inertial>{NONE}<joint name="flag" type="continuous"><parent link="first"/>'
+    flag = f'<link name="flag"><inertial>{NONE}<joint name="waving" type="continuous"><parent link="first"/>'
     flag += '<child link="flag"/></joint></robot>'
     for old, new, count in (
         ('xyz="0 0 0"', 'xyz="0 0 0.01"', 2),  # nor are hinges that miss one another
