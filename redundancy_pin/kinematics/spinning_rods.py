@@ -69,7 +69,7 @@ def _ball_around(robot: Robot, index: int) -> tuple[int, ...] | None:
     row = [index]
     while _continues(robot, row[0]):
         row.insert(0, int(model.parents[row[0]]))
-    while len(after := list(model.children[row[-1]])) == 1 and _continues(robot, int(after[0])):
+    while (after := list(model.children[row[-1]])) and _continues(robot, int(after[0])):
         row.append(int(after[0]))
     if len(row) != 3 or any(str(model.names[each]) in (*robot.actuated, *robot.carriers) for each in row):
         return None

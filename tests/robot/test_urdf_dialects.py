@@ -180,9 +180,17 @@ def test_three_hinges_through_a_point_are_the_ball_of_a_rod(damped: str, tmp_pat
         assert torque(robots[0]) == pytest.approx(torque(robots[1]), rel=1e-9)
     driven = rp.load_robot(tmp_path / "hinges.urdf", actuated=["motor", "near_x"], gravity=GRAVITY)
     assert driven.n == 2  # a hinge that a motor turns is no part of a ball
-    far = RSSR.format("".join([*links, *hinges])).replace('xyz="0 0 0"', 'xyz="0 0 0.01"')
-    (tmp_path / "apart.urdf").write_text(far)
-    assert rp.load_robot(tmp_path / "apart.urdf", gravity=GRAVITY).n == 2  # nor are hinges that miss one another
+    whole = RSSR.format("".join([*links, *hinges]))
+    flag = f'<link name="flag"><inertial>{NONE}<joint name="waving" type="continuous"><parent link="first"/>'
+    flag += '<child link="flag"/></joint></robot>'
+    for old, new, count in (
+        ('xyz="0 0 0"', 'xyz="0 0 0.01"', 2),  # nor are hinges that miss one another
+        (links[0], links[0].replace(NONE, ROD), 2),  # nor those with a mass between them
+        ("</robot>", flag, 3),  # nor those with something else between them
+    ):
+        assert old in whole
+        (tmp_path / "no_ball.urdf").write_text(whole.replace(old, new))
+        assert rp.load_robot(tmp_path / "no_ball.urdf", gravity=GRAVITY).n == count
 
 
 @pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])

@@ -129,8 +129,8 @@ def _mended(text: str) -> str:
     """Return a text as tinyxml2 reads it, line by line the same.
 
     Gazebo, MuJoCo, Drake and urdfdom read by tinyxml2. It takes blanks before the declaration, "--" in a comment, and
-    prefixes that are bound to no namespace: 1 of 20 of Gazebo's example worlds has these. Here "drake:" is Drake's
-    namespace, and another prefix is its own.
+    prefixes that are bound to no namespace: 8 of the 44 example worlds of Gazebo that have joints. Here "drake:" is
+    Drake's namespace, and another prefix is its own.
     """
     text = re.sub(r"^(\s+)<\?xml[^<>]*\?>", r"\1", text)
     parts, place = list[str](), 0
