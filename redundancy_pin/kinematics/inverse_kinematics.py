@@ -27,7 +27,7 @@ from redundancy_pin.kinematics.branch import (
     follower,
 )
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator, mode_name, working_modes
+from redundancy_pin.kinematics.coordinates import difference, in_working_mode, mode_indicator, mode_name, working_modes
 from redundancy_pin.kinematics.mobility import worst_dependent_row
 from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.kinematics.whole_turns import advance_turns, are_too_many_turns_away
@@ -41,6 +41,9 @@ from redundancy_pin.status import SampleStatus
 
 _FAR_STARTS = 5
 """Samples at which multistart is tried where Newton's method closes no sample in the working mode."""
+
+_MOST_KNOWN = 20_000
+"""Samples that a memory of one motion holds at most, kilobytes each."""
 
 _SAMPLES_PER_REPORT = 500
 """Samples between two calls of ``progress``."""
@@ -178,13 +181,20 @@ class MotionSolution:
         known, motion = self._known, self._motion
         for count, k in enumerate(order):
             key = b"" if known is None else sample_key(motion, k)
-            reached = known[key] if known and key in known else self._solved(here, k)
+            before = known.get(key) if known else None
+            reached = self._solved(here, k) if before is None or not self._continues(here, before.state) else before
             if isinstance(reached, BranchEnd):
                 return count, here, reached
-            if known is not None:
+            if known is not None and len(known) < _MOST_KNOWN:
                 known[key] = reached
             here = self._keep(k, reached)
         return len(order), here, None
+
+    def _continues(self, here: ClosedState, known: ClosedState) -> bool:
+        """Return whether a state that was solved before is plainly on the branch of another, not whole turns away."""
+        own = self._follower
+        increment = difference(own.robot, known.x, here.x)
+        return own.is_continuous(own.tangent(here.q, known.q), here.gamma, known.gamma, increment)
 
     def first_state(self) -> ClosedState:
         """Return where the branch is followed from: the first sample if it is known, else by ``point_on_branch``."""

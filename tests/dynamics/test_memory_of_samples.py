@@ -64,3 +64,20 @@ def test_a_memory_is_of_one_object() -> None:
         np.tile([0.0, -1.0, 0.0], (len(motion), 1)),
         atol=1e-9,
     )
+
+
+def test_what_is_remembered_is_taken_up_on_the_same_whole_turn_only() -> None:
+    """A part of the motion that begins between known samples begins near the reference, a whole turn before them."""
+    plain = RneaDynamics(zoo.robot_of("2rpr"))
+    remembering, angles = plain.with_memory(), np.linspace(0.0, 3.0 * np.pi, 180)
+
+    def along(angle: np.ndarray) -> rp.PlatformMotion:
+        unit = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        rate, second = 0.15 * unit[:, ::-1] * [-1.0, 1.0], -0.15 * unit
+        return rp.PlatformMotion(angle, 0.15 * unit, rate, second, check_rates=False)
+
+    remembering.along(along(angles))
+    part = along(np.append(0.5 * (angles[150] + angles[151]), angles[151:160]))
+    q = remembering.along(part).q
+    assert np.abs(np.diff(q, axis=0)).max() < 0.1
+    np.testing.assert_allclose(q, plain.along(part).q, atol=1e-12)
