@@ -34,6 +34,10 @@ LONGEST_STEP = 0.04
 _MOST_STEPS = 20_000
 """Steps along one straight path: eight hundred characteristic lengths."""
 
+_NEAR_TARGET = 2.0**-2
+"""Part of the longest step within which a target that Newton's method does not close is out of reach: from farther
+away it may miss one, next to a singularity."""
+
 SAME_CONFIGURATION = 1e-6
 """Closed configurations of one pose nearer than this (rad, characteristic lengths) are the same, computed twice."""
 
@@ -192,11 +196,13 @@ class Follower(LoopSolver):
                 continue
             if end > within_reach:
                 problem = self.diagnose(here, target)
-                if end == 1.0 and problem.is_final:
-                    return problem
-                if problem.status is SampleStatus.UNREACHABLE:
-                    break  # the line leaves the workspace: shorter steps would only creep up to its border
-                within_reach = end
+                unreachable = problem.status is SampleStatus.UNREACHABLE
+                if not unreachable or size <= _NEAR_TARGET * longest:
+                    if end == 1.0 and problem.is_final:
+                        return problem
+                    if unreachable:
+                        break  # the line leaves the workspace: shorter steps would only creep up to its border
+                    within_reach = end
             size = 0.5 * (end - done)
             if size * max(length, 1.0) < SETTLED_STEP:
                 break

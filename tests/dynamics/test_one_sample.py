@@ -22,6 +22,7 @@ from machines import machine
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
+from redundancy_pin.crosscheck.cases import random_robot
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.results import ReducedDynamics, TorqueSample
 from redundancy_pin.errors import InputError, UnsupportedRobotError
@@ -479,6 +480,40 @@ def test_legs_that_make_no_triangle_are_unreachable() -> None:
             assert got.status is SampleStatus.UNREACHABLE
             assert got.residual > 0.0
     assert 15 < apart < 45
+
+
+def test_steps_that_newton_misses_are_halved_before_a_set_point_is_out_of_reach() -> None:
+    """The straight way of the motors of a random 3-RRR to positions that two halves of it lead to."""
+    robot = random_robot("3rrr", np.random.default_rng(0))
+    dynamics = rp.CompiledDynamics(robot)
+    start = np.array([1.549025913101081, -2.0711757456043323, 0.5221498325032493, 1.592566740488712, 2.0711757456043336,
+                      -0.5453691892921135, -2.071175745604333])  # fmt: skip
+    goal = np.array([0.933800493101081, 2.360165980488712, -0.17109097929211353])
+    got = dynamics.joint_state(goal, start=start)
+    dynamics.joint_state(0.5 * (robot.joint_positions(start) + goal), start=start)
+    want = dynamics.joint_state(goal)
+    assert got.status is want.status is SampleStatus.OK
+    np.testing.assert_allclose(got.q, want.q, rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize(("name", "x"), [("2rpr", [-0.25, -0.4]), ("delta", [-0.1940804, -0.30004984, 0.56533433])])
+def test_what_is_refused_from_a_start_is_not_refused_without_one(name: str, x: list[float]) -> None:
+    """On no straight way from the reference; without a branch to keep to, the sample may be on any."""
+    robot = machine(name)
+    dynamics, zero = rp.CompiledDynamics(robot), np.zeros(robot.n)
+    assert not dynamics.torque(x, zero, zero, start=robot.q_reference).status.solved
+    assert dynamics.torque(x, zero, zero).status is rp.CompiledDynamics(robot).torque(x, zero, zero).status
+    assert dynamics.torque(x, zero, zero).status.solved
+
+
+def test_a_start_that_is_named_again_is_refused_again_at_once(work: list[str]) -> None:
+    robot, dynamics = machine("five_bar"), dynamics_of("five_bar")
+    home = np.array(robot.q_reference)
+    beyond, counts = robot.joint_positions(home) + BEYOND["five_bar"], []
+    for _ in range(3):
+        assert dynamics.joint_state(beyond, start=home).status is SampleStatus.UNREACHABLE
+        counts.append(len(work))
+    assert 0 < counts[0] == counts[-1]
 
 
 def test_what_is_refused_is_not_looked_for_again_at_other_velocities(work: list[str]) -> None:

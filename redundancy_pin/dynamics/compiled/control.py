@@ -195,7 +195,7 @@ class _Branch:
             return self.refused[1]
 
     def _key(self, given: Array) -> bytes:
-        return b"".join(part.tobytes() for part in (self.state, self._signs, given))
+        return b"".join(part.tobytes() for part in (self.state, self._signs, given)) + bytes([self.known])
 
     def save(self) -> tuple[Array, Array, bool]:
         """Return what ``restore`` takes."""
@@ -264,6 +264,8 @@ class SampleCall:
             margins = self._residual(), self._serial()
             return TorqueSample(self._tau.copy(), _STATUSES[code], self._margin(), self._force.copy(), *margins)
         solved = False
+        if start is not None:
+            self._branch.begin(start)  # as it was given, which is what is asked again while a set-point is held
         try:
             answer = self._answer(code, t)
             solved = int(answer.status) not in _WITHOUT_RESULT
@@ -391,6 +393,8 @@ class JointStateCall:
             branch.refused = None
         else:
             if code == _FOR_KINEMATICS:
+                if start is not None:
+                    branch.begin(start)  # as it was given, which is what is asked again while a set-point is held
                 code = self._by_kinematics()
             if code in _WITHOUT_RESULT:
                 self._results[:-1] = np.nan
