@@ -49,7 +49,7 @@ class ClosedChain(TreePlacement):
         self._placements: dict[str, tuple[Array, Array]] = {}  # views
         self._placed: PlacedRows | None = None
         self._jacobian: Array | None = None
-        self.use_basis(basis)
+        self._combine_by(basis)
 
     def __reduce__(self) -> tuple[type[ClosedChain], tuple[Robot, Array | None]]:
         """Make another one where this is copied or sent to: views into Pinocchio's memory would not be views there."""
@@ -57,6 +57,10 @@ class ClosedChain(TreePlacement):
 
     def use_basis(self, basis: Array | None) -> None:
         """Combine all closure rows by a basis (R, r) of ``best_basis``; None: use the independent rows again."""
+        if basis is not self.basis:
+            self._combine_by(basis)
+
+    def _combine_by(self, basis: Array | None) -> None:
         system = self.system
         self.basis, self._used = basis, system if basis is None else system.every
         self.equation_unit, self._factor = system.equation_unit, system.relative_factor
