@@ -121,6 +121,19 @@ def test_each_thread_has_its_own_warm_start(backend: Backend) -> None:
         assert_alike(dynamics.torque(far, zero, zero + 1.0)[:2], there[:2], 1e-12)
 
 
+def test_efforts_that_overflow_move_no_state() -> None:
+    """Of the 2-RPR near the line between its base hinges forces of 1e307 N are balanced by efforts of 1e309 N."""
+    dynamics, home, zero = dynamics_of("2rpr"), zoo.home_of(machine("2rpr")), np.zeros(2)
+    q = np.array(machine("2rpr").q_reference)
+    for _ in range(2):
+        before = dynamics.torque(home, zero, zero + 1.0, start=q)
+    near = np.array([0.2, 1e-3])
+    assert dynamics.torque(near, zero, np.array([0.0, 1e300])).status is SampleStatus.NEAR_SINGULAR
+    dynamics.torque(home, zero, zero + 1.0, start=q)
+    assert dynamics.torque(near, zero, np.array([0.0, 3e306])).status is SampleStatus.NOT_FINITE
+    assert_alike(dynamics.torque(home, zero, zero + 1.0), before)
+
+
 def test_a_sample_far_from_the_one_before_is_reached_from_the_reference() -> None:
     robot = zoo.robot_of("2rpr")
     compiled, xd, xdd = rp.CompiledDynamics(robot), [0.3, -0.2], [1.0, 2.0]
@@ -366,8 +379,11 @@ def test_redundant_motors_that_contradict_each_other_have_no_pose(name: str) -> 
         assert np.isnan(got.q).all() == np.isnan(got.xd).all() == (not got.status.solved)
         got = dynamics.joint_state(q0[at], rate + off * away * np.abs(rate).max())
         assert got.status is (SampleStatus.OK if off < 1e-8 else SampleStatus.UNREACHABLE)
+    before = [dynamics.joint_state(q0[at], rate) for _ in range(3)][-1]
     assert dynamics.joint_state(q0[at], away).status is SampleStatus.UNREACHABLE
+    assert dynamics.joint_state(q0[at] + 0.1 * away, rate).status is SampleStatus.UNREACHABLE
     assert dynamics.joint_state(q0[at], rate).status is SampleStatus.OK
+    assert_alike(dynamics.joint_state(q0[at], rate), before)
 
 
 def test_from_far_away_it_is_that_branch_or_none() -> None:
