@@ -222,37 +222,39 @@ def test_what_suffices_suffices_where_the_reference_acceleration_jumps() -> None
     assert not caught.value.details["together"]
     for event in caught.value.details["relaxations"]:
         enough = rp.Limits(**{**limits, event["constraint"]: WIDER * event["limit"]})
-        assert rp.plan_whole_trajectory(dynamics, corner, limits=enough, mesh=mesh).findings.optimal
+        plan = rp.plan_whole_trajectory(dynamics, corner, limits=enough, mesh=mesh)
+        assert plan.findings.optimal
+        assert "jerk" not in {event.quantity for event in plan.limits.violated}
 
 
 def test_a_track_is_as_long_as_is_needed_between_the_nodes() -> None:
-    """Where the carriers turn back between two nodes these show less."""
-    dynamics, corner = rp.VirtualWork(zoo.robot_of("3rrr")), reference.corner(0.025)
+    """Where the carriers turn back between two nodes these show less: 0.6 mm here, with which there is no plan."""
+
+    def plan(half: float) -> Any:
+        limits, mesh = rp.Limits(track=(-half, half), effort=2.5), rp.Mesh(dt=0.1, refinements=0)
+        return rp.plan_whole_trajectory(rp.VirtualWork(zoo.robot_of("3rrr")), corner, limits=limits, mesh=mesh)
+
+    corner = reference.corner(0.025)
     with pytest.raises(InfeasiblePlanError) as caught:
-        rp.plan_whole_trajectory(
-            dynamics,
-            corner,
-            limits=rp.Limits(track=(-0.05, 0.05), effort=2.5),
-            mesh=rp.Mesh(dt=0.1, refinements=0),
-        )
+        plan(0.05)
     (track,) = (event for event in caught.value.details["relaxations"] if event["constraint"] == "track")
-    assert track["amount"] == pytest.approx(0.05 * track["fraction"], rel=1e-6)
-    assert abs(track["limit"]) == pytest.approx(0.05 + track["amount"], rel=1e-6)
+    assert plan(abs(track["limit"]) + 5e-5).findings.optimal
+    with pytest.raises(InfeasiblePlanError):
+        plan(abs(track["limit"]) - 2e-4)
 
 
 @pytest.mark.parametrize("effort", [1e-8, 1e-18, 1e-60])
 def test_a_limit_below_rounding_is_one_like_others(effort: float) -> None:
     """IPOPT ended the process: at once, or where limits at the nodes were lowered for what is between them."""
-    line, mesh = straight((0.15, 0.4), (0.25, 0.3), 0.2), rp.Mesh(dt=0.04, refinements=0)
-    massless, heavy = zoo.robot_of("2rpr"), zoo.robot_of("2rpr", end_effector_mass=0.5, cylinder_mass=0.3)
+    line = straight((0.15, 0.4), (0.25, 0.3), 0.2)
 
-    def plan(robot: Any, effort: float) -> Any:
-        return rp.plan_whole_trajectory(robot, line, limits=rp.Limits(effort=effort), mesh=mesh, end="free")
+    def plan(effort: float, mesh: rp.Mesh) -> Any:
+        limits = rp.Limits(effort=effort)
+        return rp.plan_whole_trajectory(zoo.robot_of("2rpr"), line, limits=limits, mesh=mesh, end="free")
 
-    assert plan(massless, effort).status is ResultStatus.LIMIT_VIOLATED  # by what is between the nodes
-    with pytest.raises(InfeasiblePlanError, match="What would suffice: ") as caught:
-        plan(heavy, effort)
-    assert {event["constraint"] for event in caught.value.details["relaxations"]} <= {"effort", "acceleration", "track"}
+    assert plan(effort, rp.Mesh(dt=0.04, refinements=0)).status is ResultStatus.LIMIT_VIOLATED
+    with pytest.raises(InfeasiblePlanError, match="What would suffice: the effort of"):
+        plan(effort, rp.Mesh(dt=0.02))
 
 
 def test_what_has_no_limit_does_not_give_way(monkeypatch: pytest.MonkeyPatch) -> None:
