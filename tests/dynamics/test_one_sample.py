@@ -230,7 +230,8 @@ def test_torques_at_a_type_two_pose_exist_or_not(backend: Backend) -> None:
 def test_failures_are_statuses_and_the_next_sample_is_as_before(backend: Backend) -> None:
     dynamics, zero = backend(machine("3rrr")), np.zeros(3)
     home = zoo.home_of(machine("3rrr"))
-    before = dynamics.torque(home, zero, zero + 1.0)
+    before = [dynamics.torque(home, zero, zero + 1.0) for _ in range(2)][-1]
+    moved = 0.0 if backend is rp.CompiledDynamics else 1e-12
     for x, status in (
         (home + np.array([9.0, 0.0, 0.0]), SampleStatus.UNREACHABLE),
         (home * np.nan, SampleStatus.NOT_FINITE),
@@ -241,7 +242,7 @@ def test_failures_are_statuses_and_the_next_sample_is_as_before(backend: Backend
         assert np.isnan([*got.tau, got.margin, *got.carrier_force]).all()
         after = dynamics.torque(home, zero, zero + 1.0)
         assert after.status is SampleStatus.OK
-        np.testing.assert_allclose(after.tau, before.tau, rtol=1e-12)
+        np.testing.assert_allclose(after.tau, before.tau, rtol=moved)
     for end in (-1.0, 1.0):
         off_track = dynamics.torque(home, zero, zero, s=1.001 * end)
         assert off_track.status is SampleStatus.OUT_OF_RANGE
