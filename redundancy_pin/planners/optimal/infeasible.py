@@ -61,15 +61,15 @@ def relax(
             Or nothing admits a plan, or the time ran out.
     """
     problem, settings = replace(problem, shares=None), problem.settings.solver  # messages state the limits themselves
-    deadline, kinds = time.perf_counter() + settings.seconds, [kind for kind in kinds if _is_limited(problem, kind)]
+    deadline = time.perf_counter() + settings.seconds
     # with limits at the nodes alone: most often one limit does by itself, and is held between the nodes then
     most = None if problem.timing is None else ITERATIONS_OF_TIMING
     elastic = solve(problem, guess, settings.seconds, lambda _: True, elastic=kinds, most=most)
-    if elastic.feasible and not _exceeded(elastic):
+    if elastic.feasible and not _exceeded(problem, elastic):
         elastic = solve(problem, elastic.values, deadline - time.perf_counter(), elastic=kinds)
     if not elastic.feasible:
         raise nothing_helps(problem, elastic, message)
-    exceeded = _exceeded(elastic)
+    exceeded = _exceeded(problem, elastic)
     if not exceeded:
         return elastic
     # one that is only touched may do as well by itself: with a price on all, others gave way in its place
@@ -86,7 +86,7 @@ def relax(
             continue
         solution = solve(problem, elastic.values, seconds, elastic=(kind,), most=left)
         left -= solution.iterations
-        if solution.optimal and not _exceeded(solution):
+        if solution.optimal and not _exceeded(problem, solution):
             return solution  # nothing is in the way: with a price on several the solver ended elsewhere
         if solution.optimal:
             alone[kind] = solution
@@ -95,8 +95,8 @@ def relax(
     seconds = deadline - time.perf_counter()
     if not alone and seconds > 0.0 and leaves_limits(problem, elastic.values).any():
         between = solve(problem, elastic.values, seconds, elastic=kinds)
-        elastic = between if between.feasible and _exceeded(between) else elastic
-        exceeded = _exceeded(elastic)
+        elastic = between if between.feasible and _exceeded(problem, between) else elastic
+        exceeded = _exceeded(problem, elastic)
     relaxed = alone or dict.fromkeys(exceeded, elastic)
     order = sorted(relaxed, key=lambda kind: _slack(relaxed[kind], kind))
     events = [elastic_event(problem, robot, relaxed[kind], kind) for kind in order]
@@ -170,13 +170,14 @@ def _slack(solution: Solution, kind: str) -> float:
     return float(solution.values[slack_name(kind)][0, 0])
 
 
-def _exceeded(elastic: Solution) -> list[str]:
-    """Return the kinds of limits that gave way."""
-    return [kind for kind in KINDS if slack_name(kind) in elastic.values and _slack(elastic, kind) > NOTHING]
+def _exceeded(problem: Problem, elastic: Solution) -> list[str]:
+    """Return the kinds of limits that gave way; the fraction of one that is not there may have any value."""
+    slacks = {kind: slack_name(kind) for kind in KINDS if slack_name(kind) in elastic.values}
+    return [kind for kind in slacks if _slack(elastic, kind) > NOTHING and _is_limited(problem, kind)]
 
 
 def _is_limited(problem: Problem, kind: str) -> bool:
-    """Return whether there is any limit of a kind: what no row needs the solver may leave at any value."""
+    """Return whether there is any limit of a kind."""
     settings = problem.settings
     if kind in ("at_most", "end"):
         return bool(settings.at_most) if kind == "at_most" else settings.end != "free"
@@ -192,7 +193,7 @@ def _variable_of(kind: str) -> str:
 def is_touched(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> bool:
     """Return whether a limit is reached somewhere."""
     if kind == "at_most":
-        return True
+        return bool(problem.settings.at_most)
     if kind == "end" or (kind == "force" and "force" not in elastic.values):
         return False
     values, low, high, *_ = _quantity(problem, robot, elastic, kind)
