@@ -22,7 +22,6 @@ from machines import machine
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.crosscheck.cases import random_robot
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.results import ReducedDynamics, TorqueSample
 from redundancy_pin.errors import InputError, UnsupportedRobotError
@@ -501,8 +500,10 @@ def test_legs_that_make_no_triangle_are_unreachable() -> None:
 
 
 def test_steps_that_newton_misses_are_halved_before_a_set_point_is_out_of_reach() -> None:
-    """The straight way of the motors of a random 3-RRR to positions that two halves of it lead to."""
-    robot = random_robot("3rrr", np.random.default_rng(0))
+    """The straight way of the motors of a 3-RRR to positions that two halves of it lead to."""
+    sizes = {"base_radius": 1.0547846749285816, "platform_radius": 0.22697867137638703,
+             "proximal_length": 0.8163894095744779, "distal_length": 0.8066110542114117}  # fmt: skip
+    robot = rp.load_robot("3rrr", **sizes, carriers=False, working_mode=(1, -1, 1))
     dynamics = rp.CompiledDynamics(robot)
     start = np.array([1.549025913101081, -2.0711757456043323, 0.5221498325032493, 1.592566740488712, 2.0711757456043336,
                       -0.5453691892921135, -2.071175745604333])  # fmt: skip
