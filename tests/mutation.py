@@ -71,20 +71,21 @@ class Mutant(NamedTuple):
 
 def choose_python_mutants(files: Sequence[Path], count: int, dice: random.Random) -> Iterator[Mutant]:
     """Give ``count`` changes of Python files: the file by its length, then the operator, then the place."""
-    sizes = [path.stat().st_size for path in files]
+    sizes, seen = [path.stat().st_size for path in files], set[Mutant]()
     while count:
         path = dice.choices(files, sizes)[0]
         operator, source = get_operator(f"core/{dice.choice(PYTHON_OPERATORS)}")(), path.read_text(encoding="utf-8")
         places = sum(len(list(operator.mutation_positions(node))) for node in ast_nodes(get_ast(source)))
         text = mutate_code(source, operator, dice.randrange(places)) if places else None
-        if text not in (None, source):
-            yield Mutant(path.relative_to(ROOT), text)
+        if text not in (None, source) and (mutant := Mutant(path.relative_to(ROOT), text)) not in seen:
+            seen.add(mutant)
+            yield mutant
             count -= 1
 
 
 def choose_c_mutants(files: Sequence[Path], count: int, dice: random.Random) -> Iterator[Mutant]:
     """Give ``count`` changes of C files, comments left out."""
-    sizes = [path.stat().st_size for path in files]
+    sizes, seen = [path.stat().st_size for path in files], set[Mutant]()
     while count:
         path, (pattern, replacement) = dice.choices(files, sizes)[0], dice.choice(C_EXCHANGES)
         source = path.read_text(encoding="utf-8")
@@ -93,8 +94,11 @@ def choose_c_mutants(files: Sequence[Path], count: int, dice: random.Random) -> 
         places = [place for place in places if not any(a <= place[0] < b for a, b in comments)]
         if places:
             start, end = dice.choice(places)
-            yield Mutant(path.relative_to(ROOT), source[:start] + replacement + source[end:])
-            count -= 1
+            mutant = Mutant(path.relative_to(ROOT), source[:start] + replacement + source[end:])
+            if mutant not in seen:
+                seen.add(mutant)
+                yield mutant
+                count -= 1
 
 
 def failed_test(copy: Path, cache: Path, tests: Sequence[str]) -> str:

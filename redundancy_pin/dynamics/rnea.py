@@ -35,7 +35,7 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, refusal_of, solve_sample, without_answer
 from redundancy_pin.dynamics.results import CarrierDerivatives, ReducedDynamics, TorqueSample
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort, tree_energy, tree_loads
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, WorkingModeError
 from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, Rates, follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import in_working_mode
@@ -169,6 +169,11 @@ class RneaDynamics(Dynamics):
             here = follower(robot).state_at(q)
             if here is None or here.margin == 0.0:
                 return without_answer(robot, SampleStatus.BRANCH_LOST)
+        try:
+            if here is not None:
+                follower(robot).require_near(here, given[0])
+        except WorkingModeError as error:
+            return without_answer(robot, *refusal_of(error))
         sample = self._regular_sample(given, here, t)
         if isinstance(sample, BranchEnd):
             return without_answer(robot, sample.status, sample.residual)

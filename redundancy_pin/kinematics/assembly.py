@@ -52,13 +52,16 @@ class Assembly:
     Attributes:
         system: closures and platform rows of the robot.
         state: closures and Jacobians at the configurations.
-        residual: (N,) largest absolute residual, m: closure rows, dependent ones beyond the rounding of a file, and the
-            distance to the target coordinates; where a hinge or weld is closed the wrong way round, the angle between
-            its axes. Angles count times the characteristic length.
+        K: (N, r + n, p) K without units. Combinations of all closure rows take the place of independent ones that lose
+            rank, if they keep it.
+        residual: (N,) largest absolute residual, m: of independent rows or of these combinations, of dependent ones
+            beyond the rounding of a file, and the distance to the target coordinates; where a hinge or weld is closed
+            the wrong way round, the angle between its axes. Angles count times the characteristic length.
     """
 
     system: ConstraintSystem
     state: ConstraintState
+    K: Array
     residual: Array
 
     @property
@@ -73,18 +76,8 @@ class Assembly:
 
     @cached_property
     def _inverse(self) -> Array:
-        """(N, p, r + n) K⁻¹ without units; where K has more rows than columns, which agree, by least squares.
-
-        Combinations of all closure rows take the place of independent ones that lose rank, if they keep it.
-        """
-        system, r = self.system, len(self.system.rows)
-        K = system.relative(self.state.K)
-        if system.has_dependent_rows:
-            rows, least = system.combined_rows(self.q)
-            own = np.linalg.svd(K[:, :r], compute_uv=False).min(axis=1, initial=np.inf)
-            restored = least > np.maximum(RESTORED * own, FILE_TOLERANCE)
-            K[restored, :r] = rows[restored]
-        return inverses(K)
+        """(N, p, r + n) K⁻¹ without units; where K has more rows than columns, which agree, by least squares."""
+        return inverses(self.K)
 
     @cached_property
     def margin(self) -> Array:
@@ -186,12 +179,23 @@ def evaluated(system: ConstraintSystem, q: Array, target: Array | None = None) -
     Example:
         >>> evaluated(system, np.array(robot.q_reference)[None]).margin
     """
-    state = system.evaluate(q)
-    worst = np.abs(_equations(system, state, target)[0]).max(axis=1, initial=0.0)
-    misaligned = system.misalignment(state)
+    state, r = system.evaluate(q), len(system.rows)
+    missing, K, left_open = _equations(system, state, target)[0], system.relative(state.K), np.zeros(len(q))
+    if system.has_dependent_rows:
+        whole = system.every.evaluate(q)
+        rows, phi, least = system.combined_rows(whole)
+        own = np.linalg.svd(K[:, :r], compute_uv=False).min(axis=1, initial=np.inf)
+        restored = least > np.maximum(RESTORED * own, FILE_TOLERANCE)
+        K[restored, :r] = rows[restored]
+        # rows of rounded numbers contradict each other: closed in either is closed, and combinations of neighbouring
+        # poses, which a follower closes, are as far off as the rows contradict
+        phi[np.abs(phi) <= system.robot.dependent_residual] = 0.0
+        closer = restored & (np.abs(phi).max(axis=1, initial=0.0) < np.abs(missing[:, :r]).max(axis=1, initial=0.0))
+        missing[closer, :r] = phi[closer]
+        left_open = system.beyond_rounding(whole.phi)
+    worst, misaligned = np.abs(missing).max(axis=1, initial=0.0), system.misalignment(state)
     worst = np.where(misaligned > TURNED_OVER, np.maximum(worst, misaligned), worst)
-    residual = np.maximum(system.robot.characteristic_length * worst, system.dependent_row_residual(q))
-    return Assembly(system, state, residual)
+    return Assembly(system, state, K, np.maximum(system.robot.characteristic_length * worst, left_open))
 
 
 def newton(

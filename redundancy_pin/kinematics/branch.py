@@ -17,7 +17,7 @@ from typing import overload
 import numpy as np
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, LARGEST, Array, Frozen, checked, read_only
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, WorkingModeError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, assemble
 from redundancy_pin.kinematics.closed_state import CONTINUITY, ROUNDING, ClosedState, LoopSolver, Rates
 from redundancy_pin.kinematics.coordinates import difference, mode_indicators, moved
@@ -33,6 +33,9 @@ LONGEST_STEP = 0.04
 
 _MOST_STEPS = 20_000
 """Steps along one straight path: eight hundred characteristic lengths."""
+
+_FARTHEST_JOINT = 20.0
+"""rad or characteristic lengths, three turns: no longer way of several joints is followed to one sample."""
 
 _NEAR_TARGET = 2.0**-2
 """Part of the longest step within which a target that Newton's method does not close is out of reach: from farther
@@ -253,6 +256,24 @@ class Follower(LoopSolver):
         if same_side and (here.interpolated or even):
             return new
         return new if same_side and not self._vanishes(here, new, increment) else None
+
+    def require_near(self, here: ClosedState, x: Array) -> None:
+        """Raise WorkingModeError where several joints are coordinates, and one is too far away for a control loop.
+
+        It would take minutes: steps of 0.04 rad lead there. Whole turns of a single one are not followed one by one.
+
+        Args:
+            here: a state of the branch.
+            x: (n,) the coordinates of one sample.
+        """
+        if self.robot.platform is not None or self.robot.n == 1:
+            return
+        away = float(np.abs(difference(self.robot, x, here.x) / self.unit).max())
+        if not away <= _FARTHEST_JOINT:
+            raise WorkingModeError(
+                f"A joint of {self.robot.name} would move by {away:.3g} rad or characteristic lengths to one sample.",
+                remedy=f"Ask for positions within {_FARTHEST_JOINT:g} of those before.",
+            )
 
     def _require_own(self, here: ClosedState) -> None:
         """Raise InputError for a state of another robot, unless it is one of this robot too (another mode, or loads).

@@ -415,9 +415,11 @@ class ConstraintSystem:
 
     def dependent_row_residual(self, q: Array) -> Array:
         """Return (N,) the closure residual of dependent rows at (N, nq), m; zero for rounding of a file."""
-        if not self.has_dependent_rows:
-            return np.zeros(len(q))
-        residual = self.every.largest_residual(self.every.evaluate(q).phi)
+        return self.beyond_rounding(self.every.evaluate(q).phi) if self.has_dependent_rows else np.zeros(len(q))
+
+    def beyond_rounding(self, phi: Array) -> Array:
+        """Return (N,) the largest of residuals of all rows (N, R), m; zero for rounding of a file."""
+        residual = self.every.largest_residual(phi)
         return np.where(residual > self.dependent_tolerance * self.robot.characteristic_length, residual, 0.0)
 
     def largest_residual(self, phi: Array) -> Array:
@@ -438,15 +440,19 @@ class ConstraintSystem:
         """Return J_c (r, p) at one configuration q (nq,), without units and without the carrier columns."""
         return self.relative(self.evaluate(q[None]).K[0, : len(self.rows)])
 
-    def combined_rows(self, q: Array) -> tuple[Array, Array]:
-        """Return the r best combinations of all closure rows at (N, nq), and how far they are from dependent.
+    def combined_rows(self, whole: ConstraintState) -> tuple[Array, Array, Array]:
+        """Return the r best combinations of all closure rows, and how far they are from dependent.
+
+        Args:
+            whole: what ``every`` evaluates at N configurations.
 
         Returns:
-            Uᵀ J_c (N, r, p) without units and without the carrier columns, and (N,) as of ``row_basis``.
+            Uᵀ J_c (N, r, p) without the carrier columns, Uᵀ Φ (N, r), both without units, and (N,) as of ``row_basis``.
         """
-        rows = self.every.relative(self.every.evaluate(q).Jc[:, :, self.pose_columns])
+        rows = self.every.relative(whole.Jc[:, :, self.pose_columns])
         basis, least = row_basis(rows, len(self.rows))
-        return basis.transpose(0, 2, 1) @ rows, least
+        combine = basis.transpose(0, 2, 1)
+        return combine @ rows, (combine @ (whole.phi / self.every.closure_unit)[:, :, None])[:, :, 0], least
 
     def evaluate(self, q: Array) -> ConstraintState:
         """Evaluate residuals and Jacobians at (N, nq) configurations, closed or not."""

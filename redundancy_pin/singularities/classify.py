@@ -54,7 +54,7 @@ def serial_and_locked(system: ConstraintSystem, state: ConstraintState) -> tuple
     """
     r, K = len(system.rows), system.relative(state.K)
     if system.has_dependent_rows:
-        rows, least = system.combined_rows(state.q)
+        rows, _, least = system.combined_rows(system.every.evaluate(state.q))
         full = least > FILE_TOLERANCE
         K[full, :r] = rows[full]
     selection = system.selection[:, system.pose_columns]

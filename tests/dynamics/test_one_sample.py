@@ -485,6 +485,17 @@ def test_far_set_points_are_those_that_forward_kinematics_reach(name: str, work:
     assert beyond
 
 
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
+def test_several_joints_are_not_followed_over_many_turns(backend: Backend) -> None:
+    """A parallelogram and another one beside it, cranks as coordinates; RNEA walked for minutes."""
+    robot = zoo.driven_by(parallelogram("second"), "crank_0", "second_0")
+    dynamics, home, zero = backend(robot), zoo.home_of(robot), np.zeros(2)
+    for away, status in ((2.0, "ok"), (19.0, "ok"), (40.0, "branch_lost"), (1e9, "branch_lost"), (19.0, "ok")):
+        got = dynamics.torque(home + np.array([away, 0.0]), zero, zero, start=robot.q_reference)
+        assert got.status.label == status
+        assert np.isfinite(got.tau).all() == (status == "ok")
+
+
 def test_legs_that_make_no_triangle_are_unreachable() -> None:
     """The base of the 2-RPR is half a metre long; its legs may have any length, of either sign."""
     robot, dynamics, random = machine("2rpr"), dynamics_of("2rpr"), np.random.default_rng(11)

@@ -263,6 +263,16 @@ def test_platforms_move_where_two_cranks_are_in_line():
     np.testing.assert_allclose(rp.platform_stiffness(robot, q, {"crank_3": 2.0, "plate": 3.0}).ravel(), 5.0)
 
 
+@pytest.mark.parametrize("wrong", [1e-9, 1e-5])
+def test_what_inverse_kinematics_closes_is_closed(wrong):
+    """Where two cranks are in line combinations of all rows close, which the rows in use contradict by rounding."""
+    robot, t = three_cranks(1.0, wrong=wrong), np.linspace(0.0, 1.0, 60)[:, None]
+    turn = rp.PlatformMotion(t[:, 0], 1.0 + 2.0 * np.pi * t, np.full_like(t, 2.0 * np.pi), 0.0 * t)
+    tree = rp.inverse_kinematics(robot, turn)
+    assert set(rp.classify(robot, tree.q).kind) == {SingularityKind.REGULAR}
+    np.testing.assert_allclose(rp.performance(robot, tree.q).W, np.ones((60, 1, 1)), atol=10.0 * wrong)
+
+
 def test_rows_of_rounded_numbers_do_not_serve_where_independent_ones_do():
     """Short cranks make margins small everywhere: no rank is lost there, and independent rows hold to rounding."""
     robot = three_cranks(0.9, length=0.02, wrong=1e-11)

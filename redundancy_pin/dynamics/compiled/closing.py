@@ -30,9 +30,6 @@ from redundancy_pin.robot.scales import column_scale, coordinate_unit, row_scale
 _PER_THREAD = 400
 """Samples below which a second thread costs more than it brings."""
 
-_FARTHEST_JOINT = 20.0
-"""rad or characteristic lengths, three turns: kinematics follow no longer way of several joints to one sample."""
-
 
 Start: TypeAlias = ClosedState | Array
 """Where kinematics go on from: a closed state, or a configuration (nq,) at which the chains close. At a rank loss it
@@ -60,8 +57,7 @@ def close_motion(
 
     Raises:
         RedundancyPinError: what ``kinematics.inverse_kinematics`` raises.
-        WorkingModeError: also where several joints are coordinates, and one is farther from the start than
-            ``_FARTHEST_JOINT``.
+        WorkingModeError: also as ``Follower.require_near``.
     """
     lifted, here = None, _state_of(robot, start)
     if start is None:
@@ -71,8 +67,8 @@ def close_motion(
             lifted = _lift(robot, kernel, motion, first.q[0]) if first.reachable[0] else None
     if lifted is not None:
         return lifted
-    if here is not None and robot.platform is None and robot.n > 1:
-        _require_near(here, motion.x[0])
+    if here is not None:
+        follower(robot).require_near(here, motion.x[0])
     tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=here)
     return ClosedMotion(tree, read_only(trig_at(robot, tree.q)))
 
@@ -106,16 +102,6 @@ def _state_of(robot: Robot, start: Start | None) -> ClosedState | None:
     if evaluated(constraint_system(robot), start[None]).singular[0]:
         raise SingularPoseError(f"The start of {robot.name} is singular: no branch goes on from it.", remedy=remedy)
     raise WorkingModeError(f"The chains of {robot.name} do not close at the start.", remedy=remedy)
-
-
-def _require_near(here: ClosedState, x: Array) -> None:
-    """Raise WorkingModeError where a joint goes farther than ``_FARTHEST_JOINT`` from a state to coordinates (n,)."""
-    away = float(np.abs(difference(here.robot, x, here.x) / coordinate_unit(here.robot)).max())
-    if not away <= _FARTHEST_JOINT:
-        raise WorkingModeError(
-            f"A joint of {here.robot.name} would move by {away:.3g} rad or characteristic lengths to one sample.",
-            remedy=f"Ask for positions within {_FARTHEST_JOINT:g} of those before.",
-        )
 
 
 class Driven(NamedTuple):
@@ -157,13 +143,13 @@ def follow_motors(robot: Robot, start: Start | None, position: Array, velocity: 
 
     Raises:
         UnreachablePoseError: as ``inverse_kinematics``.
-        WorkingModeError: as ``inverse_kinematics``; an actuator is farther away than ``_FARTHEST_JOINT``.
+        WorkingModeError: as ``inverse_kinematics``, and ``Follower.require_near``.
         SingularPoseError: a type II singularity, or a rank loss that no smooth branch leads through.
     """
     driven = _driven(robot)
     here = _state_of(driven, start)
     if here is not None:
-        _require_near(here, position)
+        follower(driven).require_near(here, position)
     motion = PlatformMotion(np.zeros(1), position[None], velocity[None], np.zeros((1, robot.m)), check_rates=False)
     tree = inverse_kinematics(driven, motion, start=here)
     q, v, gamma, own = tree.q[0], tree.v[0], tree.gamma[0], follower(robot)
