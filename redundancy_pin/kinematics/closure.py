@@ -140,13 +140,15 @@ class RowSet:
         self.sliding = bool(moving[1].all())
         """Whether all rows are translations."""
         self._signs, self._moving = signs if (signs < 0.0).any() else None, moving
-        # both vectors, the factors of c × a (c's, then a's), and p_A, by one look-up
+        # One look-up of 21 numbers a row: 0 to 5 a and c, component by component (a_x, c_x, a_y, ...); 6 to 11 the
+        # components of c and 12 to 17 those of a whose products make c × a (see ``_NEXT``); 18 to 20 p_A.
         axis, partner, origin = (
             12 * ids[frame] + 3 * column + np.arange(3)[:, None]
             for frame, column in (*zip(frames, columns, strict=True), (frames[0], _ORIGIN))
         )
         both = np.stack([axis, partner], axis=1).reshape(6, size)
         self._taken = np.concatenate([both, partner[_NEXT], axis[_AFTER], origin])
+        # a row of sign −1 has −a for its axis, wherever a stands
         self._taken_signs = np.where(np.isin(np.arange(21), [0, 2, 4, *range(12, 18)])[:, None], signs, 1.0)
         first, second = np.array([row[2:4] for row in rows], dtype=np.intp).reshape(size, 2).T
         self.mask = support[second] - support[first]
@@ -162,13 +164,13 @@ class RowSet:
         taken, one = vectors.take(self._taken if order is None else order[self._taken], 0), vectors.ndim == 1
         if self._signs is not None:
             taken *= self._taken_signs if one else self._taken_signs[..., None]
-        if self.rods:
+        if self.rods:  # a = (p_B − p_A) / L in place of an axis that a frame carries
             along = self.per_length(taken[1:6:2, self.rods] - taken[18:, self.rods])
             taken[0:6:2, self.rods], taken[12:18, self.rods] = along, along[_AFTER]
         moving = self._moving if one else self._moving[..., None]
-        pairs = taken[:6].reshape(3, 2, *taken.shape[1:])
+        pairs = taken[:6].reshape(3, 2, *taken.shape[1:])  # pairs[:, 0] are the axes a, pairs[:, 1] the partners c
         products = taken[6:12] * taken[12:18]
-        wrench = np.empty((6, *taken.shape[1:]))
+        wrench = np.empty((6, *taken.shape[1:]))  # w = (σ a, c × a)
         np.multiply(pairs[:, 0], moving[1], out=wrench[:3])
         np.subtract(products[:3], products[3:], out=wrench[3:])
         self.set_angles(wrench, 0, pairs[:, 0])
