@@ -60,13 +60,13 @@ def as_dynamics(dynamics: DynamicsLike) -> Dynamics:
         return RneaDynamics(robot)
 
 
-def as_dynamics_of_one_task(dynamics: DynamicsLike) -> Dynamics:
-    """Return ``as_dynamics`` for one task: RNEA solves each sample once, however often the task asks for it.
+def as_cached_dynamics(dynamics: DynamicsLike) -> Dynamics:
+    """Return ``as_dynamics`` with a cache for one task: RNEA solves each sample once, however often it is asked for.
 
     Errors and warnings are those of ``as_dynamics``.
     """
     own = as_dynamics(dynamics)
-    return own.with_memory() if type(own) is RneaDynamics else own
+    return own.with_cache() if type(own) is RneaDynamics else own
 
 
 def rnea_along(tree: JointTrajectory) -> DynamicsAlongMotion:

@@ -93,7 +93,7 @@ class RneaDynamics(Dynamics):
 
     def __init__(self, robot: RobotLike, *, progress: Callable[[int, int], None] | None = None) -> None:
         self._robot, self._progress = as_robot(robot), progress
-        self._known: dict[bytes, Rates] | None = None
+        self._cache: dict[bytes, Rates] | None = None
         self._thread = threading.local()
         """Holds ``last``: the closed state of this thread where the next ``torque`` starts."""
 
@@ -110,17 +110,17 @@ class RneaDynamics(Dynamics):
         """Solve the kinematics of a platform motion once; raises as ``inverse_kinematics``."""
         require_choice(unreachable)
         marked = unreachable == "mark"
-        report, known = self._progress, self._known
-        tree = inverse_kinematics(self._robot, motion, mark_unreachable=marked, progress=report, known=known)
+        report, cache = self._progress, self._cache
+        tree = inverse_kinematics(self._robot, motion, mark_unreachable=marked, progress=report, cache=cache)
         return RneaAlongMotion(tree)
 
-    def with_memory(self) -> RneaDynamics:
-        """Return this backend with a memory of the samples that it solves along one motion, some kilobytes each.
+    def with_cache(self) -> RneaDynamics:
+        """Return this backend with a cache of the samples that it solves along one motion, some kilobytes each.
 
-        To close them takes most of the time. The memory belongs to what is returned, and goes with it.
+        To close them takes most of the time. The cache belongs to what is returned, and goes with it.
         """
         own = self.for_robot(self._robot)
-        own._known = {}
+        own._cache = {}
         return own
 
     def for_robot(self, robot: Robot) -> RneaDynamics:

@@ -54,9 +54,9 @@ class Assembly:
         state: closures and Jacobians at the configurations.
         K: (N, r + n, p) K without units. Combinations of all closure rows take the place of independent ones that lose
             rank, if they keep it.
-        residual: (N,) largest absolute residual, m: of independent rows or of these combinations, of dependent ones
-            beyond the rounding of a file, and the distance to the target coordinates; where a hinge or weld is closed
-            the wrong way round, the angle between its axes. Angles count times the characteristic length.
+        residual: (N,) largest absolute residual, m: of independent rows, or of these combinations beyond the rounding
+            of a file, of dependent rows beyond it, and the distance to the target coordinates; where a hinge or weld is
+            closed the wrong way round, the angle between its axes. Angles count times the characteristic length.
     """
 
     system: ConstraintSystem

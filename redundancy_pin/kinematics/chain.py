@@ -56,7 +56,7 @@ class ClosedChain(TreePlacement):
         return ClosedChain, (self.robot, self.basis)
 
     def use_basis(self, basis: Array | None) -> None:
-        """Combine all closure rows by a basis (R, r) of ``best_basis``; None: use the independent rows again."""
+        """Combine all closure rows by a basis (R, r) of ``row_basis``; None: use the independent rows again."""
         if basis is not self.basis:
             self._combine_by(basis)
 
@@ -70,39 +70,40 @@ class ClosedChain(TreePlacement):
         self.closure_unit = self.equation_unit[: self.rows]
         self._placed = self._jacobian = None
 
-    def best_basis(self) -> tuple[Array, float]:
-        """Return U (R, r) of all closure rows at the configuration, and how far it is from dependent; ``row_basis``."""
-        basis, least = row_basis(self.every_row()[0], self.rows)
-        return basis, float(least)
-
-    def dependent_rows_restore_rank(self, ratio: float = _RANK_KEPT) -> bool:
+    def dependent_rows_restore_rank(self) -> bool:
         """Return whether all closure rows keep the rank that the rows in use lose at the configuration.
 
         Which rows are independent changes along the motion of some mechanisms (Bennett's four hinges). The branch goes
         smoothly through such a place, and it is no singularity. Rows that contradict each other by the rounding of a
         file restore nothing.
-
-        Args:
-            ratio: least ratio of the smallest singular values of all rows and of those in use, no unit.
         """
-        if not (self.rows and self.system.has_dependent_rows):  # without independent rows none are lost
-            return False
-        least = float(np.linalg.svd(self.closure_rows(), compute_uv=False)[-1])
-        return self.best_basis()[1] > max(ratio * least, FILE_TOLERANCE)
+        return self._restoring_basis(_RANK_KEPT) is not None
 
     def renew_basis(self) -> bool:
         """Use the best basis where the rows in use come near a rank loss of theirs; return whether they do.
 
-        It is oriented like the rows in use: along a motion det K changes its sign where all closure rows together lose
-        rank, and only there.
+        It is oriented like the rows in use: between neighbouring poses det K then changes its sign where all closure
+        rows together lose rank, and only there.
         """
-        if not self.dependent_rows_restore_rank(RESTORED):
+        basis = self._restoring_basis(RESTORED)
+        if basis is None:
             return False
-        before, basis = self.closure_rows(), self.best_basis()[0]
+        before = self.closure_rows()
         self.use_basis(basis)
         if np.linalg.det(before @ self.closure_rows().T) < 0.0:
             self.use_basis(basis * np.where(np.arange(self.rows) == 0, -1.0, 1.0))
         return True
+
+    def _restoring_basis(self, ratio: float) -> Array | None:
+        """Return U (R, r) of all closure rows at the configuration, ``row_basis``; None where it does not help.
+
+        ``ratio``: least ratio of the smallest singular values of all rows and of those in use, no unit.
+        """
+        if not (self.rows and self.system.has_dependent_rows):  # without independent rows none are lost
+            return None
+        own = float(np.linalg.svd(self.closure_rows(), compute_uv=False)[-1])
+        basis, least = row_basis(self.every_row()[0], self.rows)
+        return basis if least > max(ratio * own, FILE_TOLERANCE) else None
 
     def update(self, q: Array, v: Array) -> None:
         """Set the state: q (nq,), v (nv,)."""

@@ -42,8 +42,8 @@ from redundancy_pin.status import SampleStatus
 _FAR_STARTS = 5
 """Samples at which multistart is tried where Newton's method closes no sample in the working mode."""
 
-_MOST_KNOWN = 20_000
-"""Samples that a memory of one motion holds at most, kilobytes each."""
+_LARGEST_CACHE = 20_000
+"""Samples that the cache of one motion holds at most, kilobytes each."""
 
 _SAMPLES_PER_REPORT = 500
 """Samples between two calls of ``progress``."""
@@ -109,7 +109,7 @@ def inverse_kinematics(
     mark_unreachable: bool = False,
     progress: Callable[[int, int], None] | None = None,
     start: ClosedState | None = None,
-    known: dict[bytes, Rates] | None = None,
+    cache: dict[bytes, Rates] | None = None,
 ) -> JointTrajectory:
     """Return the motion of the tree along a platform motion.
 
@@ -125,7 +125,7 @@ def inverse_kinematics(
         progress: called with samples done and samples in all, now and then.
         start: a point of the branch to come from, in place of the reference configuration: the first pose lies on the
             straight line from it, and is not looked for elsewhere.
-        known: samples of the same platform motion that were solved before, by ``sample_key``. They are taken from here,
+        cache: samples of the same platform motion that were solved before, by ``sample_key``. They are taken from here,
             and those solved now are added.
 
     Raises:
@@ -136,7 +136,7 @@ def inverse_kinematics(
     """
     robot = as_robot(robot)
     require_matching(robot, motion)
-    solution = MotionSolution(follower(robot), motion, progress, known)
+    solution = MotionSolution(follower(robot), motion, progress, cache)
     if mark_unreachable:
         solution.solve_what_is_reachable(start)
     else:
@@ -153,7 +153,7 @@ class MotionSolution:
         follower: of the robot.
         motion: N samples of the independent coordinates.
         progress: as of ``inverse_kinematics``.
-        known: as of ``inverse_kinematics``.
+        cache: as of ``inverse_kinematics``.
     """
 
     def __init__(
@@ -161,10 +161,10 @@ class MotionSolution:
         follower: Follower,
         motion: PlatformMotion,
         progress: Callable[[int, int], None] | None = None,
-        known: dict[bytes, Rates] | None = None,
+        cache: dict[bytes, Rates] | None = None,
     ) -> None:
         self._follower, self._motion = follower, motion
-        self.system, self._known = follower.system, known
+        self.system, self._cache = follower.system, cache
         self._progress, self._done = progress, 0
         robot, samples = follower.robot, len(motion)
         self.q = np.full((samples, robot.model.nq), np.nan)
@@ -178,15 +178,15 @@ class MotionSolution:
         Returns:
             How many have a state, the last of the states, and why the branch ends there; None where all have one.
         """
-        known, motion = self._known, self._motion
+        cache, motion = self._cache, self._motion
         for count, k in enumerate(order):
-            key = b"" if known is None else sample_key(motion, k)
-            before = known.get(key) if known else None
+            key = b"" if cache is None else sample_key(motion, k)
+            before = cache.get(key) if cache else None
             reached = self._solved(here, k) if before is None or not self._continues(here, before.state) else before
             if isinstance(reached, BranchEnd):
                 return count, here, reached
-            if known is not None and len(known) < _MOST_KNOWN:
-                known[key] = reached
+            if cache is not None and len(cache) < _LARGEST_CACHE:
+                cache[key] = reached
             here = self._keep(k, reached)
         return len(order), here, None
 
@@ -198,7 +198,7 @@ class MotionSolution:
 
     def first_state(self) -> ClosedState:
         """Return where the branch is followed from: the first sample if it is known, else by ``point_on_branch``."""
-        reached = None if self._known is None else self._known.get(sample_key(self._motion, 0))
+        reached = None if self._cache is None else self._cache.get(sample_key(self._motion, 0))
         return point_on_branch(self.system, self._motion.x[0]) if reached is None else reached.state
 
     def solve_what_is_reachable(self, start: ClosedState | None) -> None:

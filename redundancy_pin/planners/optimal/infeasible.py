@@ -179,8 +179,10 @@ def _exceeded(problem: Problem, elastic: Solution) -> list[str]:
 def _is_limited(problem: Problem, kind: str) -> bool:
     """Return whether there is any limit of a kind."""
     settings = problem.settings
-    if kind in ("at_most", "end"):
-        return bool(settings.at_most) if kind == "at_most" else settings.end != "free"
+    if kind == "at_most":
+        return bool(settings.at_most)
+    if kind == "end":
+        return settings.end != "free"
     if kind == "jerk":
         return bool(np.isfinite(settings.limits.jerk).any())
     return bool(np.isfinite(scaled_bounds(problem)[_variable_of(kind)]).any())
@@ -232,7 +234,7 @@ def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind:
     if kind == "end":
         missed = np.abs(elastic.values["s"][-1] - problem.settings.datum / problem.scales.s) * problem.scales.s
         if problem.settings.end == "datum":
-            text = f"another end: the carriers are {missed.max():.4g} m from the datum then"
+            text = f"an end of the carriers up to {missed.max():.4g} m from the datum"
         else:
             text = f"the end state by {fraction:.3g} of its size"
         return {"constraint": kind, "time": float(t[-1]), "amount": float(missed.max()), "text": text}

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics_of_one_task
+from redundancy_pin.dynamics.default import DynamicsLike, as_cached_dynamics
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import require_carriers
@@ -122,7 +122,7 @@ def plan_whole_trajectory(
             (constraint "singular_touch"), where no finite efforts are determined.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
-    dynamics = as_dynamics_of_one_task(dynamics)
+    dynamics = as_cached_dynamics(dynamics)
     source = as_motion(motion)
     require_carriers(dynamics.robot)
     settings = checked_settings(

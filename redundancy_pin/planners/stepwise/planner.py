@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, runs
-from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics, as_dynamics_of_one_task
+from redundancy_pin.dynamics.default import DynamicsLike, as_cached_dynamics, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import (
@@ -135,7 +135,7 @@ def plan_stepwise(
             amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
     """
-    dynamics, mesh = as_dynamics_of_one_task(dynamics), group_of(mesh, Mesh)
+    dynamics, mesh = as_cached_dynamics(dynamics), group_of(mesh, Mesh)
     own_steps = {"dt": "the motion has steps of its own"} if isinstance(motion, PlatformMotion) else {}
     refuse_fields({**REFUSED, **own_steps}, mesh)
     robot = dynamics.robot

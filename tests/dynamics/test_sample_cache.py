@@ -1,4 +1,4 @@
-"""RNEA with a memory, as planners use it: what is asked again, or of a motion that repeats itself, is as without."""
+"""RNEA with a cache, as planners use it: what is asked again, or of a motion that repeats itself, is as without."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def round_the_base(turns: int) -> rp.PlatformMotion:
 
 
 def test_every_lap_has_its_own_turn_of_the_leg() -> None:
-    dynamics, motion = RneaDynamics(zoo.robot_of("2rpr")).with_memory(), round_the_base(3)
+    dynamics, motion = RneaDynamics(zoo.robot_of("2rpr")).with_cache(), round_the_base(3)
     q = dynamics.along(motion).q
     assert np.ptp(q, axis=0).max() == pytest.approx(6.0 * np.pi, rel=0.02)
     np.testing.assert_array_equal(dynamics.along(motion).q, q)
@@ -32,9 +32,9 @@ def test_another_motion_at_the_same_instants_is_solved_anew(change: dict[str, fl
     dynamics, corner = RneaDynamics(zoo.robot_of("3rrr")), rp.trajectory.reference.corner(radius=0.025).sample(0.01)
     parts = {name: getattr(corner, name) * change.get(name, 1.0) for name in ("x", "xd", "xdd")}
     other = rp.PlatformMotion(corner.t, **parts, check_rates=False)
-    remembering = dynamics.with_memory()
-    remembering.along(corner)
-    ours, theirs = remembering.along(other), dynamics.along(other)
+    cached = dynamics.with_cache()
+    cached.along(corner)
+    ours, theirs = cached.along(other), dynamics.along(other)
     for got, expected in zip(ours.tree_motion(), theirs.tree_motion(), strict=True):
         np.testing.assert_allclose(got, expected, atol=1e-9)
     np.testing.assert_allclose(ours.reduce().W, theirs.reduce().W, atol=ROUNDING)
@@ -42,42 +42,42 @@ def test_another_motion_at_the_same_instants_is_solved_anew(change: dict[str, fl
 
 def test_samples_between_known_ones_are_on_their_branch() -> None:
     dynamics, corner = RneaDynamics(zoo.robot_of("3rrr")), rp.trajectory.reference.corner(radius=0.025)
-    remembering = dynamics.with_memory()
-    remembering.along(corner.sample(0.05))
+    cached = dynamics.with_cache()
+    cached.along(corner.sample(0.05))
     fine = corner.sample(0.01)
-    ours, theirs = remembering.along(fine), dynamics.along(fine)
+    ours, theirs = cached.along(fine), dynamics.along(fine)
     np.testing.assert_allclose(ours.q, theirs.q, atol=ROUNDING)
     np.testing.assert_allclose(ours.reduce().f, theirs.reduce().f, atol=1e-9)
 
 
-def test_a_memory_is_of_one_object() -> None:
+def test_a_cache_is_of_one_object() -> None:
     """Nor does a robot with other loads share it."""
     dynamics = RneaDynamics(zoo.robot_of("3rrr"))
     motion = rp.trajectory.reference.corner(radius=0.025).sample(0.05)
-    remembering = dynamics.with_memory()
+    cached = dynamics.with_cache()
     force = np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-    loaded = remembering.with_external(rp.Wrench("platform", force))
-    remembering.along(motion)
+    loaded = cached.with_external(rp.Wrench("platform", force))
+    cached.along(motion)
     assert dynamics.along(motion).q is not None
     np.testing.assert_allclose(
-        loaded.along(motion).reduce().f - remembering.along(motion).reduce().f,
+        loaded.along(motion).reduce().f - cached.along(motion).reduce().f,
         np.tile([0.0, -1.0, 0.0], (len(motion), 1)),
         atol=1e-9,
     )
 
 
-def test_what_is_remembered_is_taken_up_on_the_same_whole_turn_only() -> None:
+def test_what_is_cached_is_taken_up_on_the_same_whole_turn_only() -> None:
     """A part of the motion that begins between known samples begins near the reference, a whole turn before them."""
     plain = RneaDynamics(zoo.robot_of("2rpr"))
-    remembering, angles = plain.with_memory(), np.linspace(0.0, 3.0 * np.pi, 180)
+    cached, angles = plain.with_cache(), np.linspace(0.0, 3.0 * np.pi, 180)
 
     def along(angle: np.ndarray) -> rp.PlatformMotion:
         unit = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         rate, second = 0.15 * unit[:, ::-1] * [-1.0, 1.0], -0.15 * unit
         return rp.PlatformMotion(angle, 0.15 * unit, rate, second, check_rates=False)
 
-    remembering.along(along(angles))
+    cached.along(along(angles))
     part = along(np.append(0.5 * (angles[150] + angles[151]), angles[151:160]))
-    q = remembering.along(part).q
+    q = cached.along(part).q
     assert np.abs(np.diff(q, axis=0)).max() < 0.1
     np.testing.assert_allclose(q, plain.along(part).q, atol=1e-12)
