@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import ModelFileError, did_you_mean
+from redundancy_pin.errors import ModelFileError, did_you_mean, optional
 from redundancy_pin.robot.formats.mechanism import (
     MOST_FREEDOMS,
     MOST_LINKS,
@@ -25,7 +25,7 @@ from redundancy_pin.robot.formats.mechanism import (
     in_a_row,
     six_positions,
 )
-from redundancy_pin.robot.formats.mjcf_compiled import Compiled, compile_mjcf, rotation_of
+from redundancy_pin.robot.formats.mjcf_compiled import MUJOCO, Compiled, compile_mjcf, rotation_of, word
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, has_joint, has_link
 from redundancy_pin.robot.loop_joints import LoopJoint
@@ -79,16 +79,16 @@ class _Reader:
     """What is gathered on the way from MuJoCo's model to Pinocchio's."""
 
     def __init__(self, path: Path, compiled: Compiled, keyframe: str, base: str) -> None:
-        self.path, self.m, self.base = path, compiled, base
+        self.path, self.compiled, self.m, self.base = path, compiled, compiled.model, base
         self.left_out: dict[str, list[str]] = {}
         self._require_rigid()
         self.model = pin.Model()
-        self.model.name = compiled["name"] if compiled["name"] != _UNNAMED else path.stem
+        self.model.name = compiled.name if compiled.name != _UNNAMED else path.stem
         self.disabled = {flag for flag, _ in _FORCES.values() if self._is_disabled(flag)}
         self.qpos: Array = self._start(keyframe)
         self.links: list[str] = []
         self.sites: list[str] = []
-        self.joints: list[tuple[str, ...]] = [() for _ in compiled["jnt_type"]]
+        self.joints: list[tuple[str, ...]] = [() for _ in range(self.m.njnt)]
         """By joint of the file, what it is made of here; nothing where it is held."""
         self.places: list[tuple[int, pin.SE3]] = [(0, pin.SE3.Identity())]
         """By body, the joint that carries it and its placement there."""
@@ -106,16 +106,16 @@ class _Reader:
         """Return what the file describes."""
         self._bodies()
         self._add_sites()
-        for tendon in range(len(self.m["tendon_names"])):
-            if any(self.m.has(f"tendon_{what}", tendon) for what in _OF_TENDONS):
+        for tendon in range(self.m.ntendon):
+            if any(self._has(f"tendon_{what}", tendon) for what in _OF_TENDONS):
                 self._joint_of_tendon(tendon)
         loop_joints = tuple(self._equalities())
         actuated = self._actuators()
-        for tendon, is_limited in enumerate(self.m["tendon_limited"]):
+        for tendon, is_limited in enumerate(self.m.tendon_limited):
             if is_limited and tendon not in self.tendons:
                 self._leave_out("range", self._label(tendon))
         model = self.model
-        model.gravity.linear = np.zeros(3) if self._is_disabled("gravity") else self.m["gravity"]
+        model.gravity.linear = np.zeros(3) if self._is_disabled("gravity") else self.m.opt.gravity
         armature, least, most = np.zeros(model.nv), np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
         for name, inertia in self.armature.items():
             armature[span(model, find_joint_index(model, name), "v")] = inertia
@@ -127,7 +127,7 @@ class _Reader:
             q[span(model, find_joint_index(model, name), "q")] = value
         forces = tuple(JointForces(name, **load) for name, load in self.loads.items() if any(load.values()))
         shapes: dict[str, list[str]] = {}
-        for body, shape in zip(self.m["shaped"], self.m["shapes"], strict=True):
+        for body, shape in self.compiled.shapes:
             shapes.setdefault(self.links[body], []).append(shape)
         return Mechanism(
             str(model.name),
@@ -147,33 +147,40 @@ class _Reader:
         raise ModelFileError(f"{self.path}: {what}.", remedy=remedy, path=str(self.path))
 
     def _is_disabled(self, flag: str) -> bool:
-        return flag in self.m["disabled"]
+        return bool(self.m.opt.disableflags & getattr(optional(*MUJOCO).mjtDisableBit, f"mjDSBL_{flag.upper()}"))
+
+    def _has(self, name: str, index: int) -> bool:
+        """Return whether an entry is not zero, of an array that releases of MuJoCo from 3.6 on may lack."""
+        return hasattr(self.m, name) and bool(np.any(getattr(self.m, name)[index]))
 
     def _require_rigid(self) -> None:
         """Refuse what a rigid mechanism cannot mean, and more of it than a model may have."""
         m = self.m
         for count, most, what in (
-            (len(m["dof_damping"]), MOST_FREEDOMS, "degrees of freedom"),
-            (len(m["body_mass"]), MOST_LINKS, "bodies"),
-            (len(m["eq_type"]), MOST_FREEDOMS, "equalities"),
+            (m.nv, MOST_FREEDOMS, "degrees of freedom"),
+            (m.nbody, MOST_LINKS, "bodies"),
+            (m.neq, MOST_FREEDOMS, "equalities"),
         ):
             if count > most:
                 self._refuse(
                     f"the model has {count} {what}, more than the {most} that one may have",
                     "Take out what is no part of the mechanism.",
                 )
-        if len(m["body_mass"]) == 1:
+        if m.nbody == 1:
             self._refuse("the model has no bodies", "Give it some.")
-        bodies = [name or f"body {number}" for number, name in enumerate(m["body_names"])]
-        joints = m["joint_names"]
+        bodies = [m.body(number).name or f"body {number}" for number in range(m.nbody)]
+        joints = [m.joint(number).name for number in range(m.njnt)]
         for found, what in (
-            (m["flexes"], "soft bodies (flex)"),
-            (np.any(m["fluid"] > 0.0), "a fluid (density or viscosity of the option)"),
-            *((m.has("body_gravcomp", body), f"gravcomp of {name}") for body, name in enumerate(bodies)),
-            *((m["body_plugin"][body] >= 0, f"a plugin of {name}") for body, name in enumerate(bodies)),
-            *((m.has("jnt_springyield", joint), f"a yielding spring of {name}") for joint, name in enumerate(joints)),
+            (m.nflex, "soft bodies (flex)"),
+            (max(m.opt.density, m.opt.viscosity) > 0.0, "a fluid (density or viscosity of the option)"),
+            *((self._has("body_gravcomp", body), f"gravcomp of {name}") for body, name in enumerate(bodies)),
+            *((m.body_plugin[body] >= 0, f"a plugin of {name}") for body, name in enumerate(bodies)),
             *(
-                (np.any(m["eq_active0"]) and self._is_disabled(flag), f"equalities that the flag {flag}=disable opens")
+                (self._has("jnt_springyield", joint), f"a yielding spring of {name}")
+                for joint, name in enumerate(joints)
+            ),
+            *(
+                (np.any(m.eq_active0) and self._is_disabled(flag), f"equalities that the flag {flag}=disable opens")
                 for flag in ("equality", "constraint")
             ),
         ):
@@ -181,10 +188,10 @@ class _Reader:
                 self._refuse(f"it has {what}, which is not covered", "Take it out.")
 
     def _all_notes(self, forces: Sequence[JointForces]) -> tuple[str, ...]:
-        notes = [*self.notes, *(f"MuJoCo warns: {each}." for each in self.m["warnings"])]
+        notes = [*self.notes, *(f"MuJoCo warns: {each}." for each in self.compiled.warnings)]
         if listed := "; ".join(f"{what} of {', '.join(names)}" for what, names in self.left_out.items()):
             notes.append(f"{NOT_IN_FORCE} {listed}.")
-        if self.m["colliding"] and not self._is_disabled("contact"):
+        if self.compiled.colliding and not self._is_disabled("contact"):
             notes.append("Contacts between geoms are not modelled.")
         if self.disabled:
             notes.append(f"Disabled by flags of the model: {', '.join(sorted(self.disabled))}.")
@@ -192,7 +199,7 @@ class _Reader:
             notes.append(f"In force: damping, friction and springs of {', '.join(load.joint for load in forces)}.")
         if turning := [name for name, inertia in self.armature.items() if np.any(inertia)]:
             notes.append(f"In force: armature of {', '.join(turning)}.")
-        if mocap := [link for link, number in zip(self.links, self.m["body_mocapid"], strict=True) if number >= 0]:
+        if mocap := [link for link, number in zip(self.links, self.m.body_mocapid, strict=True) if number >= 0]:
             notes.append(f"Mocap bodies stay where they are: {', '.join(mocap)}.")
         return tuple(notes)
 
@@ -201,37 +208,37 @@ class _Reader:
     def _start(self, keyframe: str) -> Array:
         """Return qpos of a keyframe, or the initial one."""
         if not keyframe:
-            return np.array(self.m["qpos0"])
-        names = list(self.m["key_names"])
+            return np.array(self.m.qpos0)
+        names = [self.m.key(number).name for number in range(self.m.nkey)]
         if keyframe not in names:
             listed = ", ".join(filter(None, names)) or "none"
             self._refuse(
                 f"there is no keyframe {keyframe!r}", f"{did_you_mean(keyframe, names)}Its keyframes: {listed}."
             )
-        return np.array(self.m["key_qpos"][names.index(keyframe)])
+        return np.array(self.m.key_qpos[names.index(keyframe)])
 
     def _bodies(self) -> None:
         m = self.m
         self.links.append(self._link("world", "body", 0, pin.SE3.Identity()))
-        for body in range(1, len(m["body_mass"])):
-            carrier, place = self.places[m["body_parentid"][body]]
-            place = place * pin.SE3(rotation_of(m["body_quat"][body]), m["body_pos"][body])
-            name = m["body_names"][body] or f"body_{body}"
-            joints = range(m["body_jntadr"][body], m["body_jntadr"][body] + m["body_jntnum"][body])
+        for body in range(1, m.nbody):
+            carrier, place = self.places[m.body_parentid[body]]
+            place = place * pin.SE3(rotation_of(m.body_quat[body]), m.body_pos[body])
+            name = m.body(body).name or f"body_{body}"
+            joints = range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body])
             freedoms = {"free": 6, "ball": 3}
-            is_floating = sum(freedoms.get(m["jnt_type"][joint], 1) for joint in joints) == 6
-            is_held = self.base == "fixed" and m["body_parentid"][body] == 0 and is_floating
+            is_floating = sum(freedoms.get(word("Joint", m.jnt_type[joint]), 1) for joint in joints) == 6
+            is_held = self.base == "fixed" and m.body_parentid[body] == 0 and is_floating
             for number, joint in enumerate(joints):
                 if is_held:
                     place = self._moved(joint, place)
                 else:
                     single = "" if len(joints) == 1 else f"_{number + 1}"
-                    own = m["joint_names"][joint] or f"{name}_joint{single}"
+                    own = m.joint(joint).name or f"{name}_joint{single}"
                     carrier, place = self._joint(joint, own, carrier, place)
-            turn = rotation_of(m["body_iquat"][body])
-            inertia = turn @ np.diag(m["body_inertia"][body]) @ turn.T
-            if m["body_mass"][body] or inertia.any():
-                of_body = pin.Inertia(float(m["body_mass"][body]), np.array(m["body_ipos"][body]), inertia)
+            turn = rotation_of(m.body_iquat[body])
+            inertia = turn @ np.diag(m.body_inertia[body]) @ turn.T
+            if m.body_mass[body] or inertia.any():
+                of_body = pin.Inertia(float(m.body_mass[body]), np.array(m.body_ipos[body]), inertia)
                 self.model.appendBodyToJoint(carrier, of_body, place)
             self.places.append((carrier, place))
             self.links.append(self._link(name, "body", carrier, place))
@@ -247,18 +254,18 @@ class _Reader:
 
     def _add_sites(self) -> None:
         m = self.m
-        for site, body in enumerate(m["site_bodyid"]):
+        for site, body in enumerate(m.site_bodyid):
             carrier, place = self.places[body]
-            place = place * pin.SE3(rotation_of(m["site_quat"][site]), m["site_pos"][site])
-            self.sites.append(self._link(m["site_names"][site] or f"site_{site}", "site", carrier, place))
+            place = place * pin.SE3(rotation_of(m.site_quat[site]), m.site_pos[site])
+            self.sites.append(self._link(m.site(site).name or f"site_{site}", "site", carrier, place))
 
     def _moved(self, joint: int, place: pin.SE3) -> pin.SE3:
         """Return where the body of a joint is that is held at the start, given its placement before that joint."""
-        m, kind, at = self.m, self.m["jnt_type"][joint], self.m["jnt_qposadr"][joint]
-        q, anchor, axis = self.qpos[at : at + 7], m["jnt_pos"][joint], m["jnt_axis"][joint]
+        m, kind, at = self.m, word("Joint", self.m.jnt_type[joint]), self.m.jnt_qposadr[joint]
+        q, anchor, axis = self.qpos[at : at + 7], m.jnt_pos[joint], m.jnt_axis[joint]
         if kind == "free":
             return pin.SE3(rotation_of(q[3:]), q[:3])
-        away = q[0] - m["qpos0"][at]
+        away = q[0] - m.qpos0[at]
         if kind == "slide":
             return place * pin.SE3(np.eye(3), away * axis)
         turn = rotation_of(q[:4]) if kind == "ball" else pin.exp3(away * axis)
@@ -266,14 +273,15 @@ class _Reader:
 
     def _joint(self, joint: int, name: str, carrier: int, place: pin.SE3) -> tuple[int, pin.SE3]:
         """Add a joint to a body at a placement; return the joint that carries the body, and the placement there."""
-        m, kind, at, dof = self.m, self.m["jnt_type"][joint], self.m["jnt_qposadr"][joint], self.m["jnt_dofadr"][joint]
-        single, rest = kind in ("hinge", "slide"), m["qpos_spring"][at]
-        curved = m.has("dof_dampingpoly", dof), m.has("jnt_stiffnesspoly", joint)
-        self._take(name, "damping", m["dof_damping"][dof], curved=curved[0], covered=kind != "free")
-        self._take(name, "frictionloss", m["dof_frictionloss"][dof], curved=False, covered=single)
-        self._take(name, "stiffness", m["jnt_stiffness"][joint], curved=curved[1], covered=single, rest=rest)
+        m, kind = self.m, word("Joint", self.m.jnt_type[joint])
+        at, dof = m.jnt_qposadr[joint], m.jnt_dofadr[joint]
+        single, rest = kind in ("hinge", "slide"), m.qpos_spring[at]
+        curved = self._has("dof_dampingpoly", dof), self._has("jnt_stiffnesspoly", joint)
+        self._take(name, "damping", m.dof_damping[dof], curved=curved[0], covered=kind != "free")
+        self._take(name, "frictionloss", m.dof_frictionloss[dof], curved=False, covered=single)
+        self._take(name, "stiffness", m.jnt_stiffness[joint], curved=curved[1], covered=single, rest=rest)
         if kind == "free":
-            if np.any(m["dof_armature"][dof : dof + 6]):
+            if np.any(m.dof_armature[dof : dof + 6]):
                 self._refuse(f"the joint {name!r} is free and has an armature, which is not covered", "Take it out.")
             row = in_a_row(name, SIX)
             for own, model in row:
@@ -286,20 +294,20 @@ class _Reader:
             )
             return carrier, pin.SE3.Identity()
         self.joints[joint] = (name,)
-        self.armature[name] = m["dof_armature"][dof]
-        anchor = pin.SE3(np.eye(3), np.array(m["jnt_pos"][joint]))
-        limited = bool(m["jnt_limited"][joint])
+        self.armature[name] = m.dof_armature[dof]
+        anchor = pin.SE3(np.eye(3), np.array(m.jnt_pos[joint]))
+        limited = bool(m.jnt_limited[joint])
         if kind == "ball":
             if limited:
                 self._leave_out("range", name)
             self.start[name] = pin.Quaternion(rotation_of(self.qpos[at : at + 4])).coeffs()
             return self.model.addJoint(carrier, pin.JointModelSpherical(), place * anchor, name), anchor.inverse()
-        axis, ref = np.array(m["jnt_axis"][joint]), float(m["qpos0"][at])
+        axis, ref = np.array(m.jnt_axis[joint]), float(m.qpos0[at])
         # at the initial configuration q is ref: the joint is mounted as far back
         back = pin.SE3(pin.exp3(-ref * axis), np.zeros(3)) if kind == "hinge" else pin.SE3(np.eye(3), -ref * axis)
         self.start[name] = float(self.qpos[at])
-        ends = m["jnt_range"][joint] if limited else _NO_ENDS
-        bounds = m["jnt_actfrcrange"][joint] if m["jnt_actfrclimited"][joint] else _NO_ENDS
+        ends = m.jnt_range[joint] if limited else _NO_ENDS
+        bounds = m.jnt_actfrcrange[joint] if m.jnt_actfrclimited[joint] else _NO_ENDS
         turns = "revolute" if kind == "hinge" else "prismatic"
         return self._single(name, turns, axis, carrier, place * anchor * back, ends, bounds), anchor.inverse()
 
@@ -334,19 +342,19 @@ class _Reader:
     # --- tendons ------------------------------------------------------------------------------------------------------
 
     def _label(self, tendon: int) -> str:
-        return str(self.m["tendon_names"][tendon] or f"tendon_{tendon + 1}")
+        return str(self.m.tendon(tendon).name or f"tendon_{tendon + 1}")
 
     def _wraps(self, tendon: int) -> range:
-        return range(self.m["tendon_adr"][tendon], self.m["tendon_adr"][tendon] + self.m["tendon_num"][tendon])
+        return range(self.m.tendon_adr[tendon], self.m.tendon_adr[tendon] + self.m.tendon_num[tendon])
 
     def _terms(self, tendon: int) -> list[tuple[str, float]]:
         """Return the joints of a fixed tendon and their factors: its length is the sum of factor · position."""
         m, label = self.m, self._label(tendon)
-        if any(m["wrap_type"][wrap] != "joint" for wrap in self._wraps(tendon)):
+        if any(word("Wrap", m.wrap_type[wrap]) != "joint" for wrap in self._wraps(tendon)):
             remedy = "Use a fixed tendon, or an equality that holds the distance of two sites."
             self._refuse(f"the tendon {label!r} goes through sites and pulls, which is not covered", remedy)
         return [
-            (self._one(int(m["wrap_objid"][wrap]), f"the tendon {label!r}"), float(m["wrap_prm"][wrap]))
+            (self._one(int(m.wrap_objid[wrap]), f"the tendon {label!r}"), float(m.wrap_prm[wrap]))
             for wrap in self._wraps(tendon)
         ]
 
@@ -362,28 +370,28 @@ class _Reader:
         pin.forwardKinematics(self.model, data, pin.neutral(self.model))
         index = find_joint_index(self.model, terms[0][0])
         kind = "prismatic" if slides(self.model.joints[index]) else "revolute"
-        ends = m["tendon_range"][tendon] if m["tendon_limited"][tendon] else _NO_ENDS
-        bounds = m["tendon_actfrcrange"][tendon] if m.has("tendon_actfrclimited", tendon) else _NO_ENDS
+        ends = m.tendon_range[tendon] if m.tendon_limited[tendon] else _NO_ENDS
+        bounds = m.tendon_actfrcrange[tendon] if self._has("tendon_actfrclimited", tendon) else _NO_ENDS
         self._single(name, kind, axis_of(self.model, index), 0, data.oMi[index], ends, bounds)
         self.start[name] = sum(factor * float(self.start[joint]) for joint, factor in terms)
         self.tendons[tendon] = name
         (of, factor), *more = terms
         self.couplings.append(Coupling(f"length of {name}", name, of, (0.0, factor), tuple(more)))
-        if m.has("tendon_armature", tendon):
-            self.armature[name] = m["tendon_armature"][tendon]
-        low, high = (float(end) for end in m["tendon_lengthspring"][tendon])
-        if m["tendon_stiffness"][tendon] and (low != high or m.has("tendon_springyield", tendon)):
+        if self._has("tendon_armature", tendon):
+            self.armature[name] = m.tendon_armature[tendon]
+        low, high = (float(end) for end in m.tendon_lengthspring[tendon])
+        if m.tendon_stiffness[tendon] and (low != high or self._has("tendon_springyield", tendon)):
             self._refuse(f"the tendon {label!r} has a spring with slack, which is not covered", "Give it one length.")
-        self._take(name, "damping", m["tendon_damping"][tendon], curved=m.has("tendon_dampingpoly", tendon))
-        self._take(name, "frictionloss", m["tendon_frictionloss"][tendon], curved=False)
-        bent = m.has("tendon_stiffnesspoly", tendon)
-        self._take(name, "stiffness", m["tendon_stiffness"][tendon], curved=bent, rest=low)
+        self._take(name, "damping", m.tendon_damping[tendon], curved=self._has("tendon_dampingpoly", tendon))
+        self._take(name, "frictionloss", m.tendon_frictionloss[tendon], curved=False)
+        bent = self._has("tendon_stiffnesspoly", tendon)
+        self._take(name, "stiffness", m.tendon_stiffness[tendon], curved=bent, rest=low)
         return name
 
     def _one(self, joint: int, what: str) -> str:
         """Return the name of a joint of one degree of freedom that moves."""
-        if self.m["jnt_type"][joint] not in ("hinge", "slide") or not self.joints[joint]:
-            name = self.m["joint_names"][joint] or f"joint {joint + 1}"
+        if word("Joint", self.m.jnt_type[joint]) not in ("hinge", "slide") or not self.joints[joint]:
+            name = self.m.joint(joint).name or f"joint {joint + 1}"
             self._refuse(f"{what} acts on {name!r}, a joint that is held or of several degrees of freedom", _NO_JOINT)
         return self.joints[joint][0]
 
@@ -391,33 +399,34 @@ class _Reader:
 
     def _equalities(self) -> Iterator[LoopJoint]:
         m = self.m
-        for number, word in enumerate(m["eq_type"]):
-            name = m["equality_names"][number] or f"{word}_{number + 1}"
-            if m["eq_active0"][number] and self._is_soft(number):
+        for number in range(m.neq):
+            kind = word("Eq", m.eq_type[number])
+            name = m.equality(number).name or f"{kind}_{number + 1}"
+            if m.eq_active0[number] and self._is_soft(number):
                 self._leave_out("softness (solref, solimp)", name)
-            one, other, data = int(m["eq_obj1id"][number]), int(m["eq_obj2id"][number]), m["eq_data"][number]
-            if not m["eq_active0"][number]:
+            one, other, data = int(m.eq_obj1id[number]), int(m.eq_obj2id[number]), m.eq_data[number]
+            if not m.eq_active0[number]:
                 self.notes.append(f"The equality {name!r} is not active, and left out.")
-            elif word in ("connect", "weld"):
+            elif kind in ("connect", "weld"):
                 yield self._loop_joint(number, name, one, other, data)
-            elif word == "joint":
+            elif kind == "joint":
                 ends = [self._one(each, f"the equality {name!r}") for each in (one, other) if each >= 0]
-                lengths = [float(m["qpos0"][m["jnt_qposadr"][each]]) for each in (one, other) if each >= 0]
+                lengths = [float(m.qpos0[m.jnt_qposadr[each]]) for each in (one, other) if each >= 0]
                 self._couple(name, ends, lengths, data[:5])
-            elif word == "tendon":
+            elif kind == "tendon":
                 if rod := self._rod(name, one, other, data):
                     yield rod
                 else:
                     self._couple_tendons(name, one, other, data)
             else:
-                self._refuse(f"the equality {name!r} is of the kind {word}, which is not covered", "Take it out.")
+                self._refuse(f"the equality {name!r} is of the kind {kind}, which is not covered", "Take it out.")
 
     def _is_soft(self, number: int) -> bool:
         """Return whether an equality is softer than by MuJoCo's defaults, so that it may stand for a spring."""
-        time, damping = self.m["eq_solref"][number]
+        time, damping = self.m.eq_solref[number]
         # a negative solref is stiffness and damping, in 1/s² and 1/s
         is_slow = time * damping > _RIGID_TIME if time > 0.0 else -time < _RIGID_TIME**-2
-        return bool(is_slow or min(self.m["eq_solimp"][number][:2]) < _RIGID_IMPEDANCE)
+        return bool(is_slow or min(self.m.eq_solimp[number][:2]) < _RIGID_IMPEDANCE)
 
     def _couple(self, name: str, ends: list[str], initial: list[float], polycoef: Array) -> None:
         """Add q₁ − r₁ = Σ a_k (q₂ − r₂)^k in powers of q₂; r are positions at the initial configuration."""
@@ -430,7 +439,7 @@ class _Reader:
     def _couple_tendons(self, name: str, one: int, other: int, data: Array) -> None:
         """Add what an equality says of one or two tendons: of their joints where it is linear, as most are."""
         tendons = [each for each in (one, other) if each >= 0]
-        initial = [float(self.m["tendon_length0"][each]) for each in tendons]
+        initial = [float(self.m.tendon_length0[each]) for each in tendons]
         if len(tendons) == 2 and np.any(data[2:5]):
             self._couple(name, [self._joint_of_tendon(each) for each in tendons], initial, data)
             return
@@ -449,18 +458,18 @@ class _Reader:
     def _rod(self, name: str, tendon: int, other: int, data: Array) -> LoopJoint | None:
         """Return the rod that a tendon between two sites is whose length an equality holds; None for other tendons."""
         m, wraps = self.m, self._wraps(tendon)
-        if other >= 0 or len(wraps) != 2 or any(m["wrap_type"][wrap] != "site" for wrap in wraps):
+        if other >= 0 or len(wraps) != 2 or any(word("Wrap", m.wrap_type[wrap]) != "site" for wrap in wraps):
             return None
-        first, second = (self.sites[int(m["wrap_objid"][wrap])] for wrap in wraps)
-        length = float(m["tendon_length0"][tendon] + data[0])
+        first, second = (self.sites[int(m.wrap_objid[wrap])] for wrap in wraps)
+        length = float(m.tendon_length0[tendon] + data[0])
         if not length > 0.0:
             self._refuse(f"the equality {name!r} holds two sites at the distance {length:g}", "Use a connect.")
         return LoopJoint(name, "rod", (first, second), length=length)
 
     def _loop_joint(self, number: int, name: str, one: int, other: int, data: Array) -> LoopJoint:
-        is_weld = self.m["eq_type"][number] == "weld"
+        is_weld = word("Eq", self.m.eq_type[number]) == "weld"
         kind = "weld" if is_weld and data[10] else "ball"  # data[10] scales the rows of a weld's rotation
-        if self.m["eq_objtype"][number] == "site":
+        if word("Obj", self.m.eq_objtype[number]) == "site":
             return LoopJoint(name, kind, (self.sites[one], self.sites[other]))
         places = np.eye(4), np.eye(4)
         # MuJoCo keeps a connect's points in the order of its bodies, a weld's the other way round
@@ -476,26 +485,27 @@ class _Reader:
         m = self.m
         efforts: dict[str, Array] = {}
         servos: list[str] = []
-        for number, word in enumerate(m["actuator_trntype"]):
-            label, target = m["actuator_names"][number] or f"actuator {number + 1}", int(m["actuator_trnid"][number][0])
-            if word in ("joint", "jointinparent"):
+        for number in range(m.nu):
+            way = word("Trn", m.actuator_trntype[number])
+            label, target = m.actuator(number).name or f"actuator {number + 1}", int(m.actuator_trnid[number][0])
+            if way in ("joint", "jointinparent"):
                 name = self._one(target, f"the actuator {label!r}")
-            elif word == "tendon":
+            elif way == "tendon":
                 name = self._joint_of_tendon(target)
             else:
-                self._refuse(f"the actuator {label!r} acts by a {word}, which is not covered", _NO_JOINT)
-            gear = float(m["actuator_gear"][number][0])
+                self._refuse(f"the actuator {label!r} acts by a {way}, which is not covered", _NO_JOINT)
+            gear = float(m.actuator_gear[number][0])
             if not gear:
                 self._refuse(f"the actuator {label!r} has a gear of zero", "Give it another.")
             ends, is_servo = self._force(number, label)
             efforts[name] = efforts.get(name, np.zeros(2)) + np.sort(gear * ends)
             if is_servo and name not in servos:
                 servos.append(name)
-            if m.has("actuator_armature", number):
-                self.armature[name] = self.armature.get(name, 0.0) + gear**2 * m["actuator_armature"][number]
-            if m.has("actuator_damping", number) or m.has("actuator_dampingpoly", number):
-                damping = gear**2 * m["actuator_damping"][number]
-                self._take(name, "damping", damping, curved=m.has("actuator_dampingpoly", number))
+            if self._has("actuator_armature", number):
+                self.armature[name] = self.armature.get(name, 0.0) + gear**2 * m.actuator_armature[number]
+            if self._has("actuator_damping", number) or self._has("actuator_dampingpoly", number):
+                damping = gear**2 * m.actuator_damping[number]
+                self._take(name, "damping", damping, curved=self._has("actuator_dampingpoly", number))
         for name, ends in efforts.items():
             self.efforts[name] = ends.clip(*self.efforts[name])
             least, most = self.efforts[name]
@@ -515,23 +525,23 @@ class _Reader:
         """
         m, laws = self.m, {}
         for what, allowed in _LAWS.items():
-            laws[what] = word = m[f"actuator_{what}type"][number]
-            if word not in allowed or m["actuator_plugin"][number] >= 0:
+            laws[what] = law = word(what.capitalize(), getattr(m, f"actuator_{what}type")[number])
+            if law not in allowed or m.actuator_plugin[number] >= 0:
                 remedy = "Make it a motor, position or velocity."
-                self._refuse(f"the actuator {label!r} has {what}type={word}, which is not covered", remedy)
-        gains = m["actuator_gainprm"][number][: 1 if laws["gain"] == "fixed" else 3]
-        terms = m["actuator_biasprm"][number][: 0 if laws["bias"] == "none" else 3]
+                self._refuse(f"the actuator {label!r} has {what}type={law}, which is not covered", remedy)
+        gains = m.actuator_gainprm[number][: 1 if laws["gain"] == "fixed" else 3]
+        terms = m.actuator_biasprm[number][: 0 if laws["bias"] == "none" else 3]
         is_servo = bool(np.any(gains[1:]) or np.any(terms[1:])) or "pid" in laws.values()
         ends = _NO_ENDS
         if not is_servo:
             dynamics, gain, bias = laws["dyn"], float(gains[0]), float(np.sum(terms[:1]))
-            if dynamics != "integrator" and m["actuator_ctrllimited"][number]:
-                ends = np.array(m["actuator_ctrlrange"][number])
-            if dynamics != "none" and m["actuator_actlimited"][number]:
-                ends = ends.clip(*m["actuator_actrange"][number])
+            if dynamics != "integrator" and m.actuator_ctrllimited[number]:
+                ends = np.array(m.actuator_ctrlrange[number])
+            if dynamics != "none" and m.actuator_actlimited[number]:
+                ends = ends.clip(*m.actuator_actrange[number])
             ends = (gain * ends if gain else np.zeros(2)) + bias
-        if m["actuator_forcelimited"][number]:
-            ends = np.sort(ends).clip(*m["actuator_forcerange"][number])
+        if m.actuator_forcelimited[number]:
+            ends = np.sort(ends).clip(*m.actuator_forcerange[number])
         return np.sort(ends), is_servo
 
 

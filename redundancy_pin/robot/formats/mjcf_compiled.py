@@ -7,9 +7,11 @@ sees it. Shapes whose mass does not count are not read, so that meshes and textu
 from __future__ import annotations
 
 import io
+import json
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,37 +29,35 @@ MUJOCO = ("mujoco", "Models of MuJoCo (MJCF) need", "Install it with `pip instal
 """What ``errors.optional`` takes."""
 
 _KEPT = ("body_", "jnt_", "dof_", "qpos", "site_", "key_qpos", "eq_", "tendon_", "wrap_", "actuator_")
-"""How the arrays of MuJoCo's model begin that are kept."""
-
-_WORDS = {
-    **{"jnt_type": "Joint", "eq_type": "Eq", "eq_objtype": "Obj", "wrap_type": "Wrap"},
-    **{"actuator_trntype": "Trn", "actuator_dyntype": "Dyn", "actuator_gaintype": "Gain", "actuator_biastype": "Bias"},
-}
-"""Arrays of numbers that stand for words, and the enumeration of MuJoCo that has them."""
-
-_NAMED = {
-    **{kind: f"n{kind}" for kind in ("body", "site", "tendon", "key")},
-    **{"joint": "njnt", "actuator": "nu", "equality": "neq"},
-}
-"""Kinds of elements, and what MuJoCo's model calls their number."""
+"""How the arrays of MuJoCo's model begin that are read."""
 
 _COUNTS = ("replicate", "composite")
 _SHOWN_GROUPS = 3
 """MuJoCo's viewer shows the first groups of geoms; by its convention the others are for contacts."""
 
 
-class Compiled(dict[str, Any]):
-    """Arrays of a model that MuJoCo compiled, by MuJoCo's names; lists of words for numbers that stand for some.
+@dataclass(frozen=True)
+class Compiled:
+    """A model that MuJoCo compiled, and what is not in it.
 
-    Besides: "body_names", "joint_names", ... (N,), empty for elements without; "name" of the model, "gravity" (3,),
-    "fluid" (2,) its density and viscosity, "disabled" (N,) the flags that are, "colliding" whether geoms may collide,
-    "flexes" the number of soft bodies, "warnings" (N,) of MuJoCo, "shapes" (N,) of the bodies "shaped" (N,), elements
-    ``visual`` of a URDF.
+    Attributes:
+        model: MuJoCo's model.
+        name: of the model; empty for one without.
+        colliding: whether geoms may collide.
+        warnings: of MuJoCo's compiler.
+        shapes: elements ``visual`` of a URDF, each with the number of its body.
     """
 
-    def has(self, name: str, index: int) -> bool:
-        """Return whether an entry is not zero, of an array that releases of MuJoCo from 3.6 on may lack."""
-        return name in self and bool(np.any(self[name][index]))
+    model: Any
+    name: str
+    colliding: bool
+    warnings: list[str]
+    shapes: list[tuple[int, str]]
+
+
+def word(enum: str, value: Any) -> str:
+    """Return the word of an enumeration for a value: "hinge" for mjJNT_HINGE of mjtJoint."""
+    return str(getattr(optional(*MUJOCO), f"mjt{enum}")(int(value)).name).partition("_")[2].lower()
 
 
 def compile_mjcf(path: Path, *, trust: bool = False, untrusted: bool = False) -> Compiled:
@@ -77,13 +77,17 @@ def compile_mjcf(path: Path, *, trust: bool = False, untrusted: bool = False) ->
         return _compiled(path, trust, _require_bounded(path, trust))
     content = run_limited("redundancy_pin.robot.formats.mjcf_compiled", [str(path)], str(path))
     with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        arrays = {name: file[name] for name in file.files}
-    return Compiled({name: each.tolist() if each.dtype.kind == "U" else each for name, each in arrays.items()})
+        assets, rest = {"model.mjb": file["model"].tobytes()}, json.loads(str(file["rest"]))
+    return Compiled(optional(*MUJOCO).MjModel.from_binary_path("model.mjb", assets), *rest)
 
 
 def _packed(path: str) -> bytes:
-    output = io.BytesIO()
-    np.savez(output, **compile_mjcf(Path(path)))
+    """Return a compiled model as bytes: MuJoCo's own form of it, and the rest as JSON."""
+    mujoco, compiled, output = optional(*MUJOCO), compile_mjcf(Path(path)), io.BytesIO()
+    model = np.zeros(mujoco.mj_sizeModel(compiled.model), dtype=np.uint8)
+    mujoco.mj_saveModel(compiled.model, None, model)
+    rest = [compiled.name, compiled.colliding, compiled.warnings, compiled.shapes]
+    np.savez(output, model=model, rest=json.dumps(rest))
     return output.getvalue()
 
 
@@ -154,6 +158,8 @@ def _compiled(path: Path, trust: bool, included: Sequence[str]) -> Compiled:
             for mesh in () if trust else spec.meshes:
                 if mesh.file and not is_within(_mesh_file(mesh, path.parent), (path.resolve().parent,)):
                     raise ModelFileError(f"{path}: file={shown(mesh.file)} {_OUTSIDE}.", remedy=_MOVE, path=str(path))
+            if spec.compiler.discardvisual:
+                spec.copy().compile()  # which MuJoCo refuses where the inertia is that of a shape
             # bodies stay links by their names, whatever they are welded to
             spec.compiler.fusestatic = spec.compiler.discardvisual = False
             model = spec.compile()
@@ -167,37 +173,18 @@ def _compiled(path: Path, trust: bool, included: Sequence[str]) -> Compiled:
         ) from error
     finally:
         mujoco.set_mju_user_warning(before)
-    every = {name: getattr(model, name) for name in dir(model) if name.startswith(_KEPT)}
-    result = Compiled({name: np.array(values) for name, values in every.items() if isinstance(values, np.ndarray)})
-    for name, values in result.items():
-        if not np.abs(values.astype(float)).max(initial=0.0) <= LARGEST:
+    for name in (name for name in dir(model) if name.startswith(_KEPT)):
+        values = getattr(model, name)
+        if isinstance(values, np.ndarray) and not np.abs(values.astype(float)).max(initial=0.0) <= LARGEST:
             what = f"{path}: {name.replace('_', ' ')} has a number beyond {LARGEST:g}"
             raise ModelFileError(f"{what}.", remedy="Correct it.", path=str(path))
-    for name, enum in _WORDS.items():
-        result[name] = [_word(enum, number) for number in result[name]]
-    flags = [flag for name, flag in mujoco.mjtDisableBit.__members__.items() if name.startswith("mjDSBL")]
-    shapes = list(_shapes(model, {geom.id: (file, scale) for geom, file, scale in idle}))
-    result.update(
-        name=spec.modelname,
-        gravity=np.array(model.opt.gravity),
-        fluid=np.array([model.opt.density, model.opt.viscosity]),
-        disabled=[_word("DisableBit", flag) for flag in flags if model.opt.disableflags & int(flag)],
-        colliding=np.array(colliding),
-        flexes=np.array(model.nflex),
-        warnings=[" ".join(str(each.message).split()) for each in warned],
-        shaped=np.array([body for body, _ in shapes], dtype=np.intp),
-        shapes=[shape for _, shape in shapes],
+    return Compiled(
+        model,
+        spec.modelname,
+        colliding,
+        [" ".join(str(each.message).split()) for each in warned],
+        list(_shapes(model, {geom.id: (file, scale) for geom, file, scale in idle})),
     )
-    for kind, count in _NAMED.items():
-        which = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
-        names = [mujoco.mj_id2name(model, which, number) or "" for number in range(getattr(model, count))]
-        result[f"{kind}_names"] = names
-    return result
-
-
-def _word(enum: str, value: Any) -> str:
-    """Return the word of an enumeration for a value: "hinge" for mjJNT_HINGE of mjtJoint."""
-    return str(getattr(optional(*MUJOCO), f"mjt{enum}")(int(value)).name).partition("_")[2].lower()
 
 
 def _without_idle_shapes(spec: Any, ball: Any) -> list[tuple[Any, str, Array]]:
@@ -207,7 +194,7 @@ def _without_idle_shapes(spec: Any, ball: Any) -> list[tuple[Any, str, Array]]:
     kept = set()
     for geom in spec.geoms:
         geom.material = ""
-        if _word("Geom", geom.type) not in ("mesh", "sdf", "hfield") and not geom.meshname:
+        if word("Geom", geom.type) not in ("mesh", "sdf", "hfield") and not geom.meshname:
             continue
         if _counts(geom):
             kept.add(geom.meshname)
@@ -233,7 +220,7 @@ def _mesh_file(mesh: Any, folder: Path) -> Path:
 def _counts(geom: Any) -> bool:
     """Return whether the mass of a body follows from a geom."""
     body, compiler = geom.parent, geom.compiler  # of the model that it is attached from
-    rule = _word("InertiaFromGeom", compiler.inertiafromgeom)
+    rule = word("InertiaFromGeom", compiler.inertiafromgeom)
     if body.name == "world" or rule == "false" or (rule == "auto" and body.explicitinertial):
         return False
     low, high = compiler.inertiagrouprange
@@ -247,7 +234,7 @@ def _shapes(model: Any, files: Mapping[int, tuple[str, Array]]) -> Iterator[tupl
 
     for number in range(model.ngeom):
         file, scale = files.get(number, ("", np.ones(3)))
-        size, kind = model.geom_size[number], _word("Geom", model.geom_type[number])
+        size, kind = model.geom_size[number], word("Geom", model.geom_type[number])
         if model.geom_group[number] >= _SHOWN_GROUPS or (number in files and not file):
             continue
         if file:
