@@ -155,7 +155,7 @@ def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
         kinds = opened.declaration().joint_types if data.get("joint_types") else {}
         robot = opened.robot(read(kinds, opened.named))
     else:
-        proposal = propose(read(None))
+        proposal = propose(read(None, ()))
         require_decided(proposal, file)
         proposal, robot = settled(proposal, opened)
         require_decided(proposal, file)

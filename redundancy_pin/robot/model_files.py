@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from typing import TypeAlias
 
 from redundancy_pin.errors import InputError, ModelFileError, one_of, shown
 from redundancy_pin.io.reading import is_file
@@ -51,18 +51,10 @@ def _format(path: Path) -> str:
     return format_of(text)
 
 
-class Reader(Protocol):
-    """Reads the mechanism of a file."""
-
-    def __call__(self, kinds: Mapping[str, str] | None, named: Sequence[str] = ()) -> Mechanism:
-        """Return the mechanism.
-
-        Args:
-            kinds: by joint, the kind that replaces its own; None without a declaration.
-            named: joints that have a role, which the tree must contain. SDF does not say which of its joints these are,
-                and one that closes a loop is no joint of the tree otherwise; hinges of a ball are its three joints.
-        """
-        ...
+Reader: TypeAlias = Callable[[Mapping[str, str] | None, Sequence[str]], Mechanism]
+"""Returns the mechanism of a file, of two arguments: by joint, the kind that replaces its own, None without a
+declaration; and joints that have a role, which the tree must contain. SDF does not say which of its joints these are,
+and one that closes a loop is no joint of the tree otherwise; hinges of a ball are its three joints."""
 
 
 def open_model(
@@ -99,7 +91,7 @@ def open_model(
     given = {name: _text(arguments.get(name, default)) for name, default in defaults.items()}
     _require_base(given["base"])
 
-    def read(kinds: Mapping[str, str] | None, named: Sequence[str] = ()) -> Mechanism:
+    def read(kinds: Mapping[str, str] | None, named: Sequence[str]) -> Mechanism:
         if kinds:
             raise InputError(f"`joint_types` are of joints of a URDF; {path.name} is none.", remedy="Leave them out.")
         base, driven = given["base"], given["actuated"]
@@ -142,7 +134,7 @@ def _open_urdf(
     text, values = render(path, others, trust=trust, untrusted=untrusted)
     driven = _names(str(own.get("actuated", "")))
 
-    def read(kinds: Mapping[str, str] | None, named: Sequence[str] = ()) -> Mechanism:
+    def read(kinds: Mapping[str, str] | None, named: Sequence[str]) -> Mechanism:
         return mechanism_of_urdf(text, path, own, kinds).with_hinges_of((*driven, *named))
 
     return {**values, **own}, read

@@ -194,7 +194,7 @@ def test_shipped_urdfs_are_closed_as_declared_or_asked(name: str, tmp_path: Path
     robot = rp.load_robot(name)
     path = tmp_path / "robot.urdf"
     path.write_text(robot.urdf)
-    proposal = propose(open_model(path, {})[1](None))
+    proposal = propose(open_model(path, {})[1](None, ()))
     declared = {frozenset((each.frame_a, each.frame_b)) for each in robot.all_closures or robot.closures}
     found = {frozenset(each.links) for each in proposal.mechanism.loop_joints}
     assert found <= declared

@@ -241,7 +241,7 @@ def _reloaded(robot: Robot, trust: bool, changed: tuple[str, float] | None = Non
         arguments = {**robot.parameters, **dict([changed] if changed else [])}
         parameters, read = open_model(path.parent / file.data["urdf"], arguments, trust=trust)
         declaration = parse({"reference": {}, **file.data}, parameters)
-        mechanism = read(declaration.joint_types)
+        mechanism = read(declaration.joint_types, ())
         mechanism.model.gravity.linear = robot.gravity
         other = read_robot(declaration, mechanism, parameters=parameters, mode=robot.working_mode or None)
     if changed and not _alike(robot, other):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -14,7 +13,6 @@ from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.formats.packages import may_include, own_folders
 from redundancy_pin.robot.formats.xacro_engine import expand
 from redundancy_pin.robot.formats.xml_files import MOST_BYTES, parsed, read_model
-from redundancy_pin.robot.shipped import is_shipped
 
 Argument = float | bool | str
 """A xacro argument: a number, a flag, or text (such as ``"auto"``)."""
@@ -166,9 +164,7 @@ def render(
         return read_model(path), {}
     # as xacro reads them; whole numbers keep the form they were given in
     texts = {name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in arguments.items()}
-    # shipped files do not change, and sweeps and tests load the same ones time and again
-    kept = is_shipped(path) and not trust and not untrusted
-    urdf, resolved = (_expanded if kept else _expanded.__wrapped__)(path, tuple(texts.items()), trust, untrusted)
+    urdf, resolved = expand(path, texts, trust=trust, untrusted=untrusted)
     if unread := [name for name in texts if name not in resolved]:
         declared, _ = _declared(path)  # in a part of the file that these arguments leave out
         for name in unread:
@@ -176,10 +172,3 @@ def render(
                 raise _unknown(path, name, {**declared, **resolved})
         resolved = {**resolved, **{name: texts[name] for name in unread}}
     return urdf, {name: from_text(value) for name, value in resolved.items()}
-
-
-@functools.lru_cache(maxsize=256)
-def _expanded(
-    path: Path, given: tuple[tuple[str, str], ...], trust: bool, untrusted: bool
-) -> tuple[str, dict[str, str]]:
-    return expand(path, dict(given), trust=trust, untrusted=untrusted)
