@@ -228,13 +228,11 @@ class _Reader:
             freedoms = {"free": 6, "ball": 3}
             is_floating = sum(freedoms.get(word("Joint", m.jnt_type[joint]), 1) for joint in joints) == 6
             is_held = self.base == "fixed" and m.body_parentid[body] == 0 and is_floating
-            for number, joint in enumerate(joints):
-                if is_held:
-                    place = self._moved(joint, place)
-                else:
-                    single = "" if len(joints) == 1 else f"_{number + 1}"
-                    own = m.joint(joint).name or f"{name}_joint{single}"
-                    carrier, place = self._joint(joint, own, carrier, place)
+            place = self._placed(body) if is_held else place
+            for number, joint in enumerate(() if is_held else joints):
+                single = "" if len(joints) == 1 else f"_{number + 1}"
+                own = m.joint(joint).name or f"{name}_joint{single}"
+                carrier, place = self._joint(joint, own, carrier, place)
             turn = rotation_of(m.body_iquat[body])
             inertia = turn @ np.diag(m.body_inertia[body]) @ turn.T
             if m.body_mass[body] or inertia.any():
@@ -259,17 +257,13 @@ class _Reader:
             place = place * pin.SE3(rotation_of(m.site_quat[site]), m.site_pos[site])
             self.sites.append(self._link(m.site(site).name or f"site_{site}", "site", carrier, place))
 
-    def _moved(self, joint: int, place: pin.SE3) -> pin.SE3:
-        """Return where the body of a joint is that is held at the start, given its placement before that joint."""
-        m, kind, at = self.m, word("Joint", self.m.jnt_type[joint]), self.m.jnt_qposadr[joint]
-        q, anchor, axis = self.qpos[at : at + 7], m.jnt_pos[joint], m.jnt_axis[joint]
-        if kind == "free":
-            return pin.SE3(rotation_of(q[3:]), q[:3])
-        away = q[0] - m.qpos0[at]
-        if kind == "slide":
-            return place * pin.SE3(np.eye(3), away * axis)
-        turn = rotation_of(q[:4]) if kind == "ball" else pin.exp3(away * axis)
-        return place * pin.SE3(turn, anchor - turn @ anchor)
+    def _placed(self, body: int) -> pin.SE3:
+        """Return where MuJoCo has a body at the start."""
+        mujoco = optional(*MUJOCO)
+        data = mujoco.MjData(self.m)
+        data.qpos[:] = self.qpos
+        mujoco.mj_kinematics(self.m, data)
+        return pin.SE3(rotation_of(data.xquat[body]), data.xpos[body])
 
     def _joint(self, joint: int, name: str, carrier: int, place: pin.SE3) -> tuple[int, pin.SE3]:
         """Add a joint to a body at a placement; return the joint that carries the body, and the placement there."""
@@ -287,7 +281,7 @@ class _Reader:
             for own, model in row:
                 carrier = self.model.addJoint(carrier, model, pin.SE3.Identity(), own)
             self.joints[joint] = tuple(own for own, _ in row)
-            self.start.update(zip(self.joints[joint], six_positions(self._moved(joint, place)), strict=True))
+            self.start.update(zip(self.joints[joint], six_positions(self._placed(m.jnt_bodyid[joint])), strict=True))
             self.notes.append(
                 f"The free joint {name!r} is three slides and three hinges (yaw, pitch, roll; singular at a pitch of "
                 f"90°): {', '.join(self.joints[joint])}. Nothing drives it; base=fixed holds it."
