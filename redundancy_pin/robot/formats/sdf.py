@@ -178,7 +178,6 @@ class _Reader:
 
     def _link(self, frame: Frame) -> LinkEntry:
         part, name = frame.part, self.frames.name(frame.full)
-        self.frames.pass_over(part)
         if not part.flag("gravity", default=True):
             part.refuse(f"{part.owner} has no gravity, which is not covered")
         if part.flag("kinematic") or part.flag("enable_wind"):
@@ -190,13 +189,11 @@ class _Reader:
         tensor = inertial.one("inertia") if inertial else None
         mass, inertia, place = 1.0, np.eye(3), np.eye(4)
         if inertial:
-            self.frames.pass_over(inertial)
             if inertial.text_of("auto") not in ZEROS or inertial.relative_to():
                 remedy = "Write mass and inertia, in the frame of the link."
                 inertial.refuse(f"{part.owner} has an inertial by its shapes, or in another frame", remedy)
             place, mass = inertial.pose(), inertial.value("mass", 1.0)
         if tensor:
-            self.frames.pass_over(tensor)
             keys = ["i" + "".join(sorted(one + other)) for one in "xyz" for other in "xyz"]
             values = [tensor.value(key, 1.0 if key in _MOMENTS else 0.0) for key in keys]
             inertia = np.array(values).reshape(3, 3)
@@ -210,7 +207,6 @@ class _Reader:
 
     def _joint(self, full: str, frame: Frame) -> _Joint:
         part, name = frame.part, self.frames.name(full)
-        self.frames.pass_over(part)
         for ode in part.deep("ode"):
             softened = [*ode.parts(), *(each for inner in ode.parts("suspension") for each in inner.parts())]
             if any(each.tag in _SOFT and each.content().lower() not in ZEROS for each in softened):
@@ -230,7 +226,6 @@ class _Reader:
                 if number < _AXES[kind]:
                     part.refuse(f"{part.owner} has no {tag}", "Add it.")
                 continue
-            self.frames.pass_over(axis)
             self._read_forces(axis, name, names[number] if number < len(names) and kind != "gearbox" else "")
             if axis.value("initial_position", 0.0):
                 self.notes.append(f"The initial position of {name!r} is not read: joints are at zero where links are.")
@@ -278,7 +273,6 @@ class _Reader:
         limit = axis.one("limit")
         if limit is None:
             return result
-        self.frames.pass_over(limit)
         for key in UNLIMITED:
             try:
                 value = decimal(limit.text(key, "inf") or "inf")
@@ -299,7 +293,6 @@ class _Reader:
         dynamics = axis.one("dynamics")
         if dynamics is None:
             return
-        self.frames.pass_over(dynamics)
         damping, friction, stiffness = (dynamics.value(key, 0.0) for key in ("damping", "friction", "spring_stiffness"))
         if min(damping, friction, stiffness) < 0.0:
             dynamics.refuse(f"{axis.owner} has negative friction or stiffness", "Correct it.")
@@ -330,7 +323,6 @@ class _Reader:
             axis = joint.frame.part.one(tag)
             if axis is None or (mimic := axis.one("mimic")) is None:
                 continue
-            self.frames.pass_over(mimic)
             leader, which = joints.get(scope.prefix + mimic.text_of("joint")), mimic.text_of("axis") or "axis"
             turns = dict(zip(("axis", "axis2"), leader.turns if leader and leader is not joint else (), strict=False))
             if which not in turns or number >= len(joint.turns):

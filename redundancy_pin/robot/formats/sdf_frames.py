@@ -77,23 +77,6 @@ class SdfPart(Part):
     version: int = 0
     remedy: ClassVar[str] = "Take it out, or write the model without it."
 
-    def unknown_parts(self) -> list[SdfPart]:
-        """Return the elements of other namespaces in the element, those of Drake that change the mechanics refused.
-
-        Raises:
-            ModelFileError: an element that SDF does not know, or one of Drake.
-        """
-        unknown = []
-        for part in self.parts():
-            if part.tag in _PARTS[self.tag]:
-                continue
-            if "}" not in part.tag or part.tag.startswith(DRAKE):
-                name = short(part.tag.rpartition("}")[2])
-                hint = did_you_mean(name, _PARTS[self.tag]).strip()
-                part.refuse(f"{self.owner} has <{name}>, which is not covered", hint)
-            unknown.append(part)
-        return unknown
-
     def text(self, tag: str, default: str | None = None) -> str:
         """Return the text of an element in the element.
 
@@ -288,7 +271,6 @@ class Frames:
 
     def _include(self, scope: Scope, part: SdfPart) -> None:
         """Add what another file holds."""
-        self.pass_over(part)
         wanted = part.path, part.text("uri")
         if wanted not in self._found:
             self._found[wanted] = self._find_file(scope, part)
@@ -348,7 +330,7 @@ class Frames:
 
     def _read(self, scope: Scope, whole: SdfPart) -> None:
         """Add what is in a world or model."""
-        self.pass_over(whole)
+        self._check(whole, deep=not scope.is_static)
         if whole.tag == "model" and whole.flag("enable_wind"):
             whole.refuse(f"{whole.owner} is in the wind, which is not covered")
         for part in whole.parts():
@@ -359,7 +341,6 @@ class Frames:
                 if not scope.is_static:
                     self.links[full] = frame
             elif part.tag == "frame":
-                self.pass_over(part)
                 full, attached_to = scope.prefix + _checked_name(part), part.text_of("attached_to")
                 self._add(Frame(full, part, scope, attached_to, part.relative_to() or attached_to))
                 self.marks.append(full)
@@ -406,13 +387,22 @@ class Frames:
             part.refuse(f"{part.file} has more than {3 * MOST_LINKS} frames", "Take out what is not needed.")
         self._frames[frame.full] = frame
 
-    def pass_over(self, part: SdfPart) -> None:
-        """Note the elements of other namespaces in an element.
+    def _check(self, part: SdfPart, *, deep: bool) -> None:
+        """Check an element against ``_PARTS``, and what is in it but other models; note elements of other namespaces.
 
         Raises:
-            ModelFileError: as ``SdfPart.unknown_parts``.
+            ModelFileError: an element that SDF does not know, or one of Drake, which may change the mechanics.
         """
-        self.notes += [f"{not_understood(each.place).rstrip('.')} ({each.file})." for each in part.unknown_parts()]
+        known = _PARTS[part.tag]
+        for each in part.parts():
+            if each.tag not in known:
+                name = short(each.tag.rpartition("}")[2])
+                if "}" not in each.tag or each.tag.startswith(DRAKE):
+                    each.refuse(f"{part.owner} has <{name}>, which is not covered", did_you_mean(name, known).strip())
+                self.notes.append(f"{not_understood(each.place).rstrip('.')} ({each.file}).")
+            elif deep and each.tag in _PARTS and each.tag != "model":
+                has_name = each.tag in ("link", "joint", "frame", "include")
+                self._check(each if has_name else replace(each, owner=part.owner), deep=True)
 
     # --- both graphs --------------------------------------------------------------------------------------------------
 
