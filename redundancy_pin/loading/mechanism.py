@@ -77,10 +77,13 @@ def select_rows(
     """Return the robot, its reference not closed yet, and whether dependent closure rows were left out.
 
     They are left out on demand (``drop_dependent``), where the declaration expects them, and where joints close loops:
-    joints of a planar mechanism constrain more than it needs.
+    joints of a planar mechanism constrain more than it needs. Gravity is the given one, that of the declaration, or
+    that of the model.
     """
     if gravity is not None:
         mechanism.model.gravity.linear = np.array(checked(gravity, "gravity", (3,)))
+    elif "gravity" in declaration.model_fields_set:
+        mechanism.model.gravity.linear = np.array(declaration.gravity)
     robot = read_robot(declaration, mechanism, **of)
     has_joints = bool(declaration.loop_joints or mechanism.loop_joints)
     drop_dependent = drop_dependent or declaration.redundant_rows or has_joints
@@ -226,13 +229,12 @@ class OpenedModel:
         if not given["actuated"]:
             named = "Name what is driven under `actuated`." if self.data else "It has no joint that could be: add one."
             raise DeclarationError(f"{self.file.name} drives no joint.", remedy=named)
-        is_declared_urdf = bool(self.data) and is_urdf(self.file)
-        # a URDF does not say it: a declaration of one that leaves it out has none
-        unsaid = [0.0, 0.0, 0.0] if is_declared_urdf else mechanism.model.gravity.linear.tolist()
+        if is_declared_urdf := bool(self.data) and is_urdf(self.file):
+            given = {"gravity": [0.0, 0.0, 0.0], **given}  # which a URDF does not state
         robot = build_robot(
             given,
             replace(mechanism, model=mechanism.model.copy()),  # it gets frames, and may be needed again
-            gravity=self.data.get("gravity", unsaid) if self.gravity is None else self.gravity,
+            gravity=self.gravity,
             drop_dependent=not is_declared_urdf,
             mode=self.working_mode,
             parameters=self.parameters,
