@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.loading.cut_ends import about_several_axes, branches_meet, common_axis
+from redundancy_pin.loading.cut_ends import branches_meet, turning_axes
 from redundancy_pin.loading.mechanism import OpenedModel
 from redundancy_pin.loading.reference import reference_positions
 from redundancy_pin.robot import Robot
@@ -104,10 +104,10 @@ def _hinges_off_axis(proposal: Proposal, opened: OpenedModel) -> Iterator[str]:
     loops = proposal.mechanism.loop_joints
     for hinge in proposal.hinges_by_flag:
         joints = tuple(replace(each, kind="ball") if each is hinge else each for each in loops)
-        axis = None
+        axes = np.zeros((0, 3))
         with suppress(DeclarationError):
-            axis = common_axis(opened.robot(replace(proposal.mechanism, loop_joints=joints)), hinge.links)
-        if axis is not None and (away := np.arctan2(np.hypot(*axis[:2]), abs(axis[2]))) > _OFF_AXIS:
+            axes = turning_axes(opened.robot(replace(proposal.mechanism, loop_joints=joints)), hinge.links)
+        if len(axes) == 1 and (away := np.arctan2(np.hypot(*axes[0, :2]), abs(axes[0, 2]))) > _OFF_AXIS:
             ends = ",".join(hinge.links)
             yield (
                 f"Which joint closes the loop at {ends}? A hinge about z of {hinge.links[0]} is "
@@ -132,11 +132,10 @@ def _which_branch(robot: Robot) -> str:
     )
 
 
-def _turning(proposal: Proposal, robot: Robot) -> tuple[str, ...]:
+def _turning(proposal: Proposal, robot: Robot) -> list[str]:
     """Return the loop joints of unknown kind whose links turn against each other about several axes."""
-    loops = proposal.mechanism.loop_joints
-    ends = {joint.name: joint.links for joint in loops if joint.name in proposal.mechanism.presumed}
-    return tuple(name for name, links in ends.items() if links in about_several_axes(robot, tuple(ends.values())))
+    unknown = [joint for joint in proposal.mechanism.loop_joints if joint.name in proposal.mechanism.presumed]
+    return [joint.name for joint in unknown if len(turning_axes(robot, joint.links)) > 1]
 
 
 def require_decided(proposal: Proposal, file: Path) -> None:
