@@ -366,32 +366,23 @@ class _Reader:
             first.setdefault(joint.child, joint)
         tree: list[tuple[_Joint | None, bool, str, str]] = []
         reached, rest = {WORLD}, list(joints)
-
-        def grow() -> None:
-            while True:
-                joint = next(
-                    (j for j in rest if j.parent in reached and j.child not in reached and first[j.child] is j), None
-                )
-                joint = joint or next((j for j in rest if (j.parent in reached) != (j.child in reached)), None)
-                if joint is None:
-                    return
+        while True:
+            forward = (j for j in rest if j.parent in reached and j.child not in reached and first[j.child] is j)
+            backward = (j for j in rest if (j.parent in reached) != (j.child in reached))
+            if joint := next(forward, None) or next(backward, None):
                 back = joint.parent not in reached
                 carrier, carried = (joint.child, joint.parent) if back else (joint.parent, joint.child)
                 tree.append((joint, back, carrier, carried))
-                reached.add(carried)
                 rest.remove(joint)
-
-        grow()
-        while len(reached) <= len(links):
-            left = [full for full in links if full not in reached]
-            if tree:
-                part = links[left[0]].part
-                part.refuse(f"{part.owner} is joined to nothing that is joined to the base", "Add a joint.")
-            root = next((full for full in left if full not in first), left[0])
-            tree.append((None, False, WORLD, root))
-            reached.add(root)
-            grow()
-        return tree, rest
+            elif left := [full for full in links if full not in reached]:
+                if tree:
+                    part = links[left[0]].part
+                    part.refuse(f"{part.owner} is joined to nothing that is joined to the base", "Add a joint.")
+                carried = next((full for full in left if full not in first), left[0])
+                tree.append((None, False, WORLD, carried))
+            else:
+                return tree, rest
+            reached.add(carried)
 
     def _where(self, full: str) -> pin.SE3:
         """Return the placement of a link, or the world, in the model that moves."""
