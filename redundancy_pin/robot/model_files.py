@@ -18,6 +18,9 @@ from redundancy_pin.robot.formats.xacro_file import Argument, known_values, rend
 from redundancy_pin.robot.formats.xml_files import FORMATS, format_of, read_model, remedy_of_format
 
 _URDF = (".urdf", ".xacro")
+_OF_URDF = ("base", "actuated")
+"""Arguments of a URDF that is no xacro file."""
+
 _YAML = (".yaml", ".yml")
 _SUFFIXES = (".xml", ".mjcf", ".sdf", ".world", *_YAML)
 _PARALLEL = "a robot.yaml of example-parallel-robots"
@@ -76,34 +79,42 @@ def open_model(
     """
     if trust and untrusted:
         raise InputError("trust and untrusted are both true.", remedy="Pass one of them.")
-    if is_urdf(path):
-        return _open_urdf(path, arguments, trust, untrusted)
-    if (defaults := _ARGUMENTS.get(found := _format(path))) is None:
-        raise ModelFileError(
-            f"{path} is {found or 'no model'}, and by its name no URDF.",
-            remedy=remedy_of_format(found),
-            path=str(path),
-        )
-    for name in arguments:
-        if name not in defaults:
-            remedy = one_of(name, defaults, "Its arguments")
-            raise InputError(f"{path.name} has no argument {name!r}.", remedy=remedy, argument=name)
-    given = {name: _text(arguments.get(name, default)) for name, default in defaults.items()}
-    _require_base(given["base"])
+    by_urdf, found, text, values = is_urdf(path), "", "", dict[str, Argument]()
+    if by_urdf:
+        own = _OF_URDF if is_plain(path) else ()
+        given = {name: _text(value) for name, value in arguments.items() if name in own}
+    elif (defaults := _ARGUMENTS.get(found := _format(path))) is None:
+        what = f"{path} is {found or 'no model'}, and by its name no URDF."
+        raise ModelFileError(what, remedy=remedy_of_format(found), path=str(path))
+    elif unknown := [name for name in arguments if name not in defaults]:
+        remedy = one_of(unknown[0], defaults, "Its arguments")
+        raise InputError(f"{path.name} has no argument {unknown[0]!r}.", remedy=remedy, argument=unknown[0])
+    else:
+        given = {name: _text(arguments.get(name, default)) for name, default in defaults.items()}
+    base, driven = given.get("base", "fixed"), _names(given.get("actuated", ""))
+    if base not in ("free", "fixed"):
+        raise InputError(f"The argument 'base' is {shown(base)}.", remedy="It must be free or fixed.")
+    if by_urdf:
+        others = {name: value for name, value in arguments.items() if name not in given}
+        known_values(path, others)
+        text, values = render(path, others, trust=trust, untrusted=untrusted)
 
     def read(kinds: Mapping[str, str] | None, named: Sequence[str]) -> Mechanism:
-        if kinds:
+        if kinds and not by_urdf:
             raise InputError(f"`joint_types` are of joints of a URDF; {path.name} is none.", remedy="Leave them out.")
-        base, driven = given["base"], given["actuated"]
-        if found == FORMATS["mujoco"]:
+        roles = (*driven, *named)
+        if by_urdf:
+            made = mechanism_of_urdf(text, path, given, kinds)
+        elif found == FORMATS["mujoco"]:
             made = read_mjcf(path, base=base, keyframe=given["keyframe"], trust=trust, untrusted=untrusted)
         elif found == FORMATS["sdf"]:
-            made = read_sdf(path, base=base, named=(*_names(driven), *named))
+            made = read_sdf(path, base=base, named=roles)
         else:
             made = read_parallel_yaml(path, base=base)
-        return _driving(made.with_hinges_of((*_names(driven), *named)), driven)
+        made = made.with_hinges_of(roles)
+        return replace(made, actuated=driven) if driven else made
 
-    return dict(given), read
+    return {**values, **given}, read
 
 
 def _text(value: object) -> str:
@@ -114,30 +125,6 @@ def _text(value: object) -> str:
 def _names(text: str) -> tuple[str, ...]:
     """Return the names of a text with commas between."""
     return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-def _driving(mechanism: Mechanism, names: str) -> Mechanism:
-    """Return a mechanism with these motors, commas between, in place of its own; with its own for an empty text."""
-    return replace(mechanism, actuated=_names(names)) if _names(names) else mechanism
-
-
-def _open_urdf(
-    path: Path, arguments: Mapping[str, object], trust: bool, untrusted: bool
-) -> tuple[dict[str, Argument], Reader]:
-    """As ``open_model``; a URDF that is no xacro file has the arguments ``base`` and ``actuated``."""
-    own: dict[str, Argument] = {
-        name: _text(value) for name, value in arguments.items() if is_plain(path) and name in ("base", "actuated")
-    }
-    _require_base(str(own.get("base", "fixed")))
-    others = {name: value for name, value in arguments.items() if name not in own}
-    known_values(path, others)
-    text, values = render(path, others, trust=trust, untrusted=untrusted)
-    driven = _names(str(own.get("actuated", "")))
-
-    def read(kinds: Mapping[str, str] | None, named: Sequence[str]) -> Mechanism:
-        return mechanism_of_urdf(text, path, own, kinds).with_hinges_of((*driven, *named))
-
-    return {**values, **own}, read
 
 
 def mechanism_of_urdf(
@@ -159,14 +146,10 @@ def mechanism_of_urdf(
         kinds = {joint.name: SEVERAL_FREEDOMS[joint.kind] for joint in file.joints if joint.kind in SEVERAL_FREEDOMS}
     base = str(arguments.get("base", "fixed")) if is_plain(path) else "fixed"
     made = urdf_mechanism(file, path.stem.partition(".")[0], kinds=kinds, base=base)
-    return _driving(made, str(arguments.get("actuated", "")) if is_plain(path) else "")
+    driven = _names(str(arguments.get("actuated", ""))) if is_plain(path) else ()
+    return replace(made, actuated=driven) if driven else made
 
 
 def is_plain(path: Path) -> bool:
     """Return whether a file is a URDF that is no xacro file, and has arguments of its own."""
     return path.suffix.lower() == ".urdf"
-
-
-def _require_base(base: str) -> None:
-    if base not in ("free", "fixed"):
-        raise InputError(f"The argument 'base' is {shown(base)}.", remedy="It must be free or fixed.")

@@ -369,11 +369,11 @@ class _Reader:
         while True:
             forward = (j for j in rest if j.parent in reached and j.child not in reached and first[j.child] is j)
             backward = (j for j in rest if (j.parent in reached) != (j.child in reached))
-            if joint := next(forward, None) or next(backward, None):
-                back = joint.parent not in reached
-                carrier, carried = (joint.child, joint.parent) if back else (joint.parent, joint.child)
-                tree.append((joint, back, carrier, carried))
-                rest.remove(joint)
+            if above := next(forward, None) or next(backward, None):
+                back = above.parent not in reached
+                carrier, carried = (above.child, above.parent) if back else (above.parent, above.child)
+                tree.append((above, back, carrier, carried))
+                rest.remove(above)
             elif left := [full for full in links if full not in reached]:
                 if tree:
                     part = links[left[0]].part
