@@ -137,7 +137,7 @@ def test_a_name_that_the_model_does_not_have_is_refused_at_its_line(
         rp.load_robot(tmp_path)
 
 
-@pytest.mark.parametrize(("given", "value"), [("gravity: [0, 0, 10 - 19.81]", -9.81), ("", 0.0)])
+@pytest.mark.parametrize(("given", "value"), [('gravity: [0, 0, "-9.81 * 1"]', -9.81), ("", 0.0)])
 def test_a_declaration_of_a_urdf_that_leaves_gravity_out_has_none(given: str, value: float, tmp_path: Path) -> None:
     path = FILES / "urdf" / "good" / "urdf_plus.urdf"
     (tmp_path / "robot.yaml").write_text(f"urdf: {path}\nactuated: [motor]\n{given}\n")
