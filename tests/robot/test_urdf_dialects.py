@@ -134,13 +134,10 @@ def test_an_axis_of_gazebo_in_the_frame_of_the_model_is_that_of_the_joint_or_ref
     ) as refusal:
         rp.load_robot(turned)
     axis = re.search(r"\[(.*)\]", refusal.value.remedy)[1].replace(",", "")
-    mended = changed(
-        tmp_path,
-        ("<pose>0.2 0 0 0 0 0", "<pose>0.2 0 0 0.5 0 0"),
-        ("<xyz>0 0 1</xyz></axis>\n  </joint>", f"<xyz>{axis}</xyz></axis>\n  </joint>"),
-        name="gazebo",
-    )
-    assert torque(rp.load_robot(mended, gravity=GRAVITY)) == pytest.approx(torque(whole), rel=1e-6)
+    for pose in ("<pose>0.2 0 0 0.5 0 0", f'<pose degrees="true">0.2 0 0 {np.rad2deg(0.5)} 0 0'):
+        along = ("<xyz>0 0 1</xyz></axis>\n  </joint>", f"<xyz>{axis}</xyz></axis>\n  </joint>")
+        mended = changed(tmp_path, ("<pose>0.2 0 0 0 0 0", pose), along, name="gazebo")
+        assert torque(rp.load_robot(mended, gravity=GRAVITY)) == pytest.approx(torque(whole), rel=1e-6)
 
 
 MASS = '<mass value="{}"/><inertia ixx="{}" ixy="0" ixz="0" iyy="{}" iyz="0" izz="{}"/></inertial></link>'

@@ -28,6 +28,7 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import DeclarationError, did_you_mean, one_of, shown
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, SAME_DIRECTION, not_understood
+from redundancy_pin.robot.formats.sdf_frames import SdfPart
 from redundancy_pin.robot.formats.urdf_parts import UrdfPart
 from redundancy_pin.robot.formats.xml_files import DRAKE, ZEROS
 from redundancy_pin.robot.lookup import find_link_index, joint_names, link_names
@@ -224,11 +225,10 @@ def _of_gazebo(part: UrdfPart, model: pin.Model, links: set[str]) -> LoopJoint:
     if not kind or kind == "universal":
         part.refuse(f"{part.owner} has the type {part.text_of('type')!r}", f"There are: {', '.join(LOOP_KINDS)}.")
     parent, child = (_link(part, part.required(role).content(), links) for role in ("parent", "child"))
-    pose = part.one("pose")
-    numbers = pose.numbers(pose.content(), 6, "a pose") if pose else np.zeros(6)
-    if pose and pose.attributes:
-        pose.refuse(f"{part.owner} has a pose with {', '.join(pose.attributes)}", "Write it relative to the child.")
-    place = placed(pin.rpy.rpyToMatrix(numbers[3:]), numbers[:3])
+    in_sdf = SdfPart(part.element, part.path, part.owner, version=11)  # Gazebo reads it as its newest, 1.11
+    if in_sdf.relative_to():
+        part.required("pose").refuse(f"{part.owner} has a pose with relative_to", "Write it relative to the child.")
+    place = in_sdf.pose()
     axis = part.one("axis")
     direction = axis.required("xyz") if axis else None
     along = direction.numbers(direction.content(), 3, "an axis") if direction else np.eye(3)[2]
