@@ -79,7 +79,7 @@ def write_mjcf(robot: RobotLike, path: str | Path, *, step: float = 1e-3, reflec
         The path that was written.
 
     Raises:
-        UnsupportedRobotError: a joint, closure or load that MJCF does not say; a joint that moves no mass.
+        UnsupportedRobotError: a joint, closure or load that MJCF does not have; a joint that moves no mass.
         OutputError: the file cannot be written.
 
     Example:
@@ -112,7 +112,7 @@ def mjcf(
         reflected: see ``write_mjcf``.
 
     Raises:
-        UnsupportedRobotError: a joint or a closure that MuJoCo has not, loads that MJCF does not say, or an open tree
+        UnsupportedRobotError: a joint, closure or load that MuJoCo does not have, or an open tree
             without inertia in some direction.
     """
     _require_inertia(robot)
@@ -176,7 +176,7 @@ def _free_name(name: str, taken: set[str]) -> str:
 def _couple(
     equality: ElementTree.Element, tendons: ElementTree.Element, coupling: Coupling, soft: dict[str, tuple[float, ...]]
 ) -> None:
-    """Add a coupling: an equality of two joints, or of two tendons where it has further terms.
+    """Add a coupling: an equality of two joints, or of two tendons if it has further terms.
 
     The first tendon's length is q_joint − Σ f_i q_i, the second's q_of; both are zero at the initial configuration.
     """
@@ -241,7 +241,7 @@ def constraint_of(robot: Robot, closure: Closure) -> tuple[str, list[Array]]:
     """Return MuJoCo's constraint for a closure, and the points of the frames (3,), m, it joins; no point without one.
 
     Rows that no motion can violate (z of a planar mechanism, those that were left out as redundant) may be added: soft
-    constraints stand them. The spin of a rod between two balls, which is held here and moves nothing, is free there.
+    constraints stand them. The spin of a rod between two balls, which is fixed here and moves nothing, is free there.
 
     Raises:
         UnsupportedRobotError: no constraint of MuJoCo's has this mask.
@@ -305,7 +305,7 @@ def _require_inertia(robot: Robot) -> None:
 
 
 def _forces(robot: Robot, *, reflected: bool) -> tuple[dict[str, dict[str, float]], Array]:
-    """Return what acts in each joint, as attributes of MuJoCo's, and the armature (nv,), that of rotors in it."""
+    """Return the forces in each joint, as attributes of MuJoCo's, and the armature (nv,), rotors included."""
     forces: dict[str, dict[str, float]] = {}
     model, armature = robot.model, np.array(robot.model.armature)
     for load in robot.loads:

@@ -54,7 +54,7 @@ def with_parameters(
             by ``"JOINT.mass"`` hold the inertia about the centre: ``dynamics.compiled.design_of``.)
         lengths: by joint, its distance from the joint before it, m; or (3,) its place in the frame of its parent
             link, m. This moves joints and frames only: masses, centres and moments of inertia of the links stay as
-            they were, which ``notes`` and the log say. Xacro arguments of a file change both.
+            they were; ``notes`` and the log name them. Xacro arguments of a file change both.
         **arguments: xacro arguments, as of ``load_robot``; the others stay.
 
     Raises:
@@ -134,7 +134,7 @@ def with_parameters(
 
 
 def _with_added(robot: Robot, loads: tuple[Load, ...]) -> Robot:
-    """Return a robot that was read anew with the loads it got since: those of its files come first, and it has them."""
+    """Return a robot that was read again, with the loads that were added later: it has the loads of its files."""
     added = loads[len(robot.loads) :]
     return robot.loaded(*added) if added else robot
 
@@ -162,7 +162,7 @@ def _changed_urdf(urdf: str, masses: Mapping[str, float], lengths: Mapping[str, 
             the frame of its parent link, m. Links keep masses, centres and moments of inertia.
 
     Raises:
-        InputError: an unknown name, a negative mass, a link without mass, a direction that is none.
+        InputError: an unknown name, a negative mass, a link without mass, a length without direction.
     """
     root = ElementTree.fromstring(urdf)
     links = {str(link.get("name")): link for link in root.findall("link")}
@@ -291,7 +291,7 @@ def with_limits(
     acceleration: ArrayLike | None = None,
     force: ArrayLike | None = None,
 ) -> Robot:
-    """Return a robot with other limits of its carriers and joints; what is left out stays.
+    """Return a robot with other limits of its carriers and joints; others stay.
 
     Args:
         robot: a robot, or its name or path.

@@ -25,7 +25,7 @@ def turning_axes(robot: Robot, ends: tuple[str, str]) -> Array:
 
     None where they do not turn; one where its direction is fixed in the first frame, and so in the second; several
     otherwise. Where two frames meet in a ball and turn about one axis, a hinge along that axis allows the same motions:
-    in a planar loop, and in a spherical one with its ball away from the centre. The axes are those of the relative
+    in a planar loop, and in a spherical one with its ball away from the centre. The axes span the relative
     angular velocities of all motions that the loops leave free, at the reference and at a few configurations near it.
 
     Args:

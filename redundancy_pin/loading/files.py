@@ -84,7 +84,7 @@ def load_robot(
 
 
 def idle_gravity(robot: Robot, given: Sequence[float] | None) -> str:
-    """Return what to say of a gravity that was asked for and moves nothing; empty if there is nothing to say."""
+    """Return a warning if a gravity that the user passed moves nothing; empty otherwise."""
     if given is None or not np.any(robot.gravity) or gravity_acts(robot):
         return ""
     return (

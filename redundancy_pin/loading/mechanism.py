@@ -41,13 +41,13 @@ def build_robot(
 
     Args:
         data: the declaration, checked here; without ``independent`` joints are chosen.
-        mechanism: the tree, which becomes the robot's own; the reference is looked for where it starts.
+        mechanism: the tree, which becomes the robot's own; the search for the reference begins at its start.
         drop_dependent: leave out dependent closure rows.
-        gravity: (3,) m/s²; that of the model when left out.
+        gravity: (3,) m/s²; the model's when left out.
         mode: ±1 a leg; as declared when left out.
         parameters: of the robot.
-        source: of the robot, where a file says what it is; its numbers may be rounded.
-        own_model: the tree is the user's, whose joints stay what they are.
+        source: of a robot that was read from a file, whose numbers may be rounded.
+        own_model: the tree is the user's; its joints are not replaced.
     """
     choose = not data.get("independent")
     declaration = parse({**data, "independent": {"joints": list(data["actuated"])}} if choose else data, parameters)
@@ -77,8 +77,8 @@ def select_rows(
     """Return the robot, its reference not closed yet, and whether dependent closure rows were left out.
 
     They are left out on demand (``drop_dependent``), where the declaration expects them, and where joints close loops:
-    joints of a planar mechanism constrain more than it needs. Gravity is the given one, that of the declaration, or
-    that of the model.
+    joints of a planar mechanism constrain more than it needs. Gravity is the given one, the
+    declaration's, or the model's.
     """
     if gravity is not None:
         mechanism.model.gravity.linear = np.array(checked(gravity, "gravity", (3,)))
@@ -115,7 +115,7 @@ def select_rows(
 
 
 def _notes(selection: Selection) -> Iterator[str]:
-    """Yield what is to be said of a choice of closure rows."""
+    """Yield notes on a choice of closure rows."""
     if selection.fixed_spins:
         yield (
             f"The spin of {', '.join(selection.fixed_spins)} about the line between two balls, which moves nothing "
@@ -140,9 +140,9 @@ def _notes(selection: Selection) -> Iterator[str]:
 
 
 def _with_redundant_rows(closures: tuple[Closure, ...], all_rows: tuple[Closure, ...]) -> tuple[Closure, ...]:
-    """Return closures with the axes that they have among all; empty where none is missing.
+    """Return closures with the axes that they have among all; empty if no axis is missing.
 
-    One between other frames than before, as where the spin of a rod is held, has all of its own.
+    A closure between other frames than before, as if the spin of a rod is fixed, has all its axes.
     """
     given = {(each.name, each.frame_a, each.frame_b): each for each in all_rows}
     whole = [given.get((each.name, each.frame_a, each.frame_b), each) for each in closures]
@@ -165,14 +165,14 @@ def warn_once(text: str) -> None:
 
 @dataclass(frozen=True)
 class OpenedModel:
-    """A model file whose arguments are known, its declaration, and what the user asked for.
+    """A model file whose arguments are known, its declaration, and the user's gravity and working mode.
 
     Attributes:
-        path: the declaration, or the model file where there is none.
-        data: the declaration, not checked yet; empty where there is none.
+        path: the declaration, or the model file without one.
+        data: the declaration, not checked yet; empty without one.
         parameters: arguments of the model file, with their values.
-        gravity: (3,) m/s²; that of the files where it is None.
-        working_mode: ±1 per leg; as declared where it is None.
+        gravity: (3,) m/s²; None for the gravity of the files.
+        working_mode: ±1 per leg; None for the declared one.
     """
 
     path: Path
@@ -219,7 +219,7 @@ class OpenedModel:
         return self._build(hinged)
 
     def _build(self, mechanism: Mechanism) -> Robot:
-        """Return the robot, its roles those of the declaration, otherwise those of the file."""
+        """Return the robot, its roles from the declaration, otherwise from the file."""
         given = self.complete_data if self.data else {"name": mechanism.name, "reference": {}}
         if mechanism.carriers:
             given = {"carriers": [{"joint": name} for name in mechanism.carriers], **given}

@@ -44,11 +44,11 @@ def robot_from_model(
 
     Args:
         model: the tree; it is copied. Its gravity counts. Frames of any type may be named, and what a joint carries
-            by the joint's name where it has no link, "universe" for the ground.
+            by the joint's name if it has no link, "universe" for the ground.
         actuated: names of the main actuators.
         closures: the loops, each a ``Closure``, a mapping ``{"frames": [a, b], "axes": ["x", "y"]}``, a tuple
             ``(a, b, axes)``, or a constraint model of Pinocchio; of the latter, rows that are redundant all along
-            the motion are left out, and ``notes`` says which.
+            the motion are left out, and listed in ``notes``.
         carriers: names of carrier joints, or mappings as in a ``robot.yaml`` (``{"joint": ..., "speed": ...}``).
         independent: names of joints, a ``Platform``, a mapping ``{"platform": frame, "axes": [...]}``; left out:
             joints are chosen, actuated ones first.
@@ -107,7 +107,7 @@ def _in_order_of(model: pin.Model, given: pin.Model, at: list[int], q: Array) ->
 
 
 def _roles(model: pin.Model, arguments: Mapping[str, Any], at: list[int]) -> dict[str, Any]:
-    """Return the part of a declaration that says what closes the loops and which role each joint has.
+    """Return the part of a declaration with the closures and the role of each joint.
 
     Frames that are named and are no links become links, as do points and what joints carry without a link (by the name
     of the joint, "universe" for the ground), and the frames of Pinocchio's constraint models are added to the model;

@@ -1,4 +1,4 @@
-"""Close the reference configuration of a robot, and say which loop stays open where that fails."""
+"""Close the reference configuration of a robot, and name the loop that stays open if that fails."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def close_reference(robot: Robot, declaration: Declaration, parameters: Mapping[
 
     Args:
         robot: with the guess as reference.
-        declaration: what it was made of.
+        declaration: of the robot.
         parameters: what its expressions are in.
         dropped: redundant rows were left out.
     """

@@ -1,4 +1,4 @@
-"""Model files that leave loops, motors or branches open: what is certain, what to ask, and the robot."""
+"""Model files that leave loops, motors or branches open: certain facts, questions, and the robot."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def propose_robot(
     trust: bool = False,
     untrusted: bool = False,
 ) -> tuple[Proposal, Robot | None]:
-    """Return what is certain of a model file and what is to be asked, and the robot, None where none can be made yet.
+    """Return the certain facts of a model file and the questions, and the robot, None if none can be made yet.
 
     Args:
         path: a file of ``load_robot`` that needs no declaration.
@@ -43,7 +43,7 @@ def propose_robot(
         close: as of ``propose``.
         actuate: as of ``propose``.
         carriers: as of ``propose``.
-        independent: names of independent joints; chosen where it is empty.
+        independent: names of independent joints; chosen if empty.
         guess: positions of joints, rad or m; the loops are closed near them.
         is_open: as of ``propose``.
         trust: as of ``load_robot``.

@@ -39,13 +39,13 @@ def read_robot(
     characteristic length is provisional.
 
     Args:
-        declaration: what it says counts before what the mechanism says of the same joints.
-        mechanism: the tree, which becomes the robot's own, and what its file says of it.
+        declaration: it takes precedence over the mechanism for the same joints.
+        mechanism: the tree, which becomes the robot's own, and the other content of its file.
         parameters: arguments of the file, with their values.
         source: what finds the robot again.
         mode: ±1 a leg; as declared when left out.
-        own_model: the tree is the user's, whose joints stay what they are.
-        rods: lengths of rods by name, m, where nothing else says them.
+        own_model: the tree is the user's; its joints are not replaced.
+        rods: lengths of rods by name, m, for rods without a declared length.
 
     Raises:
         DeclarationError: an unknown joint or frame, a joint in two roles, a carrier that moves the pose, a rod whose
@@ -248,7 +248,7 @@ def _refused(name: str, what: str, remedy: str) -> DeclarationError:
 
 
 def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
-    """Return the declared limits, or those of the URDF, where a zero stands for "not known"."""
+    """Return the declared limits, or the limits of the URDF, in which a zero means "not known"."""
     joint = find_joint(model, entry.joint)
     if joint.nq != 1:
         what = f"The carrier {entry.joint!r} is a continuous joint."
@@ -283,7 +283,7 @@ def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
 
 
 def _zero_limits(robot: Robot) -> tuple[str, ...]:
-    """Return a note on main actuators whose limits of effort or speed are zero, which stands for "not known"."""
+    """Return a note on main actuators whose limits of effort or speed are zero, which means "not known"."""
     model, at = robot.model, robot.actuated_velocity
     zero = {
         "effort": (model.lowerEffortLimit[at] == 0.0) & (model.upperEffortLimit[at] == 0.0),
@@ -330,9 +330,9 @@ def configuration(model: pin.Model, positions: Mapping[str, float], start: Array
 
 
 def with_pointer(platform: Platform | None, model: pin.Model, q: Array) -> Platform | None:
-    """Return a platform with the frame axis that tells its angle: of a single rotation, the first in its plane.
+    """Return a platform with the frame axis that defines its angle: for a single rotation, the first in its plane.
 
-    The order is that of the base axes behind the axis of rotation. So rz is the angle of the frame's x axis, unless
+    The order follows the base axes after the axis of rotation. So rz is the angle of the frame's x axis, unless
     the frame is mounted with that axis along z; any mounting will do.
     """
     if platform is None or len(platform.rotations) != 1:

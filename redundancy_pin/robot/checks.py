@@ -16,7 +16,7 @@ def is_pose(robot: Robot) -> bool:
 
 
 def too_few_motors(robot: Robot) -> str:
-    """Return what to say of a robot with fewer main actuators than degrees of freedom; empty for others."""
+    """Return a warning for a robot with fewer main actuators than degrees of freedom; empty for others."""
     if robot.m >= robot.n:
         return ""
     taken = {*robot.actuated, *robot.carriers, *(coupling.joint for coupling in robot.couplings)}

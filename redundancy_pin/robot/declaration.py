@@ -1,4 +1,4 @@
-"""Read and check ``robot.yaml``: what closes the loops, what is driven, what is carried, what is independent."""
+"""Read and check ``robot.yaml``: closures, actuated joints, carriers, independent coordinates."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ class ClosureEntry(Schema):
         return one, other
 
     def default_name(self) -> str:
-        """Return what the closure is called where it has no name: its kind and its links, or its frames."""
+        """Return the name of a closure that is not named: its kind and its links, or its frames."""
         ends = " = ".join(getattr(self, self.kind))
         return ends if self.kind == "frames" else f"{self.kind} {ends}"
 
@@ -344,7 +344,7 @@ class _Positions(RootModel[dict[str, Number]]):
 
 
 class Reference(Schema):
-    """The reference configuration; the form of its coordinates follows from what is independent."""
+    """The reference configuration; the form of its coordinates follows from the independent ones."""
 
     platform: Any = None
     joints: Any = None
@@ -382,7 +382,7 @@ class Declaration(Schema):
 
     @property
     def loads(self) -> tuple[Load, ...]:
-        """The loads that are declared, those of the URDF not among them."""
+        """The declared loads, without the loads of the URDF."""
         entries: tuple[JointForcesEntry | SpringEntry | PayloadEntry | WrenchEntry, ...]
         entries = (*self.joint_forces, *self.springs, *self.payloads, *self.wrenches)
         return tuple(entry.load() for entry in entries)

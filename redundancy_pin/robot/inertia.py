@@ -20,7 +20,7 @@ NO_MOMENT = 1e-12
 
 
 def negative_inertia(mass: float, inertia: Array) -> str:
-    """Return what is negative or not finite of a body, for messages; empty for a body that may exist.
+    """Name the negative or infinite quantities of a body, for messages; empty for a body that may exist.
 
     Args:
         mass: kg.

@@ -1,6 +1,6 @@
 """Ranges of joints, and where a motion leaves them.
 
-All comparisons of positions with limits allow the same slack, ``JointRange.slack``, which has no unit of its own.
+All comparisons of positions with limits allow the same slack, ``JointRange.slack``, in the unit of the joint.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class JointRange(NamedTuple):
 def all_ranges(robot: Robot) -> tuple[JointRange, ...]:
     """Return the ranges of all joints that have one, actuated or passive, and the tracks of the carriers.
 
-    A URDF gives equal ends where it knows no limits; joints of several freedoms have none here.
+    A URDF gives equal ends for unknown limits; joints of several freedoms have no range here.
     """
     model, ranges, tracks = robot.model, [], dict(zip(robot.carriers, robot.carrier_limits, strict=True))
     for column, (name, joint) in enumerate(zip(list(model.names)[1:], list(model.joints)[1:], strict=True)):
@@ -116,7 +116,7 @@ def all_ranges(robot: Robot) -> tuple[JointRange, ...]:
 
 @lru_cache(maxsize=64)
 def joint_ranges(robot: Robot) -> tuple[JointRange, ...]:
-    """Return the ranges of all joints that have one, except carriers: their tracks are held against their motion."""
+    """Return the ranges of all joints that have one, except carriers, whose tracks are compared with their motion."""
     return tuple(joint for joint in all_ranges(robot) if joint.name not in robot.carriers)
 
 
@@ -205,7 +205,7 @@ def beyond_limits(robot: Robot, q: Array, t: Array) -> tuple[JointExcess, ...]:
 
     Args:
         robot: the robot.
-        q: (N, nq) configurations, NaN where there is none.
+        q: (N, nq) configurations, NaN for unknown ones.
         t: (N,) their times, s.
     """
     excesses = []

@@ -1,11 +1,11 @@
-"""Forces that a robot meets beside gravity and inertia: wrenches, payloads, friction, rotors, springs.
+"""Forces on a robot other than gravity and inertia: wrenches, payloads, friction, rotors, springs.
 
 They belong to the robot (``robot.loaded(...)``), so that inverse dynamics, planners and the simulation have the same
 ones. With L(q, v, a) the generalised forces that they ask of the joints, the equations of motion of the tree are
 
     rnea(q, v, a) + L(q, v, a) = efforts + closure forces.
 
-How L is computed each backend writes for itself; here is what it is made of.
+Each backend computes L by itself; this module defines its terms.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Wrench(Frozen):
         frame: name of the link.
         value: (6,) force, N, and moment, N·m, that act on the frame; (N, 6) at the samples of one motion; or a function
             of t (N,), x (N, n) or (N, 4, 4) and ẋ (N, n) that returns (N, 6): a process force by time, pose and speed.
-        reference: axes of force and moment, "world" or "local", those of the frame.
+        reference: axes of force and moment, "world" or "local" (the frame's).
         point: (3,) where the force acts, in the frame, m; its origin when left out.
 
     Raises:
@@ -164,7 +164,7 @@ class Payload(_Listed, Frozen):
 
 @dataclass(frozen=True)
 class JointForces:
-    """What acts in a joint, actuated or passive, beside its actuator.
+    """Forces in a joint, actuated or passive, other than its actuator's.
 
     With q and v its position and speed, the joint resists with
 
@@ -183,7 +183,7 @@ class JointForces:
         stiffness: of a spring, N/m or N·m/rad.
         rest: position at which the spring is relaxed, m or rad.
         rotor_inertia: of rotor and shaft about their axis, kg·m².
-        gear: turns of the rotor per turn of the joint (rad/m of a prismatic one); negative where it turns against it.
+        gear: turns of the rotor per turn of the joint (rad/m of a prismatic one); negative if it turns the other way.
 
     Raises:
         InputError: a number out of its domain.

@@ -1,7 +1,7 @@
 """Find joints and links of a Pinocchio model by name.
 
-A joint and a link may share a name: Pinocchio keeps both as frames, and refuses a search that does not say which of the
-two is meant. All other modules search by these functions, which do.
+A joint and a link may share a name: Pinocchio keeps both as frames, and refuses a search without the kind of frame. All
+other modules search by these functions.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Joints that close loops: the rows that each kind constrains, and the frames on both links between which it acts.
 
-Every reader of a format says what closes a loop in these terms, whichever words its files use.
+Every reader of a format returns loop joints of these kinds, whatever its files call them.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class LoopJoint:
         name: what to call it in messages.
         kind: one of ``ROWS``.
         links: the two links that it joins.
-        placements: (4, 4) of its frame in each link, placed as ``ROWS`` says, the link's own by default; the frames
-            coincide where it is closed, those of a rod are at its ends.
+        placements: (4, 4) of its frame in each link, as ``ROWS`` defines it, the link's own by default; the frames
+            coincide when the loop is closed; a rod has them at its ends.
         length: m, of a rod; 0 where it is the distance of its ends at the reference.
     """
 
@@ -93,7 +93,7 @@ def joint_between(
         name: what to call it in messages.
         kind: one of ``ROWS``.
         links: the two links that it joins.
-        places: (4, 4) where it is in each link; the axes are read there.
+        places: (4, 4) of the joint in each link; the axes are read there.
         axes: (3,) along it, of any length but zero; of a universal joint the one that it has in each link. Those of a
             ball, weld or rod do not count.
         length: m, of a rod; 0 where it is the distance of its ends at the reference.

@@ -67,14 +67,14 @@ def open_model(
 
     Args:
         path: the file.
-        arguments: of a xacro file its own; of others ``base``: "free", or "fixed" to hold a free body where it starts;
+        arguments: of a xacro file its own; of others ``base``: "free", or "fixed" to fix a free body at its start;
             of all others ``actuated``, names of driven joints with commas between, in place of those that the file
             states; of MJCF ``keyframe``, the name of the one that the mechanism starts from.
         trust: let xacro evaluate its expressions as Python, and MJCF read files of other folders.
         untrusted: let xacro and MuJoCo work in a child process with limits of time and memory.
 
     Raises:
-        ModelFileError: a file that cannot be read, or says what is not covered.
+        ModelFileError: a file that cannot be read, or has content that is not covered.
         InputError: another argument, or another value; trust and untrusted.
     """
     if trust and untrusted:
@@ -136,7 +136,7 @@ def mechanism_of_urdf(
         text: the file, after xacro.
         path: the file, for messages and its name.
         arguments: ``base`` and ``actuated`` count, as of ``open_model``.
-        kinds: by joint, what it is replaced by; None without a declaration.
+        kinds: by joint, its replacement; None without a declaration.
 
     Raises:
         ModelFileError, DeclarationError: as ``read_urdf`` and ``urdf_mechanism``.
@@ -151,5 +151,5 @@ def mechanism_of_urdf(
 
 
 def is_plain(path: Path) -> bool:
-    """Return whether a file is a URDF that is no xacro file, and has arguments of its own."""
+    """Return whether a file is a plain URDF, which has the arguments ``base`` and ``actuated``."""
     return path.suffix.lower() == ".urdf"

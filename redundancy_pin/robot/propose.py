@@ -1,6 +1,6 @@
-"""What a model file leaves open about its loops and its motors: what is certain, and what has to be asked.
+"""Loops and motors that a model file leaves open: certain ones, and questions on the others.
 
-Loops and motors that a file states are taken as they stand. Where it states none, names and places may still tell:
+Loops and motors that a file states are taken. If it states none, names and places are evidence:
 
 | evidence | taken as certain |
 |---|---|
@@ -97,14 +97,14 @@ _MEETING = "at one point when all joints are at zero"
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """What is certain of a mechanism, and what is not.
+    """The certain facts of a mechanism, and questions on the others.
 
     Attributes:
         mechanism: with the loops and the motors that are certain; where motors are not, with all joints that could be.
         found: by name of the loop joints that the file does not state, how their ends were found.
         motors: how the motors were found; empty where they are not certain.
         frames: marks that close no loop.
-        questions: what is to be decided, each with the flags that decide it.
+        questions: open decisions, each with the flags that decide it.
     """
 
     mechanism: Mechanism
@@ -303,7 +303,7 @@ class _Tree:
         return bool(self.meeting(one, [other], tolerance))
 
     def meeting(self, one: str, links: Sequence[str], tolerance: float = _COINCIDE) -> list[str]:
-        """Return those of some links that meet a link of another body.
+        """Return the links, among some, that meet a link of another body.
 
         They are at one point when all joints are at zero, and not wherever these are: on the axis of a joint between
         them they always are.
@@ -391,7 +391,7 @@ def _marks(mechanism: Mechanism, tree: _Tree) -> list[str]:
 def _idle_ends(mechanism: Mechanism, tree: _Tree, joined: set[frozenset[int]]) -> list[str]:
     """Return questions on links that move, weigh nothing and carry nothing, where they meet another body at zero.
 
-    Such a link may be the far half of a joint of the loop: what is cut there is a weld. Coupled rotors are not.
+    Such a link may be the far half of a joint of the loop, which is cut at a weld. Coupled rotors are not.
     """
     model, total = tree.model, pin.computeTotalMass(tree.model)
     coupled = {find_joint_index(model, name) for each in mechanism.couplings for name in each.joints}
@@ -420,7 +420,7 @@ def _has(mark: str, ends: Iterable[str]) -> bool:
 
 
 def _is_frame(mark: str) -> bool:
-    """Return whether a name says that a mark has another use than to close a loop."""
+    """Return whether the name of a mark indicates another use than to close a loop."""
     words = set(_words(mark))
     return bool(words & _FRAMES) and not words & _CUTS
 
@@ -486,7 +486,7 @@ def _with_motors(mechanism: Mechanism, actuate: Sequence[str]) -> tuple[Mechanis
 
 
 def _is_motor(joint: str) -> bool:
-    """Return whether a name says that a joint is driven: hip_motor_1 does, motor_side_elbow does not."""
+    """Return whether the name of a joint indicates a motor: hip_motor_1 does, motor_side_elbow does not."""
     words = [word for word in _words(joint) if len(word) > 1 and not word.isdigit() and word not in _SIDES]
     return bool(words) and words[-1] in _MOTORS
 
@@ -499,7 +499,7 @@ def _could_be_driven(mechanism: Mechanism) -> tuple[str, ...]:
 
 
 def _usual_places(model: pin.Model, joints: Sequence[str]) -> dict[str, list[str]]:
-    """Return the joints that motors are usually at, by what they are."""
+    """Return the joints that motors are usually at, by kind."""
     indices = {name: find_joint_index(model, name) for name in joints}
     return {
         "on the ground": [name for name in joints if model.parents[indices[name]] == 0],

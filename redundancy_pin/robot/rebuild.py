@@ -21,7 +21,7 @@ _ALONG = {
 
 
 def joint_along(kind: str, axis: Array) -> pin.JointModel:
-    """Return a revolute or prismatic joint along a unit axis (3,), of the class for x, y or z where it is one."""
+    """Return a revolute or prismatic joint along a unit axis (3,), of the class for x, y or z if it is one."""
     *aligned, unaligned = _ALONG[kind]
     along = np.flatnonzero(axis == 1.0)
     return aligned[int(along[0])]() if len(along) == 1 and np.count_nonzero(axis) == 1 else unaligned(np.array(axis))
@@ -39,14 +39,14 @@ def axis_of(model: pin.Model, index: int) -> Array:
 def rebuilt(
     model: pin.Model, replaced: Mapping[str, Sequence[tuple[str, pin.JointModel]]] | None = None
 ) -> tuple[pin.Model, list[int]]:
-    """Return a model whose joints are followed by what they carry, some of them replaced.
+    """Return a model whose joints are followed by the joints that they carry, some of them replaced.
 
     Pinocchio's mass matrix is wrong for another order.
 
     Args:
         model: the model; it stays as it is.
-        replaced: by joint, the names and joints that stand for it, from its parent outwards; none for a joint that is
-            fixed where it is neutral. They have no limits of position; one that stands for one of as many freedoms has
+        replaced: by joint, the names and joints that replace it, from its parent outwards; none for a joint that is
+            fixed at its neutral position. They have no limits of position; one that replaces one of equal freedoms has
             its inertia of the rotor, and its limits of speed and effort.
 
     Returns:

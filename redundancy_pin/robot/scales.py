@@ -1,4 +1,4 @@
-"""Sizes that tolerances are relative to: those of a robot, and of the forces of its samples.
+"""Sizes that tolerances are relative to: of a robot, and of the forces of its samples.
 
 No tolerance in kinematics, singularities, dynamics and generated C has a unit. A length is compared with the robot's
 characteristic length, an angle with one radian, a force with ``ForceTerms.force``: the same machine, written in other

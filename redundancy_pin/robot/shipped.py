@@ -10,7 +10,7 @@ from redundancy_pin.io.reading import is_file
 
 
 def models_root() -> Path:
-    """Return the folder of the shipped models: inside the wheel, or beside the package in a checkout."""
+    """Return the folder of the shipped models: inside the wheel, or next to the package in a checkout."""
     package = Path(__file__).resolve().parents[1]
     inside = package / "models"
     return inside if inside.is_dir() else package.parent / "models"
@@ -46,7 +46,7 @@ def declaration_path(source: str | Path) -> Path:
     """Return the path of a declaration, given the name of a shipped robot, that path, or the folder that holds it.
 
     Raises:
-        ModelFileError: there is no such robot or file.
+        ModelFileError: no robot or file of that name.
     """
     if isinstance(source, str) and source in shipped_sources():
         return models_root() / source / "robot.yaml"

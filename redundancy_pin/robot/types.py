@@ -61,12 +61,12 @@ class Closure:
 
 @dataclass(frozen=True)
 class Coupling:
-    """A coupling of two joints, such as a pair of gears: the position of one is a polynomial of that of the other.
+    """A coupling of two joints, such as a pair of gears: the position of one is a polynomial in that of the other.
 
     Attributes:
         name: what to call it in messages.
         joint: the joint whose position q follows; of one freedom, revolute or prismatic.
-        of: the joint whose position p is followed; empty for a joint that is held at a place.
+        of: the joint whose position p is followed; empty for a joint that is fixed at a position.
         polynomial: (c₀, c₁, …) in q = c₀ + c₁ p + c₂ p² + …, rad and m; of one number where ``of`` is empty.
         also: further joints and the factors by which their positions are added.
     """
@@ -110,13 +110,13 @@ class Platform:
 
     - one rotation about the base axis k: the angle, about that axis, of one axis of the platform frame (``pointer``),
       seen along k. If the platform turns about k only, its rate is the component of the angular velocity.
-    - two rotations: those of roll, pitch, yaw that the axes name, R = Rz(rz) Ry(ry) Rx(rx), as in URDF. The closures
+    - two rotations: two of roll, pitch, yaw, as the axes name them, R = Rz(rz) Ry(ry) Rx(rx), as in URDF. The closures
       determine the third angle. The pitch lies in [−π/2, π/2].
 
     Attributes:
         frame: name of the frame (URDF link).
         axes: subset of ``AXES``, in that order.
-        pointer: number of the axis of the platform frame that tells the angle of a single rotation.
+        pointer: number of the axis of the platform frame that defines the angle of a single rotation.
     """
 
     frame: str
@@ -156,7 +156,7 @@ class Body(Frozen):
         joint: name of the joint.
         links: names of all links of the body, marks included.
         mass: mass, kg.
-        centre: (3,) centre of mass in the frame of the body, which is that of the joint, m.
+        centre: (3,) centre of mass in the frame of the body, which is the joint's frame, m.
         principal_moments: (3,) principal moments of inertia about the centre of mass, in ascending order, kg·m².
     """
 
@@ -188,18 +188,18 @@ class Robot(Frozen):
         carrier_limits: their limits, in the same order.
         q_reference: (nq,) a closed configuration in the working mode, carriers at zero.
         working_modes: how to read working modes, or None where the robot declares none.
-        working_mode: the mode of this robot, ±1 a leg (empty where none is declared).
+        working_mode: the mode of this robot, ±1 per leg (empty if none is declared).
         characteristic_length: length, m, that makes rotations comparable with translations.
         closed_form: name of the closed-form model that covers this robot ("2rpr", "3rrr"), or None.
         source: what to pass to ``load_robot`` to load it again: name of a shipped robot or absolute path of its
             declaration; empty for a robot that was not loaded.
         urdf_folder: absolute path of the folder of the URDF, which names of mesh files are relative to; empty for a
             robot that was not loaded.
-        own_meshes_only: draw it only with meshes of its own folder or package: a file chose it, not its user.
-        notes: what the loader chose for a model that does not say it, and what its file says that is not in force here.
-        loads: forces it meets beside gravity and inertia; ``model`` has the payloads among them.
-        couplings: joints whose positions follow those of others; each is one constraint more.
-        all_closures: ``closures`` with their redundant rows, which were left out; empty where none were.
+        own_meshes_only: draw it only with meshes of its folder or package: a file chose it, not its user.
+        notes: choices of the loader that the model leaves open, and content of its file that is ignored.
+        loads: forces other than gravity and inertia; ``model`` includes the payloads.
+        couplings: joints whose positions follow the positions of others; each is one more constraint.
+        all_closures: ``closures`` with their redundant rows, which were left out; empty if none were.
         dependent_residual: largest residual of the rows left out, near the reference, rad or characteristic lengths:
             the rounding of a file.
     """
@@ -229,7 +229,7 @@ class Robot(Frozen):
     dependent_residual: float = 0.0
 
     def __repr__(self) -> str:
-        """Return what tells robots apart, not their whole URDF."""
+        """Return the facts that distinguish robots, not the whole URDF."""
         mode = "".join("+" if sign > 0 else "-" for sign in self.working_mode)
         shown = ", ".join(f"{name}={value}" for name, value in self.parameters.items())
         counts = f"n={self.n}, m={self.m}, k={self.k}"
@@ -311,10 +311,10 @@ class Robot(Frozen):
 
     @property
     def effort_limits(self) -> Array:
-        """(2, m) smallest and largest efforts of the main actuators, N or N·m, as the file says; infinite for none.
+        """(2, m) smallest and largest efforts of the main actuators, N or N·m, of the file; infinite for none.
 
-        A URDF's zero stands for "not known". Plans keep to them unless they are given other limits;
-        ``rp.distribute(reduced, lower=low, upper=high)`` does where it is asked to.
+        A URDF's zero means "not known". Plans keep to them unless they are given other limits;
+        ``rp.distribute(reduced, lower=low, upper=high)`` keeps to the limits that are passed.
         """
         model, columns = self.model, self.actuated_velocity
         limits = np.stack([model.lowerEffortLimit[columns], model.upperEffortLimit[columns]])
@@ -323,9 +323,9 @@ class Robot(Frozen):
 
     @property
     def speed_limits(self) -> Array:
-        """(m,) largest rates of the main actuators, m/s or rad/s, as the file says; infinite for none.
+        """(m,) largest rates of the main actuators, m/s or rad/s, of the file; infinite for none.
 
-        A URDF's zero stands for "not known". Plans keep to them unless they are given other limits.
+        A URDF's zero means "not known". Plans keep to them unless they are given other limits.
         """
         limits = self.model.upperVelocityLimit[self.actuated_velocity]
         return frozen(np.where((limits == 0.0) | (limits >= np.finfo(float).max), np.inf, limits))

@@ -145,7 +145,7 @@ class Evaluator:
             raise ExpressionError("it is nested too deeply") from None
 
     def checked(self, value: Any) -> Any:
-        """Return a value; what is larger than a value of a model may be is refused."""
+        """Return a value; one that is larger than a value of a model may be is refused."""
         if isinstance(value, complex):
             raise ExpressionError("it is not a real number")
         if isinstance(value, int) and value.bit_length() > LARGEST_BITS:

@@ -1,4 +1,4 @@
-"""What a model file describes in any format: a tree, what closes its loops, what drives it, where it starts."""
+"""Content of a model file in any format: a tree, its loop joints, its motors, its start configuration."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ class Mechanism:
         actuated: names of the joints that are driven; empty where the file states none.
         carriers: names of the carrier joints, which no file states.
         forces: friction and springs in joints of one freedom, in force.
-        notes: what is not in force though the file says it, and what is taken in one of several ways.
+        notes: on content of the file that is ignored, and on content that has several readings.
         shapes: a URDF with the shapes of the bodies, for drawing.
-        independent: names of the joints that the file marks as independent; empty where it marks none.
+        independent: names of the joints that the file marks as independent; empty if it marks no joint.
         marks: links that are fixed to another one and carry none that moves, with their masses, kg: frames, parts, or
             ends of loops.
         presumed: names of those ``loop_joints`` whose ends the file names, but not their kind: balls stand for them.
@@ -79,8 +79,8 @@ class Mechanism:
         """Return the mechanism with other joints in place of some; see ``rebuild.rebuilt``.
 
         Args:
-            replaced: by joint, what stands for it.
-            start: positions of joints of one freedom that are new, rad or m; 0 where it is left out.
+            replaced: by joint, its replacement.
+            start: positions of new joints of one freedom, rad or m; 0 when left out.
         """
         model, at = rebuilt(self.model, replaced)
         q = pin.neutral(model)
@@ -166,7 +166,7 @@ class LinkEntry:
         mass: kg.
         centre: (3,) centre of mass in the frame of the link, m.
         inertia: (3, 3) about the centre of mass, in the axes of the link, kg·m².
-        has_inertial: whether the file states mass and inertia; what it does not state is zero.
+        has_inertial: whether the file states mass and inertia; both are zero otherwise.
         has_shape: whether a URDF gives the link a visual or collision element.
     """
 

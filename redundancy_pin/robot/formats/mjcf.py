@@ -1,7 +1,7 @@
 """Read MJCF, the models of MuJoCo: bodies, joints and sites, the equalities that close loops, what drives the joints.
 
 MuJoCo's own compiler reads the file (extra ``mjcf``): defaults, composites, masses of meshes and the rest are as it has
-them. What a rigid mechanism cannot mean is refused by name; what is left out of it is named in the notes.
+them. Elements that no rigid mechanism has are refused by name; ignored elements are named in the notes.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def read_mjcf(
         path: the file.
         keyframe: name of the keyframe that the mechanism starts from; the initial configuration when empty.
         base: "free", or "fixed" to hold bodies with free joints where they start.
-        trust: let it name files outside of its own folder.
+        trust: let it name files outside its folder.
         untrusted: compile it in a child process with limits of time and memory.
 
     Raises:
@@ -321,7 +321,7 @@ class _Reader:
     def _take(
         self, name: str, what: str, value: float, *, curved: bool, covered: bool = True, rest: float = 0.0
     ) -> None:
-        """Put a force of a joint in force where it is covered and linear, unless a flag of the model disables it."""
+        """Activate a force of a joint if it is covered and linear, unless a flag of the model disables it."""
         flag, key = _FORCES[what]
         if flag in self.disabled or not (value or curved):
             return
@@ -431,7 +431,7 @@ class _Reader:
         self.couplings.append(Coupling(name, ends[0], ends[1] if len(ends) == 2 else "", polynomial))
 
     def _couple_tendons(self, name: str, one: int, other: int, data: Array) -> None:
-        """Add what an equality says of one or two tendons: of their joints where it is linear, as most are."""
+        """Add the coupling of an equality of one or two tendons: between their joints if it is linear, as most are."""
         tendons = [each for each in (one, other) if each >= 0]
         initial = [float(self.m.tendon_length0[each]) for each in tendons]
         if len(tendons) == 2 and np.any(data[2:5]):

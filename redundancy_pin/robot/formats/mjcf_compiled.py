@@ -38,7 +38,7 @@ _SHOWN_GROUPS = 3
 
 @dataclass(frozen=True)
 class Compiled:
-    """A model that MuJoCo compiled, and what is not in it.
+    """A model that MuJoCo compiled, and content of the file that is not in it.
 
     Attributes:
         model: MuJoCo's model.
@@ -65,11 +65,11 @@ def compile_mjcf(path: Path, *, trust: bool = False, untrusted: bool = False) ->
 
     Args:
         path: the file.
-        trust: let it name files outside of its own folder.
+        trust: let it name files outside its folder.
         untrusted: compile in a child process with limits of time and memory.
 
     Raises:
-        ModelFileError: naming the file: it is none, names files elsewhere, or MuJoCo refuses it.
+        ModelFileError: naming the file: it is no MJCF, names files elsewhere, or MuJoCo refuses it.
         RedundancyPinError: MuJoCo is not installed.
     """
     optional(*MUJOCO)

@@ -31,7 +31,7 @@ def is_within(path: Path, folders: Iterable[Path]) -> bool:
 
 
 def may_include(path: Path, folders: Iterable[Path]) -> bool:
-    """Return whether a model may include a file: any in its folders, and elsewhere what is a model by its name.
+    """Return whether a model may include a file: any in its folders, and elsewhere models by their names.
 
     Models of robots hold no secrets, and many include ``../common.xacro`` without being part of a package. Symbolic
     links are followed.
@@ -42,7 +42,8 @@ def may_include(path: Path, folders: Iterable[Path]) -> bool:
 def package_roots(name: str, folder: Path | None) -> Iterator[Path]:
     """Yield the folders that may be a package, the nearest first; none is opened but to read its ``package.xml``.
 
-    They are those above a folder, by their own name or that in their ``package.xml``, those of that name beside these,
+    They are the folders above a folder, by their name or the one in their ``package.xml``, folders of that name next to
+    these,
     and those that the environment's ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH`` point to.
 
     Args:
@@ -62,7 +63,7 @@ def find_package(name: str, path: Path) -> Path:
     """Return the folder of a package that a model names: the first of ``package_roots`` with a ``package.xml``.
 
     Raises:
-        ModelFileError: there is none; names the folders that were looked at.
+        ModelFileError: not found; names the folders that were searched.
     """
     # a name, not a way to other folders
     roots = tuple(package_roots(name, path.resolve().parent)) if Path(name).name == name != ".." else ()

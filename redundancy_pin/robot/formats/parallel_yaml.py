@@ -1,4 +1,4 @@
-"""Read the ``robot.yaml`` of the collection example-parallel-robots: a URDF beside it, frames that coincide, motors.
+"""Read the ``robot.yaml`` of the collection example-parallel-robots: a URDF next to it, frames that coincide, motors.
 
 Its keys: ``closed_loop``, pairs of frames, each named by a link or by the joint that carries it; ``type``, "6d" or "3d"
 for each pair; ``name_mot``, the joints that are driven; ``joint_name`` and ``joint_type``, joints of the URDF that are
@@ -53,7 +53,7 @@ def read_parallel_yaml(path: Path, *, base: str = "fixed") -> Mechanism:
         base: "fixed", or "free" to let the root link move.
 
     Raises:
-        ModelFileError: no readable file; none or several URDFs beside it.
+        ModelFileError: no readable file; none or several URDFs next to it.
         DeclarationError: keys and names that are not known.
     """
     file = parse_yaml(read_model(path), str(path), ModelFileError)
@@ -106,7 +106,7 @@ def _urdf_beside(path: Path) -> Path:
 
 
 def _link(tree: Urdf, name: str) -> str:
-    """Return the link of a frame; that of a joint is the frame of its child."""
+    """Return the link of a frame; a joint's frame is the frame of its child."""
     child = next((joint.child for joint in tree.joints if joint.name == name), None)
     if child is None and name not in tree.links:
         known = [*tree.links, *(joint.name for joint in tree.joints)]

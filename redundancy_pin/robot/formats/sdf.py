@@ -70,7 +70,7 @@ def read_sdf(path: Path, *, named: Sequence[str] = (), base: str = "fixed") -> M
     Args:
         path: the file.
         named: joints that the tree must contain, as driven ones; one of them that closes a loop ends in a weld.
-        base: "fixed" to hold the first link, or that on the world, where it is; "free" to let it move.
+        base: "fixed" to fix the first link, or the one on the world, at its pose; "free" to let it move.
 
     Raises:
         ModelFileError: naming file and line: the file is no SDF, or has an element that this reader does not cover.
@@ -106,7 +106,7 @@ class _Joint:
         parent, child: full names of the links that it joins, or "world".
         place: (4, 4) in the model that moves.
         axes: (3,) of length 1, in the axes of that model.
-        steps: what it consists of, from its parent to its child.
+        steps: its parts, from its parent to its child.
         turns: names of the steps of its axes.
     """
 
@@ -317,7 +317,7 @@ class _Reader:
         return -1.0 / pitch
 
     def _couple_axes(self, joint: _Joint, joints: Mapping[str, _Joint]) -> None:
-        """Add what <mimic> says: follower = multiplier · (leader − reference) + offset."""
+        """Add the coupling of <mimic>: follower = multiplier · (leader − reference) + offset."""
         scope = joint.frame.scope
         for number, tag in enumerate(("axis", "axis2")):
             axis = joint.frame.part.one(tag)
@@ -356,7 +356,7 @@ class _Reader:
     # --- the tree -----------------------------------------------------------------------------------------------------
 
     def _spanning(self, joints: list[_Joint]) -> tuple[list[tuple[_Joint | None, bool, str, str]], list[_Joint]]:
-        """Return the tree, each joint with whether it is turned round, its carrier and what it carries; and the rest.
+        """Return the tree, each joint with whether it is reversed, its carrier and the link it carries; and the rest.
 
         A root without a joint to the world is carried by it, by no joint.
         """
@@ -389,11 +389,11 @@ class _Reader:
         return pin.SE3(self.frames.place(full, self.frames.main))
 
     def _from(self, joint: _Joint, full: str) -> pin.SE3:
-        """Return the placement of a link at the origin of a joint, in axes along those of the model that moves."""
+        """Return the placement of a link at the origin of a joint, in axes parallel to the moving model's."""
         return pin.SE3(np.eye(3), joint.place[:3, 3]).actInv(self._where(full))
 
     def _root(self, link: LinkEntry, full: str) -> dict[str, float]:
-        """Put the root where the model has it, held or free; return the positions of the joints that carry it."""
+        """Put the root where the model has it, fixed or free; return the positions of the joints that carry it."""
         place = self._where(WORLD).actInv(self._where(full))
         if self._base == "fixed":
             self.notes.append(
@@ -411,7 +411,7 @@ class _Reader:
         """Add a joint to the tree; turned round, it moves the same way about the opposite axis.
 
         Returns:
-            The joint of the tree that carries what it moves, and where its origin is there.
+            The joint of the tree that carries the moved link, and the place of its origin there.
         """
         index, place = self._carriers[carrier]
         place, part = place * self._from(joint, carrier).inverse(), joint.frame.part
@@ -440,7 +440,7 @@ class _Reader:
         self.model.addBodyFrame(link.name, index, place, 0)
 
     def _add_marks(self) -> None:
-        """Add the frames that the file names, those of the world left out."""
+        """Add the frames that the file names, except the world's."""
         for full in self.frames.marks:
             if full.startswith(f"{self.frames.main}::"):
                 body = self.frames.body(full)
@@ -471,7 +471,7 @@ class _Reader:
         return joint_between(joint.name, kind, names, places, (along[0], along[-1]))
 
     def _report(self) -> None:
-        """Add notes on the forces of the file that are active, and on what is ignored."""
+        """Add notes on the forces of the file that are active, and on ignored content."""
         if names := ", ".join(self.loads):
             self.notes.append(f"In force: damping, friction and springs of {names}.")
         if self._assumed:

@@ -2,7 +2,7 @@
 
 A world or a model is a scope of names; ``arm::hand`` is the name ``hand`` in the model ``arm``. Links, joints, models
 and ``<frame>`` elements are frames. Each is placed relative to another one (``relative_to``) and moves with another one
-(``attached_to``), so that the frames make two graphs, as http://sdformat.org/tutorials?tut=pose_frame_semantics says.
+(``attached_to``), so that the frames make two graphs: http://sdformat.org/tutorials?tut=pose_frame_semantics.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class SdfPart(Part):
         return part is not None and bool(part.content() or len(part.element))
 
     def flag(self, tag: str, *, default: bool = False) -> bool:
-        """Return whether an element in the element says true."""
+        """Return whether an element in the element is true."""
         text = self.text(tag, "").lower() or str(default).lower()
         if text not in ("0", "1", "false", "true"):
             self.refuse(f"{self.owner} has <{tag}> {shown(text)}", "Write true or false.")
@@ -146,10 +146,10 @@ class Scope:
 
     Attributes:
         prefix: first part of the full names in it.
-        frame: full name of its own frame.
+        frame: full name of its frame.
         is_static: whether nothing in it moves.
         canonical: name in it of the link that its frame is attached to; empty for the first one.
-        links, models: full names of what is in it, in the order of the file.
+        links, models: full names of its links and models, in the order of the file.
     """
 
     prefix: str
@@ -168,7 +168,7 @@ class Frame:
         full: its full name.
         part: the element with its pose.
         scope: where the names of other frames are looked up.
-        attached_to: name of the frame that it moves with; empty for that of the scope.
+        attached_to: name of the frame that it moves with; empty for the scope's.
         relative_to: name of the frame that its pose is in, likewise.
         inner: the scope that a model is.
         placement: name of the frame in a model that the pose places; empty for the frame of the model.
@@ -246,7 +246,7 @@ class Frames:
     # --- files --------------------------------------------------------------------------------------------------------
 
     def _top_of(self, path: Path) -> SdfPart:
-        """Return the world or model of a file, or a light or actor where it holds nothing else."""
+        """Return the world or model of a file, or a light or actor if it holds nothing else."""
         if path not in self._files:
             root = SdfPart(parsed(path), path, "", top=self._open[0])
             root = replace(root, owner=root.file)
@@ -289,9 +289,9 @@ class Frames:
         self._open.pop()
 
     def _find_file(self, scope: Scope, part: SdfPart) -> Path | None:
-        """Return the file that an include names: beside the file that it is in, or in a folder of a model.
+        """Return the file that an include names: next to the including file, or in a folder of a model.
 
-        Folders of models are looked for beside the file and in the folders above it, and in ``models`` there.
+        Folders of models are searched next to the file and in the folders above it, and in ``models`` there.
         """
         uri = part.text("uri")
         name = PurePosixPath(uri.removeprefix("model://"))
@@ -329,7 +329,7 @@ class Frames:
     # --- scopes -------------------------------------------------------------------------------------------------------
 
     def _read(self, scope: Scope, whole: SdfPart) -> None:
-        """Add what is in a world or model."""
+        """Add the content of a world or model."""
         self._check(whole, deep=not scope.is_static)
         if whole.tag == "model" and whole.flag("enable_wind"):
             whole.refuse(f"{whole.owner} is in the wind, which is not covered")
@@ -363,7 +363,7 @@ class Frames:
                 self.joints[full] = frame
 
     def _add_model(self, outer: Scope, model: SdfPart, include: SdfPart | None = None) -> None:
-        """Add a model and what is in it, with the name, pose and flags of the include that it comes from."""
+        """Add a model and its content, with the name, pose and flags of the include that it comes from."""
         name = _checked_name(model, include.text("name", "") if include else "")
         placement = (include.text("placement_frame", "") if include else "") or model.text_of("placement_frame")
         if include and include.one("placement_frame") and not include.one("pose"):
@@ -388,7 +388,7 @@ class Frames:
         self._frames[frame.full] = frame
 
     def _check(self, part: SdfPart, *, deep: bool) -> None:
-        """Check an element against ``_PARTS``, and what is in it but other models; note elements of other namespaces.
+        """Check an element and its content, except other models, against ``_PARTS``; note elements of other namespaces.
 
         Raises:
             ModelFileError: an element that SDF does not know, or one of Drake, which may change the mechanics.
@@ -415,7 +415,7 @@ class Frames:
             part: the element with the name, for messages.
 
         Raises:
-            ModelFileError: there is no such frame in the scope.
+            ModelFileError: the scope has no frame of that name.
         """
         if name == WORLD and (scope.frame == WORLD or part.tag == "joint"):
             return WORLD
@@ -463,7 +463,7 @@ class Frames:
         return WORLD if name == WORLD else self.body(self.find(joint.scope, name, joint.part))
 
     def body(self, full: str) -> str:
-        """Return the full name of the link that a frame moves with; "world" where it does not move.
+        """Return the full name of the link that a frame moves with; "world" if it does not move.
 
         Raises:
             ModelFileError: frames that are attached to one another in a circle.

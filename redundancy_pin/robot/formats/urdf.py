@@ -1,8 +1,8 @@
 """Read a URDF: Pinocchio makes the tree of it, and what Pinocchio leaves out is read here.
 
 Left out are loops and couplings (``urdf_loops``), friction, motors and whether a link has a mass at all. Everything is
-checked by the specification first, as urdfdom drops an inertial element that it cannot parse and goes on, so that a
-typing error makes a massless link. An element that is not understood is an error or a note with its line.
+checked by the specification first, as urdfdom drops an inertial element that it cannot parse, so that a typing
+error makes a massless link. An element that is not understood is an error or a note with its line.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class JointEntry:
         parent, child: names of the links that it joins.
         is_bounded: whether it has limits of position: 0 and 0, or none at all, stand for "not known".
         dynamics: damping, N·s/m or N·m·s, and friction, N or N·m, those that are not zero.
-        mimic: what it follows.
+        mimic: the coupling to the joint that it follows.
     """
 
     name: str
@@ -73,7 +73,7 @@ class JointEntry:
 
 @dataclass(frozen=True)
 class Urdf:
-    """What a URDF says.
+    """Content of a URDF.
 
     Attributes:
         text: the file, after xacro.
@@ -81,7 +81,7 @@ class Urdf:
         root: the link that no joint carries.
         links: by name.
         joints: each after those that carry it.
-        independent: names of the joints that URDF+ marks as independent; empty where it marks none.
+        independent: names of the joints that URDF+ marks as independent; empty if it marks no joint.
         notes: elements that are passed over.
     """
 
@@ -150,7 +150,7 @@ def _needs_world(robot: UrdfPart) -> bool:
 
 
 def _passed_over(parts: Mapping[str, Mapping[str, UrdfPart]]) -> list[str]:
-    """Return notes on what links and joints have beside what the specification knows."""
+    """Return notes on elements and attributes of links and joints that are not in the specification."""
     notes, lines = [], dict[str, list[str]]()
     for part in (*parts["link"].values(), *parts["joint"].values()):
         inertial = part.one("inertial")
@@ -179,7 +179,7 @@ def links_without_inertial(
     that the file states to be massless, by an ``<inertial>`` of mass zero.
 
     Args:
-        file: what it says.
+        file: the URDF.
         kinds: by joint, the kind that replaces the one of the file.
         root_moves: whether the root of the tree is not fixed to the ground.
     """
@@ -332,7 +332,7 @@ _TREE = {
 def _tree(file: Urdf, kinds: Mapping[str, str], base: str) -> pin.Model:
     """Return Pinocchio's model of a URDF, in which every link is a frame.
 
-    Joints that are to be replaced are floating ones here: a body of their own is what they carry.
+    Joints that will be replaced are floating ones here, so that they carry a separate body.
     """
     robot = ElementTree.Element("robot", {"name": file.top.text_of("name") or "robot"})
     for part in file.top.element:
@@ -373,9 +373,9 @@ def urdf_mechanism(
     """Return what a URDF describes.
 
     Args:
-        file: what it says.
+        file: the URDF.
         name: of the mechanism.
-        kinds: by joint, what it is replaced by, one of ``KINDS``.
+        kinds: by joint, its replacement, one of ``KINDS``.
         base: "free" to let the root move, by six joints.
 
     Raises:
@@ -466,7 +466,7 @@ def _marks(file: Urdf, kinds: Mapping[str, str]) -> Mapping[str, float]:
 
 
 def _independent(file: Urdf, kinds: Mapping[str, str], base: str) -> tuple[str, ...]:
-    """Return the joints that URDF+ marks as independent, of one freedom each; those of a base that moves too."""
+    """Return the joints that URDF+ marks as independent, of one freedom each; joints of a moving base too."""
     names = [name for name, _ in in_a_row(file.root, SIX)] if base == "free" and file.independent else []
     for name in file.independent:
         rows = ROWS_OF_JOINTS.get(kinds.get(name, ""), ())

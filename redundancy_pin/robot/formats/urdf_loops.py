@@ -9,9 +9,9 @@
 | ``<drake:ball_constraint>``, ``<drake:distance_constraint>`` of infinite stiffness | Drake |
 | ``closing_NAME_1``, ``closing_NAME_2`` | links of onshape-to-robot and placo, at one point when closed |
 | ``<mimic>`` | URDF |
-| ``<transmission>``, ``<ros2_control>`` | ROS: what is driven |
+| ``<transmission>``, ``<ros2_control>`` | ROS: driven joints |
 
-All loops of a file are read, or none: what is not understood, or has one end only, is an error that names it. Other
+All loops of a file are read, or none: one that is not understood, or has one end only, is an error that names it. Other
 elements that a program has added are passed over with a note.
 """
 
@@ -62,14 +62,14 @@ _CLOSING = re.compile(r"closing_(.+)_([12])")
 
 @dataclass(frozen=True)
 class Loops:
-    """What the extensions of a URDF say.
+    """Content of the extensions of a URDF.
 
     Attributes:
         joints: what closes the loops.
         couplings: joints that follow others, those that mimic not among them.
         motors: names of joints that are driven.
         armature: by joint, the inertia of its rotor times the square of its gear ratio, kg·m² or kg, as Drake has it.
-        closing: pairs of links that are at one point when closed; the file does not say by which joint.
+        closing: pairs of links that are at one point when closed, by a joint that the file does not name.
         notes: elements that are passed over.
     """
 
@@ -145,7 +145,7 @@ def _changes_forces(part: UrdfPart) -> bool:
 
 
 def _left_out(part: UrdfPart, known: tuple[str, ...]) -> list[str]:
-    """Return notes on elements of a joint that closes a loop, such as limits and friction, except those of zeros."""
+    """Return notes on elements of a joint that closes a loop, such as limits and friction, except zeros."""
     return [
         f"{NOT_IN_FORCE} {each.place}, of a joint that closes a loop."
         for each in part.parts()
@@ -159,7 +159,7 @@ def _left_out(part: UrdfPart, known: tuple[str, ...]) -> list[str]:
 
 
 def _loop(part: UrdfPart, links: set[str]) -> LoopJoint:
-    """Return a loop whose ends are two elements, each with its place in it or beside it."""
+    """Return a loop whose ends are two elements, each with its place in it or next to it."""
     name = part.name()
     kind = LOOP_KINDS.get(part.text_of("type"), "")
     if not kind:
@@ -201,7 +201,7 @@ def _joint(
 
 
 def _of_drake(part: UrdfPart, tag: str, links: set[str]) -> LoopJoint:
-    """Return a ball, or a rod where a distance is held by an infinite stiffness; by another it is a spring."""
+    """Return a ball, or a rod of constant length for an infinite stiffness; any other stiffness is a spring."""
     names, places, kind, length = [], [], "ball", 0.0
     for body, point in (("body_A", "p_AP"), ("body_B", "p_BQ")):
         end = part.required(f"{DRAKE}{tag}_{body}")
@@ -272,7 +272,7 @@ def _coupling(part: UrdfPart, carriers: Mapping[str, tuple[str, str]], moving: s
 
 
 def _driven(part: UrdfPart) -> list[str]:
-    """Return the joints that a transmission names, or those of ros2_control that take commands."""
+    """Return the joints that a transmission names, or the joints of ros2_control that take commands."""
     names = []
     for joint in part.deep("joint"):
         name = joint.text_of("name") or joint.content()

@@ -224,7 +224,7 @@ class _Engine:
         return str(folder)
 
     def _foreign(self, path: Path) -> ModelFileError:
-        """Return the error for a file from elsewhere: what it holds could end up in a plan that is passed on."""
+        """Return the error for a file from elsewhere: its content could end up in a plan that is passed on."""
         return ModelFileError(
             f"{self._path} reads {path}, which is neither in its folder or package nor in one that $(find) gives.",
             remedy="Put the file there, or load the robot with trust=True (--trust) if you trust who wrote it.",
@@ -259,7 +259,7 @@ class _Engine:
         return ModelFileError(message if message.endswith(".") else f"{message}.", remedy=remedy, **details)
 
     def _place(self, text: str) -> tuple[Path, int]:
-        """Return file and line where a text of a model stands; line 0 where xacro has put parts of it together."""
+        """Return file and line of a text of a model; line 0 if xacro has put it together of several parts."""
         defined = [macro.history[-1][-1] for macro in reversed(self.xacro.macrostack or [])]
         files = [Path(each) for each in (*defined, *reversed(self.xacro.filestack or [])) if each]
         for file in dict.fromkeys(files) if text else ():
@@ -292,7 +292,7 @@ def _copy_of_xacro(suffix: str) -> tuple[Any, Any]:
 
 
 def _cost_of_tree(node: Any) -> int:
-    """Return the work that an element takes, with all in it where it was copied for this or read from a file."""
+    """Return the work that an element takes, with its content if it was copied for this or read from a file."""
     copied = node.parentNode is None or node.parentNode.nodeType == minidom.Node.DOCUMENT_NODE
     return 10 + (_tree_size(node) if copied else 0)
 
@@ -330,7 +330,7 @@ def _closed(*_: object, **__: object) -> None:
 
 
 class _Environment(dict[str, str]):
-    """An environment that models may not read; of what is not set, xacro may take the default."""
+    """An environment that models may not read; xacro may take the default of a variable that is not set."""
 
     def __contains__(self, name: object) -> bool:
         return name in os.environ and bool(self[str(name)])

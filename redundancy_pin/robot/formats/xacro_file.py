@@ -158,7 +158,7 @@ def render(
 
     Raises:
         ModelFileError: missing file, broken XML, a xacro expression that fails or that models may not use.
-        InputError: an argument that neither the file nor what it includes declares or reads.
+        InputError: an argument that neither the file nor its includes declare or read.
     """
     if path.suffix != ".xacro":
         return read_model(path), {}

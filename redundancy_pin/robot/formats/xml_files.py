@@ -1,7 +1,7 @@
 """XML of models: read with limits, so that a hostile file is refused before a parser chokes on it; elements strictly.
 
 URDF (``urdf_parts``), SDF (``sdf_frames``) and MJCF before MuJoCo reads it (``mjcf_compiled``) share this layer. What
-is no number, is there twice or is misspelt is an error with its file and line.
+is not a number, is there twice or is misspelt is an error with its file and line.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ FORMATS = {"robot": "a URDF", "mujoco": "an MJCF model of MuJoCo", "sdf": "an SD
 
 
 def remedy_of_format(found: str) -> str:
-    """Return what to do with a file that is something else than its name says; ``found`` as of ``format_of``."""
+    """Return the remedy for a file whose content does not fit its name; ``found`` as of ``format_of``."""
     if not found or found in FORMATS.values():
         return "Models are read by their names: call it .urdf, .xacro, .xml, .mjcf or .sdf."
     return "Convert it to URDF, MJCF or SDF."
@@ -102,7 +102,7 @@ def parsed_text(text: str, where: str, *, is_xacro: bool = False) -> Element:
 
     A document type is refused, whole: models need none, and entities make gigabytes of a few lines. What is no XML, but
     read by the program that the file was written for, is read (``_mended``). A namespace without a prefix on the top
-    element, as in files of old Drake, is none: no program looks at it.
+    element, as in files of old Drake, is ignored, as by all programs.
 
     Args:
         text: the document.
@@ -233,14 +233,15 @@ def _seen_from(top: Path, path: Path) -> str:
 class Part:
     """An element, the file that it is in, and the link or joint that it belongs to: for messages and their details.
 
-    It is read strictly: what is no number, is there twice or is misspelt is an error with file and line.
+    It is read strictly: a text that is not a number, an element that is there twice or is misspelt is an error with
+    file and line.
 
     Attributes:
         element: the element.
         path: the file that it is in.
         owner: what messages call the link, joint or file that it belongs to.
         details: of errors.
-        top: the file that includes the other ones; None where there is one file only.
+        top: the file that includes the other ones; None if there is one file only.
     """
 
     element: Element
@@ -293,12 +294,12 @@ class Part:
         return (part for part in self.element if part.tag == tag and isinstance(part, Element))
 
     def parts(self: _P, tag: str = "") -> list[_P]:
-        """Return the elements in the element, those of one name or all, each named by itself in messages."""
+        """Return the elements in the element, of one name or all, each named by itself in messages."""
         found = [each for each in self.element if isinstance(each, Element) and tag in ("", each.tag)]
         return [self._named_by_itself(each) for each in found]
 
     def deep(self: _P, tag: str) -> list[_P]:
-        """Return the elements of that name in the element and in what is in it."""
+        """Return the elements of that name at any depth in the element."""
         return [self._named_by_itself(each) for each in self.element.iter(tag) if isinstance(each, Element)]
 
     def _named_by_itself(self: _P, element: Element) -> _P:
@@ -320,7 +321,7 @@ class Part:
         return name
 
     def text_of(self, key: str) -> str:
-        """Return an attribute, empty where it is left out."""
+        """Return an attribute, empty if left out."""
         return self.element.get(key, "").strip()
 
     def content(self) -> str:
@@ -376,5 +377,5 @@ def _as_number(text: str, most: float) -> float | None:
 
 
 def short(text: str) -> str:
-    """Return a text, or its beginning where it is long."""
+    """Return a text, or its beginning if it is long."""
     return text if len(text) <= 80 else f"{text[:77]}..."
