@@ -24,7 +24,7 @@ from redundancy_pin.robot.declaration import read_declaration
 from redundancy_pin.robot.formats.xml_files import DRAKE
 from redundancy_pin.robot.joint_ranges import ROUNDING
 from redundancy_pin.robot.loads import Load
-from redundancy_pin.robot.lookup import find_joint, find_link, has_joint, joint_names
+from redundancy_pin.robot.lookup import find_joint, find_link, joint_names
 from redundancy_pin.robot.model_files import is_model_file, is_urdf, mechanism_of_urdf
 from redundancy_pin.robot.propose import propose
 from redundancy_pin.robot.rebuild import LIMITS
@@ -102,8 +102,8 @@ def with_parameters(
             stated = {joint.name for joint in mechanism.loop_joints}
             found = [f"{each.frame_a},{each.frame_b}" for each in robot.closures if each.name not in stated]
             mechanism = propose(mechanism, close=found, is_open=True).mechanism
-            if turned := [name for name in joint_names(mechanism.model) if not has_joint(robot.model, name)]:
-                mechanism = mechanism.with_hinges(turned)  # the balls that moved freely when the robot was loaded
+            # balls that moved freely when the robot was loaded
+            mechanism = mechanism.with_hinges({*joint_names(mechanism.model)} - {*joint_names(robot.model)})
             mechanism = replace(mechanism, start=np.array(robot.q_reference))
         new, dropped = select_rows(
             declaration,

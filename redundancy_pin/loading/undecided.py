@@ -19,7 +19,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.build import configuration
 from redundancy_pin.robot.formats.mechanism import Mechanism
 from redundancy_pin.robot.model_files import is_urdf, open_model
-from redundancy_pin.robot.propose import Proposal, propose
+from redundancy_pin.robot.propose import BY_FLAG, Proposal, propose
 
 
 def propose_robot(
@@ -102,7 +102,7 @@ def _hinges_off_axis(proposal: Proposal, opened: OpenedModel) -> Iterator[str]:
     Such a hinge holds them like a weld.
     """
     loops = proposal.mechanism.loop_joints
-    for hinge in proposal.hinges_by_flag:
+    for hinge in (loop for loop in loops if loop.kind == "hinge" and proposal.found.get(loop.name) == BY_FLAG):
         joints = tuple(replace(each, kind="ball") if each is hinge else each for each in loops)
         axes = np.zeros((0, 3))
         with suppress(DeclarationError):

@@ -111,7 +111,7 @@ def open_model(
             made = read_sdf(path, base=base, named=roles)
         else:
             made = read_parallel_yaml(path, base=base)
-        made = made.with_hinges_of(roles)
+        made = made.with_hinges(roles)
         return replace(made, actuated=driven) if driven else made
 
     return {**values, **given}, read

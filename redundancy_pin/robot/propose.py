@@ -90,7 +90,7 @@ _FEWEST_ROWS = 2
 """Rows of a joint that closes a loop: a pin in a plane has two. Fingers on slides that touch have one."""
 
 BY_NAME = "by their names"
-_BY_FLAG = "by --close"
+BY_FLAG = "by --close"
 _MEETING_ENDS = "named as ends that meet when all joints are at zero"
 _MEETING = "at one point when all joints are at zero"
 
@@ -123,12 +123,6 @@ class Proposal:
         """The loop joints whose ends were found by their places."""
         return [loop for loop in self.mechanism.loop_joints if self.found.get(loop.name) in (_MEETING, _MEETING_ENDS)]
 
-    @property
-    def hinges_by_flag(self) -> tuple[LoopJoint, ...]:
-        """The hinges that close loops by ``--close``."""
-        loops = self.mechanism.loop_joints
-        return tuple(loop for loop in loops if loop.kind == "hinge" and self.found.get(loop.name) == _BY_FLAG)
-
     def refused(self, why: str) -> Proposal:
         """Return the proposal with the question that is left where no robot can be made of it, and why not."""
         return self.asking(*(_is_cut(loop.links, "They only meet at zero") for loop in self.doubtful), why)
@@ -150,7 +144,7 @@ class Proposal:
         asked, rows = list[str](), {each.name: len(each.axes) for each in robot.closures}
         for loop in self.mechanism.loop_joints:
             ends, flag, held = ",".join(loop.links), _close(loop.links), rows.get(loop.name, 0)
-            if self.found.get(loop.name, _BY_FLAG) not in (_BY_FLAG, BY_NAME) and held < _FEWEST_ROWS:
+            if self.found.get(loop.name, BY_FLAG) not in (BY_FLAG, BY_NAME) and held < _FEWEST_ROWS:
                 asked.append(_is_cut(loop.links, f"Closing it holds {held} direction(s) only"))
             elif self.motors and len(motors) > robot.n and loop in self.doubtful:
                 asked.append(_is_cut(loop.links, f"Closing it leaves {robot.n} DOF to {len(motors)} motors"))
@@ -217,7 +211,7 @@ def propose(
     is_stated = bool(mechanism.loop_joints)
     presumed = [*found, *(joint.name for joint, text in zip(given, close, strict=True) if text.count(",") == 1)]
     loops += given
-    found |= {joint.name: _BY_FLAG for joint in given}
+    found |= {joint.name: BY_FLAG for joint in given}
     questions = list[str]()
     for name in (*actuate, *carriers):
         find_joint_index(mechanism.model, name)

@@ -109,19 +109,22 @@ class Mechanism:
                 start[name] = math.atan2(sine, cosine)
         return self.with_joints(replaced, start) if replaced else self
 
-    def with_hinges_of(self, names: Collection[str]) -> Mechanism:
-        """Return the mechanism with three hinges in place of each ball joint of which some names are: ``ball_rz``."""
+    def with_hinges(self, names: Collection[str]) -> Mechanism:
+        """Return the mechanism with three hinges (yaw, pitch, roll) in place of some ball joints.
+
+        Args:
+            names: of ball joints, or of such hinges: ``ball_rz`` names the joint ``ball``; others are ignored.
+        """
         balls = [
             ball
             for ball in joint_names(self.model)
-            if find_joint(self.model, ball).nq == 4 and not {f"{ball}_r{axis}" for axis in "xyz"}.isdisjoint(names)
+            if find_joint(self.model, ball).nq == 4
+            and not {ball, *(f"{ball}_r{axis}" for axis in "xyz")}.isdisjoint(names)
         ]
-        return self.with_hinges(balls) if balls else self
-
-    def with_hinges(self, names: Sequence[str]) -> Mechanism:
-        """Return the mechanism with three hinges (yaw, pitch, roll) in place of each of some ball joints."""
+        if not balls:
+            return self
         start: dict[str, float] = {}
-        for name in names:
+        for name in balls:
             index = find_joint_index(self.model, name)
             if np.any(self.model.armature[span(self.model, index, "v")]):
                 raise ModelFileError(
@@ -130,10 +133,10 @@ class Mechanism:
                 )
             turn = pin.Quaternion(np.array(self.start[span(self.model, index, "q")])).toRotationMatrix()
             start |= zip((f"{name}_r{axis}" for axis in "xyz"), pin.rpy.matrixToRpy(turn).tolist(), strict=True)
-        damped = [load.joint for load in self.forces if load.joint in names]
+        damped = [load.joint for load in self.forces if load.joint in balls]
         left_out = (f"{NOT_IN_FORCE} damping of {', '.join(damped)}.",) if damped else ()
-        note = f"Ball joints that move freely are three hinges each (singular at a pitch of 90°): {', '.join(names)}."
-        made = self.with_joints({name: in_a_row(name, ("rz", "ry", "rx")) for name in names}, start)
+        note = f"Ball joints that move freely are three hinges each (singular at a pitch of 90°): {', '.join(balls)}."
+        made = self.with_joints({name: in_a_row(name, ("rz", "ry", "rx")) for name in balls}, start)
         return replace(made, notes=(*self.notes, *left_out, note))
 
 
