@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
+from constrained import accelerations
 from written import J, urdf_of, write_robot
 from zoo import home_of
 
@@ -97,14 +98,7 @@ def test_accelerations_are_those_of_pinocchio(joints: list[J], content: dict, tm
     model = model_by_hand((tmp_path / "robot.urdf").read_text(), content)
     assert (model.nq, model.nv) == (robot.model.nq, robot.model.nv)
     ((one, other),) = content["closed_loop"]
-    frames = (model.frames[model.getFrameId(name)] for name in (one, other))
-    ends = [part for frame in frames for part in (frame.parentJoint, frame.placement)]
-    constraint = pin.RigidConstraintModel(pin.ContactType.CONTACT_6D, model, *ends, pin.ReferenceFrame.LOCAL)
-    constraints, data = pin.StdVec_RigidConstraintModel(), model.createData()
-    constraints.append(constraint)
-    own = pin.StdVec_RigidConstraintData()
-    own.append(constraint.createData())
-    pin.initConstraintDynamics(model, data, constraints, own)
+    ends, data = tuple(model.frames[model.getFrameId(name)] for name in (one, other)), model.createData()
     rng = np.random.default_rng(2)
     x, xd = home_of(robot)[None] + 0.05, rng.normal(size=(1, robot.n))
     lifted = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], x, xd, 0.0 * xd))
@@ -117,8 +111,7 @@ def test_accelerations_are_those_of_pinocchio(joints: list[J], content: dict, tm
     pin.framesForwardKinematics(model, data, q)
     gap = data.oMf[model.getFrameId(one)].inverse() * data.oMf[model.getFrameId(other)]
     assert np.abs(pin.log6(gap).vector).max() < 1e-9
-    settings = pin.ProximalSettings(1e-14, 1e-14, 1e-8, 200)
-    a = np.array(pin.constraintDynamics(model, data, q, v, u, constraints, own, settings))
+    a = accelerations(model, [ends], pin.ContactType.CONTACT_6D, q, v, u)
     rates = [model.joints[model.getJointId(name)].idx_v for name in robot.independent_joints]
     motion = rp.PlatformMotion([0.0], x, xd, a[rates][None])
     np.testing.assert_allclose(
