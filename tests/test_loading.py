@@ -117,21 +117,10 @@ def test_file_and_line_of_a_bad_declaration_are_named(tmp_path: Path) -> None:
 
 # --- arguments --------------------------------------------------------------------------------------------------------
 
-ARGUMENTS = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="sub/inner.xacro"/>
-<xacro:arg name="length" default="2.0"/><xacro:arg name="heavy" default="true"/>
-<xacro:arg name="half" default="${0.25 * $(arg length)}"/><xacro:arg name="n" default="1"/><link name="leg_$(arg n)"/>
-<xacro:if value="$(arg heavy)"><link name="bob"/><joint name="j" type="continuous"><parent link="leg_$(arg n)"/>
-<child link="bob"/><origin xyz="${2 * $(arg length)} 0 $(arg needed)"/></joint></xacro:if>
-<transmission name="t"><joint name="j"/></transmission></robot>"""
 
-
-def test_arguments_are_evaluated_and_whole_numbers_stay_whole(tmp_path: Path) -> None:
+def test_arguments_are_evaluated_and_whole_numbers_stay_whole() -> None:
     """Those of included files too, which are found from any folder."""
-    (tmp_path / "sub").mkdir()
-    inner = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="needed" default="7"/></robot>'
-    (tmp_path / "sub" / "inner.xacro").write_text(inner)
-    path = tmp_path / "r.urdf.xacro"
-    path.write_text(ARGUMENTS)
+    path = FILES.parent / "xacro" / "arguments" / "r.urdf.xacro"
     robot = rp.load_robot(path, n=3)
     assert robot.parameters == {"needed": 7.0, "length": 2.0, "heavy": True, "half": 0.5, "n": 3.0}
     assert robot.model.jointPlacements[1].translation.tolist() == [4.0, 0.0, 7.0]

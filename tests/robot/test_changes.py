@@ -232,22 +232,11 @@ def test_loads_of_the_files_are_there_once(tmp_path: Path) -> None:
 def test_balls_that_became_hinges_stay_hinges(tmp_path: Path) -> None:
     """A URDF without a declaration; the same as a file that has the other mass and length."""
 
+    text = (Path(__file__).parent / "files" / "urdf" / "other" / "arm_with_a_wrist.urdf").read_text()
+
     def loaded(mass: float, length: float) -> Robot:
-        arm, hand = (
-            f'<inertial><origin xyz="0.1 0.2 0.3"/><mass value="{each}"/>'
-            f'<inertia ixx="{each}" iyy="{each}" izz="{each}" ixy="0" ixz="0" iyz="0"/></inertial>'
-            for each in (1.0, mass)
-        )
-        path = tmp_path / "arm.urdf"
-        path.write_text(
-            f"""<robot name="arm" xmlns:drake="http://drake.mit.edu"><link name="base"/><link name="arm">{arm}</link>
-            <link name="hand">{hand}</link><joint name="hip" type="revolute"><parent link="base"/><child link="arm"/>
-            <origin xyz="{length} 0 0" rpy="0.3 0 0"/><axis xyz="0 1 0"/>
-            <limit lower="-1" upper="1" effort="9" velocity="9"/></joint>
-            <drake:joint name="wrist" type="ball"><parent link="arm"/><child link="hand"/><origin xyz="0.3 0 0"/>
-            </drake:joint><transmission name="t"><joint name="hip"/></transmission></robot>"""
-        )
-        return rp.load_robot(path)
+        (tmp_path / "arm.urdf").write_text(text.replace("MASS", str(mass)).replace("LENGTH", str(length)))
+        return rp.load_robot(tmp_path / "arm.urdf")
 
     expected = loaded(2.5, 0.7)
     changed = rp.with_parameters(loaded(1.0, 0.2), masses={"hand": 2.5}, lengths={"hip": (0.7, 0.0, 0.0)})

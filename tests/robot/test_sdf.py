@@ -14,6 +14,7 @@ import pinocchio as pin
 import pytest
 from test_urdf_dialects import FILES as URDFS
 from test_urdf_dialects import GRAVITY, MOTION, torque, torque_by_kkt
+from written import write_changed
 from zoo import home_of, places_of
 
 import redundancy_pin as rp
@@ -160,20 +161,10 @@ SPRING = "<dynamics><damping>0.3</damping><friction>0.2</friction><spring_stiffn
 SPRING += "<spring_reference>0.1</spring_reference></dynamics>"
 
 
-def changed(folder: Path, *changes: tuple[str, str]) -> Path:
-    """Write the plain four-bar with parts of its text replaced."""
-    text = (FILES / "good" / "plain.sdf").read_text()
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new, 1)
-    (folder / "changed.sdf").write_text(text)
-    return folder / "changed.sdf"
-
-
 def test_forces_of_a_joint_that_closes_the_loop_do_their_work(tmp_path: Path) -> None:
     """Power by power: spring, damper and friction of a pin at the torque of the motor, at the pin's own speed."""
     plain = rp.load_robot(FILES / "good" / "plain.sdf")
-    robot = rp.load_robot(changed(tmp_path, (PIN, PIN + SPRING)))
+    robot = rp.load_robot(write_changed(tmp_path, FILES / "good" / "plain.sdf", (PIN, PIN + SPRING)))
     assert robot.loads == (JointForces("pin", 0.3, 0.2, stiffness=5.0, rest=0.1),)
     followed = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.3]], [[0.7]], [[-0.4]]))
     at = robot.model.joints[robot.model.getJointId("pin")]

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from loop_oracle import Loops
+from written import write_changed
 from zoo import places_of
 
 import redundancy_pin as rp
@@ -86,14 +87,7 @@ def test_a_distance_of_drake_that_nothing_changes_is_a_rod(tmp_path: Path) -> No
 
 def changed(folder: Path, *changes: tuple[str, str], name: str = "urdf_plus") -> Path:
     """Write one of the good files with parts of its text replaced."""
-    text = (FILES / "good" / f"{name}.urdf").read_text()
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new, 1)
-    folder.mkdir(exist_ok=True)
-    path = folder / f"{name}.urdf"
-    path.write_text(text)
-    return path
+    return write_changed(folder, FILES / "good" / f"{name}.urdf", *changes)
 
 
 @pytest.mark.parametrize("name", GOOD)
@@ -142,15 +136,7 @@ def test_an_axis_of_gazebo_in_the_frame_of_the_model_is_that_of_the_joint_or_ref
 
 MASS = '<mass value="{}"/><inertia ixx="{}" ixy="0" ixz="0" iyy="{}" iyz="0" izz="{}"/></inertial></link>'
 NONE, ROD = MASS.format(0, 0, 0, 0), MASS.format(0.5, 1e-3, 2e-3, 1.5e-3)
-RSSR = f"""<robot name="rssr" xmlns:drake="http://drake.mit.edu"><link name="ground"/>
-<link name="crank"><inertial>{ROD}<link name="rocker"><inertial>{ROD}
-<link name="rod"><inertial><origin xyz="0.15 0.1 0.125"/>{ROD}
-<joint name="motor" type="continuous"><parent link="ground"/><child link="crank"/><axis xyz="0 0 1"/></joint>
-<joint name="foot" type="continuous"><parent link="ground"/><child link="rocker"/>
-<origin xyz="0.4 0.2 0"/><axis xyz="1 0 0"/></joint>
-<loop name="far" type="spherical"><predecessor link="rod"><origin xyz="0.3 0.2 0.25"/></predecessor>
-<successor link="rocker"><origin xyz="0 0 0.25"/></successor></loop>
-<transmission name="t"><joint name="motor"/></transmission>{{}}</robot>"""
+RSSR = (FILES / "other" / "rssr.urdf").read_text()
 
 
 @pytest.mark.parametrize("damped", ["", '<dynamics damping="0.1"/>'])
@@ -168,7 +154,7 @@ def test_three_hinges_through_a_point_are_the_ball_of_a_rod(damped: str, tmp_pat
     robots = []
     for name, parts in (("hinges", [*links, *hinges]), ("ball", [ball])):
         path = tmp_path / f"{name}.urdf"
-        path.write_text(RSSR.format("".join(parts)))
+        path.write_text(RSSR.replace("<!-- more -->", "".join(parts)))
         robots.append(rp.load_robot(path, gravity=GRAVITY))
         assert (robots[-1].n, robots[-1].independent_joints) == (1, ("motor",))
         assert sum("The spin of near" in note for note in robots[-1].notes) == 1
@@ -177,7 +163,7 @@ def test_three_hinges_through_a_point_are_the_ball_of_a_rod(damped: str, tmp_pat
         assert torque(robots[0]) == pytest.approx(torque(robots[1]), rel=1e-9)
     driven = rp.load_robot(tmp_path / "hinges.urdf", actuated=["motor", "near_x"], gravity=GRAVITY)
     assert driven.n == 2  # a hinge that a motor turns is no part of a ball
-    whole = RSSR.format("".join([*links, *hinges]))
+    whole = RSSR.replace("<!-- more -->", "".join([*links, *hinges]))
     flag = f'<link name="flag"><inertial>{NONE}<joint name="waving" type="continuous"><parent link="first"/>'
     flag += '<child link="flag"/></joint></robot>'
     for old, new, count in (

@@ -1,4 +1,4 @@
-"""Robots that tests write themselves: a URDF from a list of joints, and a declaration from a mapping."""
+"""Robots that tests write themselves: a URDF from a list of joints, a declaration from a mapping, a changed file."""
 
 from __future__ import annotations
 
@@ -65,6 +65,17 @@ def write_robot(folder: Path, urdf: str, declaration: Mapping[str, Any]) -> Path
     path = folder / "robot.yaml"
     path.write_text(yaml.safe_dump({"urdf": "robot.urdf", **declaration}), encoding="utf-8")
     return path
+
+
+def write_changed(folder: Path, path: Path, *changes: tuple[str, str]) -> Path:
+    """Write a file of a model into a folder, with parts of its text replaced once each, and return its path there."""
+    text = path.read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    folder.mkdir(exist_ok=True)
+    (folder / path.name).write_text(text, encoding="utf-8")
+    return folder / path.name
 
 
 def _text(numbers: Sequence[float]) -> str:
