@@ -21,7 +21,7 @@ from redundancy_pin.loading.mechanism import OpenedModel, select_rows, warn_once
 from redundancy_pin.loading.reference import close_reference
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.declaration import read_declaration
-from redundancy_pin.robot.formats.xml_files import DRAKE
+from redundancy_pin.robot.formats.xml_files import DRAKE, parsed_text
 from redundancy_pin.robot.joint_ranges import ROUNDING
 from redundancy_pin.robot.loads import Load
 from redundancy_pin.robot.lookup import find_joint, find_link, joint_names
@@ -164,7 +164,7 @@ def _changed_urdf(urdf: str, masses: Mapping[str, float], lengths: Mapping[str, 
     Raises:
         InputError: an unknown name, a negative mass, a link without mass, a length without direction.
     """
-    root = ElementTree.fromstring(urdf)
+    root = parsed_text(urdf, "The URDF")
     links = {str(link.get("name")): link for link in root.findall("link")}
     joints = {str(joint.get("name")): joint for tag in ("joint", DRAKE + "joint") for joint in root.findall(tag)}
     for name, value in _items(masses, "masses"):

@@ -396,8 +396,8 @@ class Frames:
         known = _PARTS[part.tag]
         for each in part.parts():
             if each.tag not in known:
-                name = short(each.tag.rpartition("}")[2])
-                if "}" not in each.tag or each.tag.startswith(DRAKE):
+                name = short(each.tag.rpartition(":")[2])
+                if ":" not in each.tag or each.tag.startswith(DRAKE):
                     each.refuse(f"{part.owner} has <{name}>, which is not covered", did_you_mean(name, known).strip())
                 self.notes.append(f"{not_understood(each.place).rstrip('.')} ({each.file}).")
             elif deep and each.tag in _PARTS and each.tag != "model":

@@ -345,7 +345,7 @@ def _tree(file: Urdf, kinds: Mapping[str, str], base: str) -> pin.Model:
 
 
 def _reduced(element: ElementTree.Element) -> ElementTree.Element:
-    attributes = {key: value for key, value in element.attrib.items() if "}" not in key}
+    attributes = {key: value for key, value in element.attrib.items() if ":" not in key and key != "xmlns"}
     result = ElementTree.Element(element.tag.removeprefix(DRAKE), attributes)
     for part in element:
         if part.tag in _TREE.get(result.tag, ()):

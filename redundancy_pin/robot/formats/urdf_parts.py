@@ -91,7 +91,7 @@ class UrdfPart(Part):
             (short(key), each.tag, each.element.line)
             for each in (self, *self.parts())
             for key in each.attributes
-            if "}" not in key and key not in _ATTRIBUTES.get(each.tag.removeprefix(DRAKE), (key,))
+            if ":" not in key and key not in _ATTRIBUTES.get(each.tag.removeprefix(DRAKE), (key,))
         ]
 
     def placement(self) -> Array:

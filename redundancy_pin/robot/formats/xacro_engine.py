@@ -24,6 +24,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from xml.dom import minidom
+from xml.parsers import expat
 
 from redundancy_pin.errors import ModelFileError, RedundancyPinError, shortened
 from redundancy_pin.io.limited import answer, run_limited
@@ -192,7 +193,7 @@ class _Engine:
             )
         text = read_model(path)
         self._evaluator.spend(len(text) // 16)
-        parsed_text(text, str(path), is_xacro=True)
+        parsed_text(text, str(path))
         return io.StringIO(text)
 
     def _load_yaml(self, filename: str) -> Any:
@@ -245,6 +246,8 @@ class _Engine:
                 reason = "its macros, properties or files are nested too deeply, or without end"
             case ExpressionError() as reason:
                 remedy = "Change the model, or load it with trust=True (--trust) if you trust who wrote it."
+            case expat.ExpatError() as reason:
+                remedy = "Repair the file at that place: xacro reads what the standard of XML allows."
             case OSError(strerror=what, filename=name):
                 reason = f"{what} {name}"
             case self.xacro.substitution_args.SubstitutionException() | self.xacro.XacroException() as last:

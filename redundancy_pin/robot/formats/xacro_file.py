@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from xml.etree import ElementTree
 
 from redundancy_pin.arrays import decimal
 from redundancy_pin.errors import InputError, one_of, shown
@@ -98,25 +97,20 @@ def _declared(path: Path) -> tuple[dict[str, str | None], bool]:
         if (place := current.resolve()) in seen:  # a file may include itself by ever longer paths
             continue
         seen.add(place)
-        root = parsed(current, is_xacro=current.suffix == ".xacro")
+        root = parsed(current)
         size += place.stat().st_size
         if size > _MOST_BYTES:
             return defaults, False
-        for argument in _elements(root, "arg"):
+        for argument in root.iter("xacro:arg"):
             if "name" in argument.attrib and defaults.get(argument.attrib["name"]) is None:
                 defaults[argument.attrib["name"]] = argument.attrib.get("default")
-        for include in _elements(root, "include"):
+        for include in root.iter("xacro:include"):
             name = include.attrib.get("filename", "$")
             if "$" in name or not is_file(current.parent / name) or not may_include(current.parent / name, folders):
                 complete = False  # xacro alone knows what it will include
             else:
                 files.append(current.parent / name)
     return defaults, complete
-
-
-def _elements(root: ElementTree.Element, name: str) -> Iterator[ElementTree.Element]:
-    """Yield the elements of xacro with a name; the namespace has many spellings, of which xacro needs none."""
-    return (element for element in root.iter() if element.tag.endswith(f"}}{name}") and "xacro" in element.tag)
 
 
 def _as_argument(name: str, value: object, default: Argument | None) -> Argument:

@@ -53,7 +53,6 @@ def remedy_of_format(found: str) -> str:
 _BEFORE_TOP = (("<?", "?>"), ("<!--", "-->"), ("<!", ">"))
 _SPACE = re.compile(r"\s*")
 _TAG = re.compile(r"<\s*([\w:.-]+)")
-_OWN_NAMESPACE = re.compile(r"""[^<>]*?(?<=\s)(xmlns\s*=\s*("[^"<]*"|'[^'<]*'))""")
 
 
 def format_of(text: str) -> str:
@@ -79,13 +78,13 @@ class Element(ElementTree.Element):
     line: int = 0
 
 
-def parsed(path: Path, *, is_xacro: bool = False) -> Element:
+def parsed(path: Path) -> Element:
     """Return the root element of an XML file; see ``parsed_text``.
 
     Raises:
         ModelFileError: missing file, broken XML, or more of it than a model may have.
     """
-    return parsed_text(read_model(path), str(path), is_xacro=is_xacro)
+    return parsed_text(read_model(path), str(path))
 
 
 def read_model(path: Path) -> str:
@@ -97,28 +96,25 @@ def read_model(path: Path) -> str:
     return read_text(path, ModelFileError, "The model ", largest=MOST_BYTES)
 
 
-def parsed_text(text: str, where: str, *, is_xacro: bool = False) -> Element:
-    """Return the root element of a document.
+def parsed_text(text: str, where: str) -> Element:
+    """Return the root element of a document, with the names that it has there: namespaces are not resolved.
 
-    A document type is refused, whole: models need none, and entities make gigabytes of a few lines. What is no XML, but
-    read by the program that the file was written for, is read (``_mended``). A namespace without a prefix on the top
-    element, as in files of old Drake, is ignored, as by all programs.
+    Gazebo, MuJoCo, Drake and urdfdom read names so, by tinyxml2: prefixes may be bound to no namespace, as in 8 of the
+    44 example worlds of Gazebo that have joints. A document type is refused, whole: models need none, and entities make
+    gigabytes of a few lines. What else tinyxml2 reads and the standard does not allow is read too (``_mended``).
 
     Args:
         text: the document.
-        where: what to call it in messages.
-        is_xacro: xacro reads it next, which is as strict as the standard.
+        where: its name for messages.
 
     Raises:
         ModelFileError: as ``parsed``.
     """
-    if (top := _top(text)) and (own := _OWN_NAMESPACE.match(text, top.end())):
-        text = text[: own.start(1)] + " " * len(own[1]) + text[own.end(1) :]
     try:
         return _parsed_strictly(text, where)
     except expat.ExpatError as error:
         try:
-            return _parsed_strictly(text if is_xacro else _mended(text), where)
+            return _parsed_strictly(_mended(text), where)
         except expat.ExpatError:
             raise ModelFileError(
                 f"{where} is not well-formed XML: {error}.", remedy="Repair the file at that place.", path=where
@@ -126,31 +122,19 @@ def parsed_text(text: str, where: str, *, is_xacro: bool = False) -> Element:
 
 
 def _mended(text: str) -> str:
-    """Return a text as tinyxml2 reads it, line by line the same.
-
-    Gazebo, MuJoCo, Drake and urdfdom read by tinyxml2. It takes blanks before the declaration, "--" in a comment, and
-    prefixes that are bound to no namespace: 8 of the 44 example worlds of Gazebo that have joints. Here "drake:" is
-    Drake's namespace, and another prefix is its own.
-    """
+    """Return a text without blanks before the declaration and "--" in comments, line by line the same."""
     text = re.sub(r"^(\s+)<\?xml[^<>]*\?>", r"\1", text)
     parts, place = list[str](), 0
     while (begin := text.find("<!--", place)) >= 0 and (end := text.find("-->", begin + 4)) >= 0:
         parts += [text[place : begin + 4], text[begin + 4 : end].replace("-", "=")]
         place = end
-    text = "".join(parts) + text[place:]
-    bound = set(re.findall(r"\bxmlns:([\w.-]+)", text))
-    prefixes = sorted(set(re.findall(r"[<\s]([A-Za-z][\w.-]*):[\w.-]+", text)) - bound - {"xml", "xmlns"})
-    top = _top(text)
-    if top is None or len(prefixes) > MOST_ATTRIBUTES:
-        return text
-    spaces = "".join(f' xmlns:{each}="{DRAKE[1:-1] if each == "drake" else each}"' for each in prefixes)
-    return text[: top.end()] + spaces + text[top.end() :]
+    return "".join(parts) + text[place:]
 
 
 def _parsed_strictly(text: str, where: str) -> Element:
     """Return the root element of a document that is XML."""
     builder = ElementTree.TreeBuilder(element_factory=Element)
-    parser = expat.ParserCreate("utf-8", "}")
+    parser = expat.ParserCreate("utf-8")
     parser.buffer_text = True
     depth = count = comments = 0
 
@@ -168,14 +152,13 @@ def _parsed_strictly(text: str, where: str) -> Element:
         ):
             if amount > most:
                 raise refuse(f"more than {most} {what}", "A model has no use for so many.")
-        named = {_name(key): value for key, value in attributes.items()}
-        element = builder.start(_name(tag), named)
+        element = builder.start(tag, dict(attributes))
         element.line = parser.CurrentLineNumber  # type: ignore[attr-defined]
 
     def end(tag: str) -> None:
         nonlocal depth
         depth -= 1
-        builder.end(_name(tag))
+        builder.end(tag)
 
     def comment(*_: object) -> None:
         nonlocal comments
@@ -202,18 +185,13 @@ def _parsed_strictly(text: str, where: str) -> Element:
     return cast("Element", builder.close())
 
 
-def _name(name: str) -> str:
-    """Return a name as ElementTree writes it: {namespace}name."""
-    return "{" + name if "}" in name else name
-
-
 # --- elements, read strictly -----------------------------------------------------------------------------------------
 
 
 _P = TypeVar("_P", bound="Part")
 
-DRAKE = "{http://drake.mit.edu}"
-"""Namespace of the elements that Drake adds."""
+DRAKE = "drake:"
+"""Prefix of the elements that Drake adds."""
 
 ZEROS = ("", "0", "0.0", "false")
 """Texts of elements and attributes that change nothing."""
@@ -276,13 +254,13 @@ class Part:
 
     @property
     def tag(self) -> str:
-        """The name of the element, with the namespace in braces before it."""
+        """The name of the element, with its prefix."""
         return str(self.element.tag)
 
     @property
     def place(self) -> str:
         """The element and its line, for messages."""
-        return f"<{self.tag.rpartition('}')[2]}> in line {self.element.line}"
+        return f"<{self.tag.rpartition(':')[2]}> in line {self.element.line}"
 
     @property
     def attributes(self) -> Mapping[str, str]:
@@ -303,7 +281,7 @@ class Part:
         return [self._named_by_itself(each) for each in self.element.iter(tag) if isinstance(each, Element)]
 
     def _named_by_itself(self: _P, element: Element) -> _P:
-        label = str(element.tag).rpartition("}")[2]
+        label = str(element.tag).rpartition(":")[2]
         name = f" {element.get('name', '')!r}" if element.get("name") else ""
         return replace(self, element=element, owner=f"The <{label}>{name} of {self.file}", details={})
 

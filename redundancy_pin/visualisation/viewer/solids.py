@@ -17,6 +17,7 @@ from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.formats.packages import is_within, own_folders, package_roots
+from redundancy_pin.robot.formats.xml_files import parsed_text
 
 Role = Literal["base", "link", "track", "carrier", "actuated", "passive", "closure", "platform"]
 """What a part is to the mechanism; it decides on the colour."""
@@ -180,7 +181,7 @@ def _with_readable_meshes(robot: Robot, loader: Any) -> tuple[str, tuple[str, ..
     Mesh files have their absolute paths, visuals with meshes that cannot be read are gone, and so is all collision
     geometry. A capsule, which Pinocchio's reader does not know, is a cylinder and two spheres.
     """
-    root = ElementTree.fromstring(robot.urdf)
+    root = parsed_text(robot.urdf, "The URDF")
     unreadable: list[str] = []
     for link in root.iter("link"):
         for collision in link.findall("collision"):
