@@ -15,11 +15,11 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import did_you_mean, shown
+from redundancy_pin.errors import did_you_mean, shortened, shown
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.formats.mechanism import MOST_LINKS, not_understood
 from redundancy_pin.robot.formats.packages import is_within
-from redundancy_pin.robot.formats.xml_files import DRAKE, LONGEST_NAME, MOST_ELEMENTS, Part, parsed, short
+from redundancy_pin.robot.formats.xml_files import DRAKE, LONGEST_NAME, MOST_ELEMENTS, Part, parsed
 from redundancy_pin.robot.loop_joints import placed
 
 WORLD = "world"
@@ -127,7 +127,7 @@ class SdfPart(Part):
         if pose.version <= 6 or not pose.text_of("frame"):  # the older name of relative_to
             others -= {"frame"}
         if others or form not in ("euler_rpy", "quat_xyzw") or degrees not in ("0", "1", "false", "true"):
-            said = ", ".join(f"{key}={short(text)!r}" for key, text in sorted(pose.attributes.items()))
+            said = ", ".join(f"{key}={shortened(text)!r}" for key, text in sorted(pose.attributes.items()))
             pose.refuse(f"{self.owner} has a pose with {said}", "Use relative_to, rotation_format and degrees.")
         is_quaternion = form == "quat_xyzw"
         text = pose.content() or ("0 0 0 0 0 0 1" if is_quaternion else "0 0 0 0 0 0")
@@ -251,7 +251,9 @@ class Frames:
             root = SdfPart(parsed(path), path, "", top=self._open[0])
             root = replace(root, owner=root.file)
             if root.tag != "sdf":
-                root.refuse(f"The top element of {root.file} is <{short(root.tag)}>, not <sdf>", "Pass an SDF model.")
+                root.refuse(
+                    f"The top element of {root.file} is <{shortened(root.tag)}>, not <sdf>", "Pass an SDF model."
+                )
             major, minor, *_ = (*_version(root.text_of("version")), 0, 0)
             if major != 1 or not _OLDEST <= minor < 100:
                 what = f"{root.file} is SDF of version {shown(root.text_of('version'))}"
@@ -259,7 +261,7 @@ class Frames:
             tops = replace(root, version=minor).parts()
             tops = [top for top in tops if top.tag in ("world", "model")] or tops
             if len(tops) != 1 or tops[0].tag not in ("world", "model", "light", "actor"):
-                names = ", ".join(f"<{short(top.tag)}>" for top in tops[:5]) or "nothing"
+                names = ", ".join(f"<{shortened(top.tag)}>" for top in tops[:5]) or "nothing"
                 root.refuse(f"{root.file} holds {names}", "Pass a file with one <model> or one <world>.")
             self._files[path] = tops[0]
         self._elements += sum(1 for _ in self._files[path].element.iter())
@@ -283,7 +285,7 @@ class Frames:
         if top.tag in ("light", "actor") and scope.frame == WORLD:
             return
         if top.tag != "model":
-            part.refuse(f"{top.file}, which it includes, holds <{short(top.tag)}>", "Include a model.")
+            part.refuse(f"{top.file}, which it includes, holds <{shortened(top.tag)}>", "Include a model.")
         self._open.append(path)
         self._add_model(scope, top, part)
         self._open.pop()
@@ -396,7 +398,7 @@ class Frames:
         known = _PARTS[part.tag]
         for each in part.parts():
             if each.tag not in known:
-                name = short(each.tag.rpartition(":")[2])
+                name = shortened(each.tag.rpartition(":")[2])
                 if ":" not in each.tag or each.tag.startswith(DRAKE):
                     each.refuse(f"{part.owner} has <{name}>, which is not covered", did_you_mean(name, known).strip())
                 self.notes.append(f"{not_understood(each.place).rstrip('.')} ({each.file}).")

@@ -17,7 +17,7 @@ from types import MappingProxyType
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.errors import DeclarationError, did_you_mean, one_of, shown
+from redundancy_pin.errors import DeclarationError, did_you_mean, one_of, shortened, shown
 from redundancy_pin.robot.formats.mechanism import (
     MOST_FREEDOMS,
     NOT_IN_FORCE,
@@ -31,7 +31,7 @@ from redundancy_pin.robot.formats.mechanism import (
 )
 from redundancy_pin.robot.formats.urdf_loops import read_loops
 from redundancy_pin.robot.formats.urdf_parts import FRICTION, UrdfPart
-from redundancy_pin.robot.formats.xml_files import DRAKE, FORMATS, ZEROS, parsed_text, remedy_of_format, short
+from redundancy_pin.robot.formats.xml_files import DRAKE, FORMATS, ZEROS, parsed_text, remedy_of_format
 from redundancy_pin.robot.inertia import negative_inertia
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint
@@ -110,10 +110,10 @@ def read_urdf(text: str, path: Path) -> Urdf:
     if robot.element.tag != "robot":
         known = FORMATS.get(robot.element.tag)
         what = f": it is {known}" if known else ""
-        top = f"The top element of {path.name} is <{short(robot.element.tag)}>, not <robot>{what}"
+        top = f"The top element of {path.name} is <{shortened(robot.element.tag)}>, not <robot>{what}"
         robot.refuse(top, remedy_of_format(known) if known else "")
     if (version := robot.text_of("version")) not in _VERSIONS:
-        robot.refuse(f"The robot has the version {short(version)!r} of URDF", "There are 1.0, 1.1 and 1.2.")
+        robot.refuse(f"The robot has the version {shortened(version)!r} of URDF", "There are 1.0, 1.1 and 1.2.")
     if _needs_world(robot):
         text = '<link name="world"/></robot'.join(text.rsplit("</robot", 1))
         notes.append("The link 'world', which the file does not have, is the ground.")
@@ -217,7 +217,7 @@ def _link(name: str, part: UrdfPart) -> LinkEntry:
 def _joint(name: str, part: UrdfPart, links: Mapping[str, LinkEntry]) -> JointEntry:
     kind, known = part.element.get("type", ""), _JOINTS_OF_DRAKE if part.tag == DRAKE + "joint" else _FREEDOMS
     if kind not in known:
-        part.refuse(f"{part.owner} has the type {short(kind)!r}", one_of(kind, known, "There are"))
+        part.refuse(f"{part.owner} has the type {shortened(kind)!r}", one_of(kind, known, "There are"))
     if part.tag == DRAKE + "joint":
         kind = _JOINTS_OF_DRAKE[kind]
     part.unknown_parts()
@@ -226,7 +226,7 @@ def _joint(name: str, part: UrdfPart, links: Mapping[str, LinkEntry]) -> JointEn
         end = part.one(role)
         link = "" if end is None else end.element.get("link", "")
         if link not in links:
-            what = f"the {role} {short(link)!r}, which is no link" if link else f"no {role}"
+            what = f"the {role} {shortened(link)!r}, which is no link" if link else f"no {role}"
             part.refuse(f"{part.owner} has {what}", did_you_mean(link, links), link=link)
         ends.append(link)
     axis = np.array([1.0, 0.0, 0.0])  # as the specification has it

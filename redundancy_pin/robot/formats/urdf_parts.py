@@ -11,8 +11,9 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.errors import shortened
 from redundancy_pin.robot.formats.mechanism import MOST_LINKS
-from redundancy_pin.robot.formats.xml_files import DRAKE, Part, short
+from redundancy_pin.robot.formats.xml_files import DRAKE, Part
 from redundancy_pin.robot.loop_joints import placed
 
 _POSE = ("xyz", "rpy")
@@ -80,7 +81,7 @@ class UrdfPart(Part):
             # names of extensions are far from all
             if near := difflib.get_close_matches(part.tag.lower(), known, n=1, cutoff=0.8):
                 replace(part, details=self.details).refuse(
-                    f"{self.owner} has an element <{short(part.tag)}>", f"Did you mean {near[0]!r}?"
+                    f"{self.owner} has an element <{shortened(part.tag)}>", f"Did you mean {near[0]!r}?"
                 )
             unknown.append(part)
         return unknown
@@ -88,7 +89,7 @@ class UrdfPart(Part):
     def unknown_attributes(self) -> list[tuple[str, str, int]]:
         """Return the attributes of the element and of those in it that are not understood: name, element, and line."""
         return [
-            (short(key), each.tag, each.element.line)
+            (shortened(key), each.tag, each.element.line)
             for each in (self, *self.parts())
             for key in each.attributes
             if ":" not in key and key not in _ATTRIBUTES.get(each.tag.removeprefix(DRAKE), (key,))

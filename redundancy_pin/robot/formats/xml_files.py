@@ -57,19 +57,14 @@ _TAG = re.compile(r"<\s*([\w:.-]+)")
 
 def format_of(text: str) -> str:
     """Return what a text is, if it is XML: one of ``FORMATS``, or by its top element; empty if it is no XML."""
-    if not text.lstrip().startswith("<"):
-        return ""
-    top = _top(text)
-    return FORMATS.get(top[1], f"an XML file with <{shortened(top[1], 40)}> on top") if top else "an XML file"
-
-
-def _top(text: str) -> re.Match[str] | None:
-    """Return the beginning of the top element, up to its name."""
     place = _SPACE.match(text).end()  # type: ignore[union-attr]
+    if not text.startswith("<", place):
+        return ""
     while begun := next((pair for pair in _BEFORE_TOP if text.startswith(pair[0], place)), None):
         end = text.find(begun[1], place)
         place = _SPACE.match(text, end + len(begun[1]) if end >= 0 else len(text)).end()  # type: ignore[union-attr]
-    return _TAG.match(text, place)
+    top = _TAG.match(text, place)
+    return FORMATS.get(top[1], f"an XML file with <{shortened(top[1], 40)}> on top") if top else "an XML file"
 
 
 class Element(ElementTree.Element):
@@ -293,7 +288,7 @@ class Part:
         """
         name = self.element.get("name", "")
         if not name or not name.isprintable() or name != name.strip():
-            self.refuse(f"{self.owner} has the name {short(repr(self.element.get('name')))}", "Give it one.")
+            self.refuse(f"{self.owner} has the name {shortened(repr(self.element.get('name')))}", "Give it one.")
         if len(name) > LONGEST_NAME:
             self.refuse(f"{self.owner} has a name of {len(name)} characters", f"There may be {LONGEST_NAME}.")
         return name
@@ -319,7 +314,7 @@ class Part:
         for key in parts[0].element.attrib if parts and known else ():
             left_out = [each for each in known if each not in parts[0].element.attrib]
             if key not in known and (hint := did_you_mean(key.lower(), left_out)):
-                parts[0].refuse(f"{self.owner} has <{tag}> with the attribute {short(key)!r}", hint.strip())
+                parts[0].refuse(f"{self.owner} has <{tag}> with the attribute {shortened(key)!r}", hint.strip())
         return parts[0] if parts else None
 
     def required(self: _P, tag: str) -> _P:
@@ -331,7 +326,7 @@ class Part:
         text = self.element.get(key)
         number = _as_number((text or "").strip(), most)
         if number is None:
-            shown = text if text is None else short(text)
+            shown = text if text is None else shortened(text)
             self.refuse(f"{self.owner} has the {what or key} {shown!r}, which is not a finite number")
         return number
 
@@ -341,7 +336,7 @@ class Part:
         if len(numbers) != count or None in numbers:
             wanted = {1: "one finite number", 3: "three finite numbers"}.get(count, f"{count} finite numbers")
             remedy = "Write numbers with blanks between them."
-            self.refuse(f"{self.owner} has {what} {short(text)!r}, which is not {wanted}", remedy)
+            self.refuse(f"{self.owner} has {what} {shortened(text)!r}, which is not {wanted}", remedy)
         return np.array(numbers, dtype=float)
 
     def triple(self, key: str, what: str) -> Array:
@@ -352,8 +347,3 @@ class Part:
 def _as_number(text: str, most: float) -> float | None:
     number = float(text) if _NUMBER.fullmatch(text) else math.nan
     return number if abs(number) <= most else None
-
-
-def short(text: str) -> str:
-    """Return a text, or its beginning if it is long."""
-    return text if len(text) <= 80 else f"{text[:77]}..."
