@@ -17,7 +17,7 @@ from types import MappingProxyType
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.errors import DeclarationError, did_you_mean, one_of, shortened, shown
+from redundancy_pin.errors import DeclarationError, did_you_mean, one_of, shortened
 from redundancy_pin.robot.formats.mechanism import (
     MOST_FREEDOMS,
     NOT_IN_FORCE,
@@ -379,16 +379,13 @@ def urdf_mechanism(
         base: "free" to let the root move, by six joints.
 
     Raises:
-        DeclarationError: an unknown joint or kind.
+        DeclarationError: an unknown joint.
         ModelFileError: what ``urdf_loops`` does not know, or does not find the other end of.
     """
     named = {joint.name: joint for joint in file.joints}
-    for own, kind in kinds.items():
-        if own not in named:
-            raise DeclarationError(f"The URDF has no joint {own!r}.", remedy=one_of(own, named), name=own)
-        if kind not in KINDS:
-            remedy = one_of(kind, KINDS, "There are")
-            raise DeclarationError(f"The joint {own!r} cannot be made {shown(kind)}.", remedy=remedy, name=own)
+    if unknown := [own for own in kinds if own not in named]:
+        remedy = one_of(unknown[0], named)
+        raise DeclarationError(f"The URDF has no joint {unknown[0]!r}.", remedy=remedy, name=unknown[0])
     kinds = {joint.name: joint.kind for joint in file.joints if joint.kind in _JOINTS_OF_DRAKE.values()} | {**kinds}
     model = _tree(file, kinds, base)
     carriers = {joint.child: (joint.name, joint.parent) for joint in file.joints}
