@@ -139,6 +139,14 @@ def test_arguments_are_evaluated_and_whole_numbers_stay_whole() -> None:
             rp.load_robot(path, **given)
 
 
+def test_a_condition_may_be_on_an_argument_whose_default_is_evaluated(tmp_path: Path) -> None:
+    path = FILES.parent / "xacro" / "arguments" / "r.urdf.xacro"
+    (tmp_path / "robot.yaml").write_text(f"urdf: {path}\nrequires: [half > 0.4]\n")
+    assert rp.load_robot(tmp_path).actuated == ("j",)
+    with pytest.raises(InputError, match=r"half > 0\.4 does not hold \(half = 0\.25\)"):
+        rp.load_robot(tmp_path, length=1.0)
+
+
 @pytest.mark.parametrize(
     ("name", "given", "message"),
     [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from redundancy_pin.arrays import require_type
+from redundancy_pin.errors import DeclarationError, ModelFileError
 from redundancy_pin.kinematics.coordinates import gravity_acts
 from redundancy_pin.loading.mechanism import OpenedModel, warn_once
 from redundancy_pin.loading.undecided import require_decided, settled
@@ -145,10 +147,13 @@ def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
     """Load a mechanism with what a declaration adds to it, or without one."""
     opened = OpenedModel(request.path, data, gravity=request.gravity, working_mode=request.working_mode)
     file = opened.file
-    if data and file.suffix.lower() == ".xacro":
-        # before xacro runs, which would make a cryptic error of a length that is negative
-        require_conditions(data, known_values(file, request.arguments))
-    parameters, read = open_model(file, request.arguments, trust=request.trust, untrusted=request.untrusted)
+    try:
+        parameters, read = open_model(file, request.arguments, trust=request.trust, untrusted=request.untrusted)
+    except ModelFileError:
+        if data and file.suffix.lower() == ".xacro":  # whose errors of a negative length, say, are cryptic
+            with suppress(DeclarationError):  # conditions on what xacro would have evaluated
+                require_conditions(data, known_values(file, request.arguments))
+        raise
     require_conditions(data, parameters)
     opened = replace(opened, parameters=parameters)
     if data:
