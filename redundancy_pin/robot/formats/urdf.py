@@ -34,7 +34,7 @@ from redundancy_pin.robot.formats.urdf_parts import FRICTION, UrdfPart
 from redundancy_pin.robot.formats.xml_files import DRAKE, FORMATS, ZEROS, parsed_text, remedy_of_format
 from redundancy_pin.robot.inertia import negative_inertia
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.lookup import find_joint
+from redundancy_pin.robot.lookup import find_joint, find_link, has_joint
 from redundancy_pin.robot.loop_joints import LoopJoint
 from redundancy_pin.robot.types import Coupling
 
@@ -169,10 +169,8 @@ WITHOUT_INERTIAL = "Links without <inertial> count as massless:"
 """How the note begins that names them."""
 
 
-def links_without_inertial(
-    file: Urdf, kinds: Mapping[str, str] = MappingProxyType({}), *, root_moves: bool = False
-) -> tuple[str, ...]:
-    """Return a note that names the moving links whose mass the file does not state; none if there are no such links.
+def _without_inertial(file: Urdf, model: pin.Model, carriers: Mapping[str, tuple[str, str]]) -> list[str]:
+    """Return a note that names the moving links whose mass the file does not state; nothing if there are none.
 
     These are links with a shape, and bodies (links between two moving joints, with all links fixed to them) of which no
     link has an ``<inertial>``. A mark, a link without shape that is fixed to another, is not among them; nor is a link
@@ -180,23 +178,19 @@ def links_without_inertial(
 
     Args:
         file: the URDF.
-        kinds: by joint, the kind that replaces the one of the file.
-        root_moves: whether the root of the tree is not fixed to the ground.
+        model: the tree.
+        carriers: by link, the joint that carries it and its parent link.
     """
-    body = {file.root: file.root}
-    for joint in file.joints:
-        is_fixed = kinds.get(joint.name, joint.kind) == "fixed"
-        body[joint.child] = body[joint.parent] if is_fixed else joint.child
-    stated = {body[name] for name, link in file.links.items() if link.has_inertial}
+    bodies = {name: find_link(model, name).parentJoint for name in file.links}
+    stated = {bodies[name] for name, link in file.links.items() if link.has_inertial}
     names = [
         name
         for name, link in file.links.items()
-        if (root_moves or body[name] != file.root)
-        and not link.has_inertial
-        and (link.has_shape or (body[name] == name and name not in stated))
+        if bodies[name] and not link.has_inertial  # the ground is body 0
+        if link.has_shape or (bodies[name] not in stated and (name == file.root or has_joint(model, carriers[name][0])))
     ]
     remedy = "Give each an <inertial>; one with mass 0 states that the link is massless."
-    return (f"{WITHOUT_INERTIAL} {', '.join(names)}. {remedy}",) if names else ()
+    return [f"{WITHOUT_INERTIAL} {', '.join(names)}. {remedy}"] if names else []
 
 
 def _link(name: str, part: UrdfPart) -> LinkEntry:
@@ -419,7 +413,7 @@ def urdf_mechanism(
     ]
     notes = [f"Friction of the joint {joint.name} is not in force: it has several freedoms." for joint in lost]
     notes += [
-        *links_without_inertial(file, kinds, root_moves=base == "free"),
+        *_without_inertial(file, model, carriers),
         *impossible_moments(file.links.values()),
         *file.notes,
         *loops.notes,
