@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from written import J, urdf_of, write_robot
+from written import J, urdf_of, write_changed, write_robot
 
 import redundancy_pin as rp
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
@@ -145,6 +145,14 @@ def test_a_condition_may_be_on_an_argument_whose_default_is_evaluated(tmp_path: 
     assert rp.load_robot(tmp_path).actuated == ("j",)
     with pytest.raises(InputError, match=r"half > 0\.4 does not hold \(half = 0\.25\)"):
         rp.load_robot(tmp_path, length=1.0)
+    shutil.copytree(path.parent, tmp_path, dirs_exist_ok=True)
+    path = write_changed(tmp_path, path, ("${2 * $(arg length)}", "${sqrt($(arg length))}"))
+    (tmp_path / "robot.yaml").write_text(f"urdf: {path.name}\nrequires: [length > 0, half > 0]\n")
+    with pytest.raises(InputError, match="length > 0 does not hold"):  # in place of xacro's own error
+        rp.load_robot(tmp_path, length=-1.0)
+    (tmp_path / "robot.yaml").write_text(f"urdf: {path.name}\nrequires: [half > 0, length > 0]\n")
+    with pytest.raises(ModelFileError, match="xacro cannot render"):
+        rp.load_robot(tmp_path, length=-1.0)
 
 
 @pytest.mark.parametrize(
