@@ -83,7 +83,8 @@ class _Reader:
         self.left_out: dict[str, list[str]] = {}
         self._require_rigid()
         self.model = pin.Model()
-        self.model.name = compiled.name if compiled.name != _UNNAMED else path.stem
+        name = self.m.names.partition(b"\0")[0].decode()
+        self.model.name = name if name != _UNNAMED else path.stem
         self.disabled = {flag for flag, _ in _FORCES.values() if self._is_disabled(flag)}
         self.qpos: Array = self._start(keyframe)
         self.links: list[str] = []
@@ -191,7 +192,8 @@ class _Reader:
         notes = [*self.notes, *(f"MuJoCo warns: {each}." for each in self.compiled.warnings)]
         if listed := "; ".join(f"{what} of {', '.join(names)}" for what, names in self.left_out.items()):
             notes.append(f"{NOT_IN_FORCE} {listed}.")
-        if self.compiled.colliding and not self._is_disabled("contact"):
+        collides = self.m.npair or np.any(self.m.geom_contype | self.m.geom_conaffinity)
+        if collides and not self._is_disabled("contact"):
             notes.append("Contacts between geoms are not modelled.")
         if self.disabled:
             notes.append(f"Disabled by flags of the model: {', '.join(sorted(self.disabled))}.")

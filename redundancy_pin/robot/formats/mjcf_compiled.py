@@ -42,15 +42,11 @@ class Compiled:
 
     Attributes:
         model: MuJoCo's model.
-        name: of the model; empty for one without.
-        colliding: whether geoms may collide.
         warnings: of MuJoCo's compiler.
         shapes: elements ``visual`` of a URDF, each with the number of its body.
     """
 
     model: Any
-    name: str
-    colliding: bool
     warnings: list[str]
     shapes: list[tuple[int, str]]
 
@@ -86,8 +82,7 @@ def _packed(path: str) -> bytes:
     mujoco, compiled, output = optional(*MUJOCO), compile_mjcf(Path(path)), io.BytesIO()
     model = np.zeros(mujoco.mj_sizeModel(compiled.model), dtype=np.uint8)
     mujoco.mj_saveModel(compiled.model, None, model)
-    rest = [compiled.name, compiled.colliding, compiled.warnings, compiled.shapes]
-    np.savez(output, model=model, rest=json.dumps(rest))
+    np.savez(output, model=model, rest=json.dumps([compiled.warnings, compiled.shapes]))
     return output.getvalue()
 
 
@@ -153,7 +148,6 @@ def _compiled(path: Path, trust: bool, included: Sequence[str]) -> Compiled:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             spec = mujoco.MjSpec.from_file(str(path))
-            colliding = bool(spec.pairs) or any(geom.contype or geom.conaffinity for geom in spec.geoms)
             idle = _without_idle_shapes(spec, mujoco.mjtGeom.mjGEOM_SPHERE)
             for mesh in () if trust else spec.meshes:
                 if mesh.file and not is_within(_mesh_file(mesh, path.parent), (path.resolve().parent,)):
@@ -180,8 +174,6 @@ def _compiled(path: Path, trust: bool, included: Sequence[str]) -> Compiled:
             raise ModelFileError(f"{what}.", remedy="Correct it.", path=str(path))
     return Compiled(
         model,
-        spec.modelname,
-        colliding,
         [" ".join(str(each.message).split()) for each in warned],
         list(_shapes(model, {geom.id: (file, scale) for geom, file, scale in idle})),
     )
