@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -108,51 +107,40 @@ def load_with(
 
     Among keywords, a file could name ``trust`` as one of them.
     """
-    written, path = repr((sorted(arguments.items()), gravity, working_mode)), declaration_path(source)
-    kept = is_shipped(path) and not trust
-    # what is kept is known by a path that means the same in all folders
-    request = _Request(path.resolve() if kept else path, written, arguments, gravity, working_mode, trust, untrusted)
-    if is_model_file(path):
-        return _load(request, {})
-    if not kept:
-        return _load_declared(request)
-    robot = _shipped(request)
+    path, files = declaration_path(source), {"trust": trust, "untrusted": untrusted}
+    opened = OpenedModel(path, gravity=gravity, working_mode=working_mode)
+    if trust or not is_shipped(path) or is_model_file(path):
+        return _load(opened, arguments, **files)
+    # as written, since 1, 1.0 and True are three arguments of xacro; by a path that means the same in all folders
+    key = path.resolve(), repr((sorted(arguments.items()), gravity, working_mode)), untrusted
+    if (robot := _SHIPPED.get(key)) is None:
+        robot = _load(opened, arguments, **files)
+        if len(_SHIPPED) >= _MOST_KEPT:
+            _SHIPPED.clear()
+        _SHIPPED[key] = robot
     return replace(robot, model=robot.model.copy())  # of what is shared, all that can be changed
 
 
-@dataclass(frozen=True)
-class _Request:
-    """A request for a robot; compared as written, since 1, 1.0 and True are three arguments of xacro."""
+_SHIPPED: dict[tuple[Path, str, bool], Robot] = {}
+"""Shipped robots, whose files do not change: sweeps, commands and tests load the same ones many times."""
 
-    path: Path
-    written: str
-    arguments: Mapping[str, object] = field(compare=False)
-    gravity: Sequence[float] | None = field(compare=False)
-    working_mode: Sequence[int] | None = field(compare=False)
-    trust: bool
-    untrusted: bool
+_MOST_KEPT = 64
 
 
-def _load_declared(request: _Request) -> Robot:
-    file = read_declaration(request.path)
-    with file.naming():
-        return _load(request, file.data)
-
-
-# files of shipped robots do not change, and sweeps, commands and tests load the same ones time and again
-_shipped = lru_cache(maxsize=64)(_load_declared)
-
-
-def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
+def _load(opened: OpenedModel, arguments: Mapping[str, object], *, trust: bool, untrusted: bool) -> Robot:
     """Load a mechanism with what a declaration adds to it, or without one."""
-    opened = OpenedModel(request.path, data, gravity=request.gravity, working_mode=request.working_mode)
+    if not (opened.data or is_model_file(opened.path)):
+        declared = read_declaration(opened.path)
+        with declared.naming():
+            return _load(replace(opened, data=declared.data), arguments, trust=trust, untrusted=untrusted)
+    data = opened.data
     file = opened.file
     try:
-        parameters, read = open_model(file, request.arguments, trust=request.trust, untrusted=request.untrusted)
+        parameters, read = open_model(file, arguments, trust=trust, untrusted=untrusted)
     except ModelFileError:
         if data and file.suffix.lower() == ".xacro":  # whose errors of a negative length, say, are cryptic
             with suppress(DeclarationError):  # conditions on what xacro would have evaluated
-                require_conditions(data, known_values(file, request.arguments))
+                require_conditions(data, known_values(file, arguments))
         raise
     require_conditions(data, parameters)
     opened = replace(opened, parameters=parameters)
