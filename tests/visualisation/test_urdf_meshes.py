@@ -151,7 +151,8 @@ def test_the_camera_sees_all_of_a_mesh(tmp_path: Path) -> None:
 
 def test_primitives_are_drawn(tmp_path: Path) -> None:
     given = ['<box size="0.1 0.2 0.3"/>', '<cylinder radius="0.05" length="0.4"/>', '<sphere radius="0.07"/>']
-    painted = [visual(shape, "0 0 1 1") for shape in given]
+    # with an element of Drake, whose prefix is bound to no namespace
+    painted = [visual(shape, "0 0 1 1") + "<drake:proximity_properties/>" for shape in given]
     shapes = shapes_on(scene_of(robot_with(tmp_path, painted)), "left_base")
     assert [solid.shape for solid in shapes] == ["box", "cylinder", "sphere"]
     for solid, size in zip(shapes, ((0.1, 0.2, 0.3), (0.05, 0.4), (0.07,)), strict=True):

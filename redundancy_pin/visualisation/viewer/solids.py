@@ -181,7 +181,10 @@ def _with_readable_meshes(robot: Robot, loader: Any) -> tuple[str, tuple[str, ..
     Mesh files have their absolute paths, visuals with meshes that cannot be read are gone, and so is all collision
     geometry. A capsule, which Pinocchio's reader does not know, is a cylinder and two spheres.
     """
-    root = parsed_text(robot.urdf, "The URDF")
+    try:
+        root = ElementTree.fromstring(robot.urdf)
+    except ElementTree.ParseError:  # a prefix that is bound to no namespace
+        root = parsed_text(robot.urdf, "The URDF")
     unreadable: list[str] = []
     for link in root.iter("link"):
         for collision in link.findall("collision"):
