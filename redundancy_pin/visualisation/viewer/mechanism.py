@@ -201,6 +201,7 @@ def _bars(robot: Robot, size: float, clothed: set[int]) -> list[Solid]:
 
 def _joints(robot: Robot, size: float) -> list[Solid]:
     model, solids = robot.model, []
+    reference, along = np.array(robot.q_reference), np.array([0.0, 0.0, 1.0])
     for body in range(1, model.njoints):
         name = str(model.names[body])
         if name in robot.carriers or model.joints[body].nv != 1:
@@ -213,6 +214,8 @@ def _joints(robot: Robot, size: float) -> list[Solid]:
         parent, placement = int(model.parents[body]), model.jointPlacements[body].homogeneous @ axis
         if _is_carriage(model, body):
             parent, placement = body, axis
+        elif slides(model.joints[body]):  # a cylinder: half way out at the reference, clear of the barrel's hinge
+            placement = placement @ place(translation=0.5 * robot.joint_positions(reference, [name]).item() * along)
         solids.append(_solid(f"joint_{name}", parent, placement, shape, form, role))
     ball = (1.3 * JOINT_RADIUS * size,)
     for closure in robot.closures:

@@ -27,13 +27,18 @@ from typing import Any
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import OutputError, RedundancyPinError, optional
 from redundancy_pin.io.files import write_text
-from redundancy_pin.visualisation.viewer.meshcat_scene import arrow_path, send_scene, solid_path
+from redundancy_pin.visualisation.viewer.meshcat_scene import (
+    arrow_path,
+    send_animation,
+    send_scene,
+    solid_path,
+)
 from redundancy_pin.visualisation.viewer.scene import (
-    AHEAD_COLOR,
     EFFORT_COLORS,
     MARGIN_COLORS,
-    JointCourse,
+    UNKNOWN_COLOR,
     Scene,
+    margin_classes,
     margin_labels,
 )
 from redundancy_pin.visualisation.viewer.solids import MESH_OPACITY, ROLE_COLORS, ROLE_NAMES
@@ -67,11 +72,13 @@ class View:
         import meshcat
 
         recorder = _Recorder()
-        send_scene(meshcat.Visualizer(window=recorder), self.scene, forces=self.forces)
+        viewer = meshcat.Visualizer(window=recorder)
+        send_scene(viewer, self.scene, forces=self.forces)
+        send_animation(viewer, self.scene)
         return _page(self.scene, recorder.commands, forces=self.forces)
 
     def save(self, path: str | Path) -> None:
-        """Write the page to a file; the same scene gives the same bytes.
+        """Write the page to a file.
 
         Raises:
             OutputError: the suffix is not .html, or the file cannot be written; an earlier one is as it was.
@@ -130,8 +137,7 @@ def _page(scene: Scene, commands: Sequence[bytes], *, forces: bool) -> str:
         "MESH_NODES": _script(meshes),
         "READINGS": _script(_readings(scene)),
         "HAS_READINGS": "" if any(reading.effort is not None for reading in scene.readings) else "hidden",
-        "AHEAD": _script(_ahead(scene)),
-        "HAS_AHEAD": "" if scene.ahead else "hidden",
+        "MARGINS": _script(_margins(scene)),
         "MESH_OPACITY": json.dumps(MESH_OPACITY),
         "COMMANDS": json.dumps([base64.b64encode(command).decode("ascii") for command in commands]),
         "DURATION": json.dumps(scene.duration),
@@ -161,7 +167,7 @@ def _readings(scene: Scene) -> dict[str, Any]:
                 **{name: getattr(reading, name) for name in ("name", "kind", "unit")},
                 "position": _digits(reading.position),
                 "effort": None if reading.effort is None else _digits(reading.effort),
-                "effort_unit": _effort_unit(reading),
+                "effort_unit": "N" if reading.unit == "m" else "N·m",
             }
             for reading in scene.readings
         ],
@@ -169,32 +175,13 @@ def _readings(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _effort_unit(reading: JointCourse) -> str:
-    return "N" if reading.unit == "m" else "N·m"
-
-
-def _ahead(scene: Scene) -> dict[str, Any] | None:
-    """Return what an on-line planner knew and planned at its ticks, by panels of joints."""
-    ahead = scene.ahead
-    if ahead is None:
-        return None
-    panels = []
-    for kind, words, what, unit_of in (
-        (ROLE_NAMES["carrier"], "carriers", "position", lambda reading: reading.unit),
-        (ROLE_NAMES["actuated"], "efforts", "effort", _effort_unit),
-    ):
-        joints = [i for i, reading in enumerate(scene.readings) if reading.kind == kind]
-        units = sorted({unit_of(scene.readings[i]) for i in joints})
-        panels.append({"title": f"{words} [{', '.join(units)}]", "what": what, "joints": joints})
+def _margins(scene: Scene) -> dict[str, Any]:
+    """Return which parts have the colour of the margin, and that colour over the frames."""
+    colors = [*MARGIN_COLORS, UNKNOWN_COLOR]
     return {
-        **{name: _digits(getattr(ahead, name)) for name in ("t", "until", "singular")},
-        "times": [_digits(row) for row in ahead.times],
-        "planned": {
-            str(i): [_digits(row) for row in ahead.planned[reading.name]]
-            for i, reading in enumerate(scene.readings)
-            if reading.name in ahead.planned
-        },
-        "panels": panels,
+        "parts": [solid_path(scene, solid) for solid in scene.solids if solid.role == "platform"],
+        "colors": colors,
+        "classes": (margin_classes(scene.margin) % len(colors)).tolist(),
     }
 
 
@@ -218,8 +205,6 @@ def _legend(scene: Scene) -> str:
         entries.append(("effort of main actuators", EFFORT_COLORS["main"]))
     if "carrier" in groups:
         entries.append(("effort of carriers", EFFORT_COLORS["carrier"]))
-    if scene.ahead:
-        entries.append(("path known ahead", AHEAD_COLOR))
     colored = "platform, path" if "platform" in present else "path"
     head = f"<div class='head'>margin to singularity ({colored})</div>"
     return _entries(entries) + head + _entries(list(zip(margin_labels(), MARGIN_COLORS, strict=True)))

@@ -50,6 +50,7 @@ ROLE_NAMES: Mapping[Role, str] = {
 
 MESH_OPACITY = 0.5  # of meshes: joints, closures and carriers are inside them
 _ARC_STEP = 0.05  # of the points along an arc, rad
+_CORNERS = 16  # of a circle
 LARGEST_MESH = 50 << 20  # bytes, of an untrusted robot
 _CLOSED_FORMATS = (".stl", ".obj", ".dae", ".ply")  # others, such as glTF, name further files for their vertices
 _WARNED = 3  # of the meshes that cannot be read, how many the warning names
@@ -76,15 +77,34 @@ class Solid:
     opacity: float = 1.0  # less than 1 where other things are to be seen through it
 
 
-def corners_of(solid: Solid) -> Array:
-    """Return points (8, 3) whose convex hull holds a solid, in the frame of its body, m."""
-    if solid.mesh is not None or solid.shape == "arc":
-        points = arc_points(solid) if solid.mesh is None else solid.mesh[0]
-        low, high = points.min(axis=0), points.max(axis=0)
+def points_of(solid: Solid) -> Array:
+    """Return points (P, 3) whose convex hull is a solid, round ones as polygons, in the frame of its placement, m.
+
+    Of an arc they are along its middle.
+    """
+    angle = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    points: Array
+    if solid.mesh is not None:
+        points = solid.mesh[0]
+    elif solid.shape == "arc":
+        radius, _, low, high = solid.size
+        angle = np.linspace(low, high, max(2, round(abs(high - low) / _ARC_STEP) + 1))
+        points = radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    elif solid.shape == "box":
+        points = (np.indices((2, 2, 2)).reshape(3, 8).T - 0.5) * np.array(solid.size)
+    elif solid.shape == "cylinder":
+        points = np.concatenate([solid.size[0] * circle + [0.0, 0.0, end * solid.size[1]] for end in (-0.5, 0.5)])
     else:
-        sides = {"box": solid.size, "cylinder": (2.0 * solid.size[0], 2.0 * solid.size[0], solid.size[-1])}
-        high = 0.5 * np.array(sides.get(solid.shape, (2.0 * solid.size[0],) * 3))
-        low = -high
+        rise = np.linspace(-0.5 * np.pi, 0.5 * np.pi, _CORNERS // 2 + 1)[:, None, None]
+        points = solid.size[0] * (np.cos(rise) * circle + np.sin(rise) * [0.0, 0.0, 1.0]).reshape(-1, 3)
+    return points
+
+
+def corners_of(solid: Solid) -> Array:
+    """Return the corners (8, 3) of a box about a solid, in the frame of its body, m."""
+    points = points_of(solid)
+    low, high = points.min(axis=0), points.max(axis=0)
     corners: Array = np.where(np.indices((2, 2, 2)).reshape(3, 8).T, high, low)
     placed: Array = corners @ solid.placement[:3, :3].T + solid.placement[:3, 3]
     return placed
@@ -102,13 +122,6 @@ def extent_of(solids: Iterable[Solid], placement: Array, path: Array, seen: Arra
         points.append(corners.reshape(-1, 3) @ seen.T)
     every = np.concatenate(points)
     return every.min(axis=0), every.max(axis=0)
-
-
-def arc_points(solid: Solid) -> Array:
-    """Return points (P, 3) along the middle of a solid that is an arc, in the frame of its placement, m."""
-    radius, _, low, high = solid.size
-    angle = np.linspace(low, high, max(2, round(abs(high - low) / _ARC_STEP) + 1))
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros_like(angle)], axis=1)
 
 
 def shapes_of_urdf(robot: Robot) -> tuple[Solid, ...]:
