@@ -246,7 +246,7 @@ def test_singular_instants_are_where_the_circle_meets_the_line_of_the_base() -> 
     for drawn in (rp.plot.condition(computed()), rp.plot.efforts(computed()), rp.plot.carriers(computed())):
         for axes in drawn.axes:
             np.testing.assert_allclose(_verticals(axes), expected, atol=INSTANT)
-    assert _legend(rp.plot.condition(computed())) == ["near-singular", "singular instant"]
+    assert _legend(rp.plot.condition(computed())) == ["singular instant", "near-singular"]
     np.testing.assert_array_equal(_verticals(rp.plot.condition(plan()).axes[0]), plan().findings.singular_instants)
     inside = np.zeros(len(computed().t), dtype=bool)
     for start, end in computed().windows:
@@ -465,6 +465,11 @@ def test_the_sketches_are_the_links_of_the_machines() -> None:
     assert lengths[0] == pytest.approx([0.25 * np.sqrt(3.0)] * 3 + [1.0] * 6)
     assert lengths[1] == pytest.approx(sorted([0.1, 0.35, 0.25]))
     np.testing.assert_allclose(np.ptp(base_hinges(four), axis=0), [0.4, 0.0, 0.0], atol=1e-12)
+    two = zoo.robot_of("2rpr")  # a barrel is a line to where its rod has slid to
+    ends = [np.array(pair)[:, :2] for pair in links(two, two.q_reference)]
+    tip = zoo.home_of(two)
+    for hinge in ([0.0, 0.0], [0.5, 0.0]):
+        assert any(np.allclose(pair, [hinge, tip], atol=1e-9) for pair in ends)
 
 
 # --- files, notebooks, refusals ---------------------------------------------------------------------------------------

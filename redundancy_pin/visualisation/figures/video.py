@@ -62,8 +62,7 @@ def save_video(
     room = _ROOM * float((high - low).max())
     low, high = low - room, high + room
     with figure(_WIDTH, 5.6) as drawn, replacing_file(path) as temporary, refusing(path):
-        axes = drawn.subplots()
-        writer = _writer(path, rate)
+        axes, writer = drawn.subplots(), _writer(path, rate)
         with writer.saving(drawn, str(temporary), _DPI):
             for done, frame in enumerate(frames.tolist()):
                 axes.clear()
@@ -94,12 +93,10 @@ def _writer(path: str | Path, rate: float) -> Any:
 
 
 def _ffmpeg() -> str:
-    """Return the system's ffmpeg, else that of the package imageio-ffmpeg."""
+    """Return the system's ffmpeg, otherwise that of the package imageio-ffmpeg."""
     remedy = "Install it with `pip install 'redundancy_pin[video]'`, or write a .gif."
-    return (
-        shutil.which("ffmpeg")
-        or optional("imageio_ffmpeg", "Without the program ffmpeg an MP4 needs", remedy).get_ffmpeg_exe()
-    )
+    found = shutil.which("ffmpeg")
+    return found or optional("imageio_ffmpeg", "Without the program ffmpeg an MP4 needs", remedy).get_ffmpeg_exe()
 
 
 def require_video(path: str | Path) -> None:

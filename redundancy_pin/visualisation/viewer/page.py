@@ -201,17 +201,15 @@ def _legend(scene: Scene) -> str:
     present, groups = {solid.role for solid in scene.solids}, {arrow.group for arrow in scene.arrows}
     # links have the colours of the URDF where it gives them
     entries = [(name, ROLE_COLORS[role]) for role, name in ROLE_NAMES.items() if role in present - {"link"}]
-    if "main" in groups:
-        entries.append(("effort of main actuators", EFFORT_COLORS["main"]))
-    if "carrier" in groups:
-        entries.append(("effort of carriers", EFFORT_COLORS["carrier"]))
+    words = {"main": "effort of main actuators", "carrier": "effort of carriers"}
+    entries += [(words[group], color) for group, color in EFFORT_COLORS.items() if group in groups]
+    margins = list(zip(margin_labels(), MARGIN_COLORS, strict=True))
+    parts, margin = (
+        "".join(f"<div><i style='background:{color}'></i>{html.escape(name)}</div>" for name, color in each)
+        for each in (entries, margins)
+    )
     colored = "platform, path" if "platform" in present else "path"
-    head = f"<div class='head'>margin to singularity ({colored})</div>"
-    return _entries(entries) + head + _entries(list(zip(margin_labels(), MARGIN_COLORS, strict=True)))
-
-
-def _entries(entries: Sequence[tuple[str, str]]) -> str:
-    return "".join(f"<div><i style='background:{color}'></i>{html.escape(name)}</div>" for name, color in entries)
+    return f"{parts}<div class='head'>margin to singularity ({colored})</div>{margin}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,14 +254,15 @@ def serve_page(text: str) -> LiveView:
         def log_message(self, format: str, *args: Any) -> None:
             _LOG.debug(format, *args)
 
-    try:
-        server = _Server((HERE, PORT), Handler)
-    except OSError:  # taken, by another view as a rule
+    for port in (PORT, 0):  # taken, by another view as a rule: the system chooses one
         try:
-            server = _Server((HERE, 0), Handler)
+            server = _Server((HERE, port), Handler)
+            break
         except OSError as error:
-            message = f"No port of {HERE} can be opened for the view: {error}."
-            raise RedundancyPinError(message, remedy="Write a file instead (--html, View.save).") from error
+            problem = error
+    else:
+        message = f"No port of {HERE} can be opened for the view: {problem}."
+        raise RedundancyPinError(message, remedy="Write a file instead (--html, View.save).") from problem
     thread = Thread(target=server.serve_forever, name="redundancy_pin view", daemon=True)
     thread.start()
     return LiveView(f"http://{HERE}:{server.server_address[1]}/", server, thread)
@@ -271,7 +270,6 @@ def serve_page(text: str) -> LiveView:
 
 class _Server(ThreadingHTTPServer):
     allow_reuse_address = os.name == "posix"  # elsewhere it would share a port that someone listens on
-    daemon_threads = True
 
 
 def require_html(path: str | Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.arrays import Array, IntArray, assign
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.formats.packages import is_within, own_folders, package_roots
@@ -72,9 +72,13 @@ class Solid:
     shape: Shape
     size: tuple[float, ...]
     role: Role
-    color: str  # ``#rrggbb``
+    color: str = ""  # ``#rrggbb``; that of the role when left out
     mesh: Mesh | None = None  # of a mesh and a plate, in the frame of ``placement``
     opacity: float = 1.0  # less than 1 where other things are to be seen through it
+
+    def __post_init__(self) -> None:
+        """Give it the colour of its role."""
+        assign(self, color=self.color or ROLE_COLORS[self.role])
 
 
 def points_of(solid: Solid) -> Array:
@@ -152,7 +156,7 @@ def shapes_of_urdf(robot: Robot) -> tuple[Solid, ...]:
         carrier = str(robot.model.names[body]) in robot.carriers
         role: Role = "carrier" if carrier else "base" if body == 0 else "link"
         given = "#" + "".join(f"{round(255 * float(part)):02x}" for part in item.meshColor[:3])
-        color = given if item.overrideMaterial and not carrier else ROLE_COLORS[role]
+        color = given if item.overrideMaterial and not carrier else ""
         shape, size = _primitive(item.geometry)
         mesh = None
         if shape == "mesh":  # a file that many links share is copied out of coal once
