@@ -383,14 +383,14 @@ def test_the_block_of_a_slide_is_where_it_slides(browser: Any, tmp_path: Path) -
 
 
 HOSTILE = (
-    "</script><script>alert(1)</script>", "@VIEWER@", "@COMMANDS@", "a/b", "a_b", "a%2Fb", "base", "constructor",
+    "</script><script>alert(1)</script>", "{{ viewer }}", "{% raw %}", "a/b", "a_b", "a%2Fb", "base", "constructor",
     "__proto__", "<object>", "<b>&amp;", "x" * 255, "関節 $"
 )  # fmt: skip
 """Names of joints that a page could take for markup, for marks of its own, or for one another."""
 
 
 def test_names_are_text_and_every_joint_is_at_its_own_place(browser: Any, tmp_path: Path) -> None:
-    name = "@VIEWER@</title><script>alert(2)</script>"
+    name = "{{ viewer }}</title><script>alert(2)</script>"
     robot, joints = _chain(tmp_path, dict.fromkeys(HOSTILE, "revolute"), name)
     view = show(robot)
     view.save(tmp_path / "names.html")

@@ -347,7 +347,8 @@ def path(
         condition,
         instants=instants,
         singular_points=places,
-        **({"thresholds": drawn.thresholds, "windows": drawn.windows} if drawn else {}),
+        thresholds=drawn.thresholds if drawn else (),
+        windows=drawn.windows if drawn else (),
     )
 
 

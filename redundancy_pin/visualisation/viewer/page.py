@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import base64
 import html
-import json
 import logging
 import math
 import os
-import re
 import warnings
 import webbrowser
 from collections.abc import Sequence
@@ -23,6 +21,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
 from typing import Any
+
+import jinja2
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import OutputError, RedundancyPinError, optional
@@ -125,63 +125,55 @@ def _page(scene: Scene, commands: Sequence[bytes], *, forces: bool) -> str:
     import meshcat
 
     folder = Path(meshcat.__file__).parent / "viewer"
-    meshes = [solid_path(scene, solid) for solid in scene.solids if solid.shape == "mesh"]
-    parts = {
-        "TITLE": html.escape(scene.title),
-        "LICENSES": _licenses(folder),
-        "LEGEND": _legend(scene),
-        "CAPTIONS": "".join(f"<div>{html.escape(text)}</div>" for text in scene.captions),
-        "CHECKED": "checked" if forces else "",
-        "HAS_FORCES": "" if scene.arrows else "hidden",
-        "HAS_MESHES": "" if meshes else "hidden",
-        "MESH_NODES": _script(meshes),
-        "READINGS": _script(_readings(scene)),
-        "HAS_READINGS": "" if any(reading.effort is not None for reading in scene.readings) else "hidden",
-        "MARGINS": _script(_margins(scene)),
-        "MESH_OPACITY": json.dumps(MESH_OPACITY),
-        "COMMANDS": json.dumps([base64.b64encode(command).decode("ascii") for command in commands]),
-        "DURATION": json.dumps(scene.duration),
-        "FORCE_NODES": _script([arrow_path(arrow) for arrow in scene.arrows]),
-        # an end tag inside a script would end it; in a string or a pattern the backslash changes nothing
-        "VIEWER": (folder / "dist" / "main.min.js").read_text(encoding="utf-8").replace("</script", "<\\/script"),
-    }
-    text = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
-    # in one pass: a value that looks like a mark stays as it is
-    return re.sub(r"@([A-Z_]+)@", lambda mark: parts[mark[1]], text)
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    environment.policies["json.dumps_kwargs"] = {"allow_nan": False}
+    words = {"main": "effort of main actuators", "carrier": "effort of carriers"}
+    # links have the colours of the URDF where it gives them
+    roles = [(name, ROLE_COLORS[r]) for r, name in ROLE_NAMES.items() if r in {s.role for s in scene.solids} - {"link"}]
+    groups = [(words[g], color) for g, color in EFFORT_COLORS.items() if g in {arrow.group for arrow in scene.arrows}]
+    # an end tag inside a script would end it; in a string or a pattern the backslash changes nothing
+    viewer = (folder / "dist" / "main.min.js").read_text(encoding="utf-8").replace("</script", "<\\/script")
+    return environment.from_string(Path(__file__).with_name("page.html").read_text(encoding="utf-8")).render(
+        scene=scene,
+        forces=forces,
+        roles=roles + groups,
+        margins=list(zip(margin_labels(), MARGIN_COLORS, strict=True)),
+        licenses=_licenses(folder),
+        viewer=viewer,
+        data=_data(scene),
+        commands=[base64.b64encode(command).decode("ascii") for command in commands],
+    )
 
 
-def _script(data: Any) -> str:
-    """Return plain data for a script: names come from files of strangers, and must not end the script."""
-    return json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+def _data(scene: Scene) -> dict[str, Any]:
+    """Return what the page's own script reads, plain and by paths in meshcat's tree.
 
-
-def _readings(scene: Scene) -> dict[str, Any]:
-    """Return positions and efforts of the joints over the frames, and which parts of the picture belong to which."""
+    Positions and efforts of the joints over the frames, which parts of the picture belong to which joint, which have
+    the colour of the margin, and that colour over the frames.
+    """
     of_body = {reading.body: i for i, reading in enumerate(scene.readings)}
     of_name = {f"joint_{reading.name}": i for i, reading in enumerate(scene.readings)}
     parts = [(solid_path(scene, solid), of_name.get(solid.name, of_body.get(solid.body))) for solid in scene.solids]
-    return {
-        "t": _digits(scene.t),
-        "joints": [
-            {
-                **{name: getattr(reading, name) for name in ("name", "kind", "unit")},
-                "position": _digits(reading.position),
-                "effort": None if reading.effort is None else _digits(reading.effort),
-                "effort_unit": "N" if reading.unit == "m" else "N·m",
-            }
-            for reading in scene.readings
-        ],
-        "parts": [[path, joint] for path, joint in parts if joint is not None],
-    }
-
-
-def _margins(scene: Scene) -> dict[str, Any]:
-    """Return which parts have the colour of the margin, and that colour over the frames."""
+    joints = [
+        {
+            **{name: getattr(reading, name) for name in ("name", "kind", "unit")},
+            "position": _digits(reading.position),
+            "effort": None if reading.effort is None else _digits(reading.effort),
+            "effort_unit": "N" if reading.unit == "m" else "N·m",
+        }
+        for reading in scene.readings
+    ]
     colors = [*MARGIN_COLORS, UNKNOWN_COLOR]
     return {
-        "parts": [solid_path(scene, solid) for solid in scene.solids if solid.role == "platform"],
-        "colors": colors,
-        "classes": (margin_classes(scene.margin) % len(colors)).tolist(),
+        "readings": {"t": _digits(scene.t), "joints": joints, "parts": [each for each in parts if each[1] is not None]},
+        "margins": {
+            "parts": [solid_path(scene, solid) for solid in scene.solids if solid.role == "platform"],
+            "colors": colors,
+            "classes": (margin_classes(scene.margin) % len(colors)).tolist(),
+        },
+        "arrows": [arrow_path(arrow) for arrow in scene.arrows],
+        "meshes": [solid_path(scene, solid) for solid in scene.solids if solid.shape == "mesh"],
+        "mesh_opacity": MESH_OPACITY,
     }
 
 
@@ -195,21 +187,6 @@ def _licenses(folder: Path) -> str:
     notices = [folder / "LICENSE", folder / "dist" / "main.min.js.LICENSE.txt"]
     text = "\n".join(notice.read_text(encoding="utf-8") for notice in notices if notice.is_file())
     return f"The viewer in this page is meshcat.\n{text}".replace("--", "- -")  # -- would end the comment
-
-
-def _legend(scene: Scene) -> str:
-    present, groups = {solid.role for solid in scene.solids}, {arrow.group for arrow in scene.arrows}
-    # links have the colours of the URDF where it gives them
-    entries = [(name, ROLE_COLORS[role]) for role, name in ROLE_NAMES.items() if role in present - {"link"}]
-    words = {"main": "effort of main actuators", "carrier": "effort of carriers"}
-    entries += [(words[group], color) for group, color in EFFORT_COLORS.items() if group in groups]
-    margins = list(zip(margin_labels(), MARGIN_COLORS, strict=True))
-    parts, margin = (
-        "".join(f"<div><i style='background:{color}'></i>{html.escape(name)}</div>" for name, color in each)
-        for each in (entries, margins)
-    )
-    colored = "platform, path" if "platform" in present else "path"
-    return f"{parts}<div class='head'>margin to singularity ({colored})</div>{margin}"
 
 
 @dataclass(frozen=True, eq=False)
