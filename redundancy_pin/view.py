@@ -25,7 +25,7 @@ from redundancy_pin.trajectory import reference
 from redundancy_pin.visualisation.figures.curves import curves_of_run
 from redundancy_pin.visualisation.viewer.live import By, LiveRobot
 from redundancy_pin.visualisation.viewer.page import View
-from redundancy_pin.visualisation.viewer.scene import configurations, make_scene
+from redundancy_pin.visualisation.viewer.scene import make_scene
 
 SWING_DURATION = 2.0  # of the default motion of a robot that has none in the thesis, s
 SWING = 0.15  # its amplitude in characteristic lengths (rad for rotations); halved until the robot can follow
@@ -116,7 +116,8 @@ def show(
         tau, force = subject.tau, subject.carrier_force
     elif isinstance(subject, Plan):
         shown = robot_of_record(subject.robot, robot)
-        t, q, margin = subject.t, configurations(shown, subject.motion, subject.carriers), subject.margin
+        q = inverse_kinematics(shown, subject.motion).with_carriers(subject.carriers).q
+        t, margin = subject.t, subject.margin
         tau, force = subject.tau, subject.carrier_force
         title = f"{shown.name}: {subject.planner.replace('_', ' ')}, {subject.status.value.replace('_', ' ')}"
     elif isinstance(subject, (Robot, str, Path)):
@@ -133,7 +134,7 @@ def show(
         poses = PlatformMotion(motion.t, motion.x, motion.xd, motion.xdd, check_rates=False)
         reduced = RneaDynamics(shown).reduce(poses, carriers)
         efforts = distribute(reduced)
-        t, q, title = motion.t, configurations(shown, motion, carriers), shown.name
+        t, q, title = motion.t, inverse_kinematics(shown, motion).with_carriers(carriers).q, shown.name
         margin, tau, force = efforts.margin, efforts.tau, reduced.carrier_force
     else:
         raise InputError(

@@ -26,7 +26,7 @@ from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.visualisation.viewer import page as pages
 from redundancy_pin.visualisation.viewer.mechanism import prism
 from redundancy_pin.visualisation.viewer.meshcat_scene import AROUND, arc, arrow, tube
-from redundancy_pin.visualisation.viewer.page import View
+from redundancy_pin.visualisation.viewer.page import LiveView, View
 from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, make_scene, margin_classes
 
 umsgpack = pytest.importorskip("umsgpack", reason="comes with meshcat")
@@ -277,7 +277,7 @@ def test_the_page_is_served_to_this_machine_until_it_is_closed(monkeypatch: pyte
 def test_views_have_addresses_of_their_own_without_chatter_and_no_port_is_an_error(
     caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first, second = pages.serve_page("one"), pages.serve_page("two")
+    first, second = LiveView("one"), LiveView("two")
     try:
         with caplog.at_level(logging.INFO):
             assert (read(first.url)[1], read(second.url)[1]) == ("one", "two")
@@ -287,5 +287,5 @@ def test_views_have_addresses_of_their_own_without_chatter_and_no_port_is_an_err
     assert (caplog.records, tuple(capsys.readouterr())) == ([], ("", ""))
     monkeypatch.setattr(pages, "HERE", "203.0.113.1")  # an address for documentation: of no machine
     with pytest.raises(RedundancyPinError, match="No port of") as raised:
-        pages.serve_page("page")
+        LiveView("page")
     assert "--html" in raised.value.remedy

@@ -32,7 +32,6 @@ from redundancy_pin.visualisation.viewer.scene import (
     MOST_POINTS,
     Arrow,
     Scene,
-    configurations,
     frame_samples,
     make_scene,
     margin_classes,
@@ -197,7 +196,13 @@ def test_carrier_arrows_point_along_the_work_they_do() -> None:
     moved = rp.CarrierMotion(zero + 1e-3, zero, zero)
     force = np.tile([1.0, -2.0], (len(motion), 1))
     here, there = (
-        make_scene(robot, motion.t, configurations(robot, motion, carriers), np.ones(len(motion)), carrier_force=force)
+        make_scene(
+            robot,
+            motion.t,
+            rp.inverse_kinematics(robot, motion).with_carriers(carriers).q,
+            np.ones(len(motion)),
+            carrier_force=force,
+        )
         for carriers in (rp.CarrierMotion.parked(len(motion), robot.k), moved)
     )
     for name, sign in zip(robot.carriers, (1.0, -1.0), strict=True):
@@ -219,7 +224,7 @@ def test_arrows_are_scaled_to_the_largest_effort_away_from_singularities() -> No
     scene = make_scene(
         robot,
         motion.t,
-        configurations(robot, motion, rp.CarrierMotion.parked(n, robot.k)),
+        rp.inverse_kinematics(robot, motion).q,
         margin,
         tau,
         force_scale=2.0,
@@ -280,8 +285,8 @@ def test_a_scale_that_is_none_is_refused(scale: float) -> None:
 def test_a_carrier_motion_of_another_length_is_refused() -> None:
     robot = zoo.robot_of("2rpr")
     motion = default_motion(robot)
-    with pytest.raises(InputError, match=r"shape \(3, 2\)"):
-        make_scene(robot, motion.t, configurations(robot, motion, rp.CarrierMotion.parked(3, 2)), np.ones(len(motion)))
+    with pytest.raises(InputError, match="3"):
+        rp.show(robot, motion, rp.CarrierMotion.parked(3, 2))
 
 
 # --- carriers that turn -----------------------------------------------------------------------------------------------

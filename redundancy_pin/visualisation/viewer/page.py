@@ -96,7 +96,7 @@ class View:
         Raises:
             RedundancyPinError: meshcat is not installed, or no port can be opened.
         """
-        live = serve_page(self.html())
+        live = LiveView(self.html())
         if open_browser:
             webbrowser.open(live.url)
         return live
@@ -189,17 +189,52 @@ def _licenses(folder: Path) -> str:
     return f"The viewer in this page is meshcat.\n{text}".replace("--", "- -")  # -- would end the comment
 
 
-@dataclass(frozen=True, eq=False)
-class LiveView:
-    """A running server.
+class _Handler(BaseHTTPRequestHandler):
+    def do_GET(self) -> None:
+        page: bytes = self.server.page  # type: ignore[attr-defined]
+        if self.path.partition("?")[0] != "/":
+            self.send_error(HTTPStatus.NOT_FOUND)
+            return
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.send_header("Content-Length", str(len(page)))
+        self.send_header("Cache-Control", "no-store")  # the next view may have the same address
+        self.end_headers()
+        self.wfile.write(page)
 
-    Attributes:
-        url: where to look.
+    def log_message(self, format: str, *args: Any) -> None:
+        _LOG.debug(format, *args)
+
+
+class LiveView(ThreadingHTTPServer):
+    """A server that shows one page to browsers of this machine, at ``PORT`` if it is free.
+
+    Args:
+        text: the HTML.
+
+    Raises:
+        RedundancyPinError: no port can be opened.
     """
 
-    url: str
-    _server: ThreadingHTTPServer
-    _thread: Thread
+    allow_reuse_address = os.name == "posix"  # elsewhere it would share a port that someone listens on
+
+    def __init__(self, text: str) -> None:
+        self.page = text.encode("utf-8")
+        try:
+            super().__init__((HERE, PORT), _Handler)
+        except OSError:  # taken, by another view as a rule
+            try:
+                super().__init__((HERE, 0), _Handler)
+            except OSError as error:
+                message = f"No port of {HERE} can be opened for the view: {error}."
+                raise RedundancyPinError(message, remedy="Write a file instead (--html, View.save).") from error
+        self._thread = Thread(target=self.serve_forever, name="redundancy_pin view", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """Where to look."""
+        return f"http://{HERE}:{self.server_address[1]}/"
 
     def wait(self) -> None:
         """Wait until the server is closed or Ctrl-C is pressed."""
@@ -207,46 +242,9 @@ class LiveView:
 
     def close(self) -> None:
         """End the server. Pages that are open stay as they are."""
-        self._server.shutdown()
-        self._server.server_close()
+        self.shutdown()
+        self.server_close()
         self._thread.join()
-
-
-def serve_page(text: str) -> LiveView:
-    """Start a server for one HTML page, at ``PORT`` if it is free."""
-    page = text.encode("utf-8")
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            if self.path.partition("?")[0] != "/":
-                self.send_error(HTTPStatus.NOT_FOUND)
-                return
-            self.send_response(HTTPStatus.OK)
-            self.send_header("Content-Type", "text/html; charset=utf-8")
-            self.send_header("Content-Length", str(len(page)))
-            self.send_header("Cache-Control", "no-store")  # the next view may have the same address
-            self.end_headers()
-            self.wfile.write(page)
-
-        def log_message(self, format: str, *args: Any) -> None:
-            _LOG.debug(format, *args)
-
-    for port in (PORT, 0):  # taken, by another view as a rule: the system chooses one
-        try:
-            server = _Server((HERE, port), Handler)
-            break
-        except OSError as error:
-            problem = error
-    else:
-        message = f"No port of {HERE} can be opened for the view: {problem}."
-        raise RedundancyPinError(message, remedy="Write a file instead (--html, View.save).") from problem
-    thread = Thread(target=server.serve_forever, name="redundancy_pin view", daemon=True)
-    thread.start()
-    return LiveView(f"http://{HERE}:{server.server_address[1]}/", server, thread)
-
-
-class _Server(ThreadingHTTPServer):
-    allow_reuse_address = os.name == "posix"  # elsewhere it would share a port that someone listens on
 
 
 def require_html(path: str | Path) -> None:

@@ -14,10 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, positive, read_only
-from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.robot.loop_joints import ends_of
@@ -98,23 +95,6 @@ class Scene:
     def is_flat(self) -> bool:
         """Whether everything stays in a plane z = const."""
         return bool(np.ptp(self.placement[:, 1:, 2, 3]) < FLAT * self.size)
-
-
-def configurations(robot: Robot, motion: PlatformMotion, carriers: CarrierMotion) -> Array:
-    """Return the (N, nq) configurations of a robot along a motion of N samples.
-
-    Raises:
-        InputError: samples that do not fit.
-        UnreachablePoseError, SingularPoseError, WorkingModeError: as ``inverse_kinematics``.
-    """
-    if len(carriers) != len(motion) or carriers.s.shape[1] != robot.k:
-        raise InputError(
-            f"The carrier motion has shape {carriers.s.shape}, expected ({len(motion)}, {robot.k}).",
-            remedy="Sample it at the times of the platform motion.",
-        )
-    q = inverse_kinematics(robot, motion).q.copy()
-    q[:, robot.carrier_position] = carriers.s  # no closure contains a carrier: the inverse kinematics leaves them
-    return q
 
 
 def make_scene(
