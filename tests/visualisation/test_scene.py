@@ -69,12 +69,8 @@ def test_frames_are_samples_at_their_own_times() -> None:
     assert len(chosen) == pytest.approx(3.0 * FRAME_RATE + 1, abs=1)
     # evenly spread: true to half a sample
     np.testing.assert_allclose(np.diff(t[chosen]), 1.0 / FRAME_RATE, atol=1.1e-3)
-
-
-def test_long_and_coarse_motions_keep_their_length() -> None:
     assert len(frame_samples(np.linspace(0.0, 100.0, 100001))) == MOST_FRAMES
-    coarse = np.array([0.0, 0.5, 2.0, 2.0, 4.0])
-    np.testing.assert_array_equal(frame_samples(coarse), [0, 1, 2, 4])
+    np.testing.assert_array_equal(frame_samples(np.array([0.0, 0.5, 2.0, 2.0, 4.0])), [0, 1, 2, 4])
     np.testing.assert_array_equal(frame_samples(np.array([1.0])), [0])
 
 
@@ -84,34 +80,36 @@ def test_the_drawn_path_is_thinned_but_not_where_its_colour_changes() -> None:
     assert len(chosen) < MOST_POINTS + 5
     assert {0, 41_236, 41_237, 41_238, 99_999} <= set(chosen.tolist())
     np.testing.assert_array_equal(path_samples(np.ones(3)), [0, 1, 2])
+    margins = np.array([0.0, 0.049, 0.05, 0.1, 0.3, -0.3, 0.4, 7.0, np.nan])
+    np.testing.assert_array_equal(margin_classes(margins), [0, 0, 1, 2, 3, 3, 4, 4, -1])
+    assert len(margin_labels()) == len(MARGIN_COLORS) == len(set(MARGIN_COLORS))
 
 
-def test_bodies_are_where_another_reader_of_the_urdf_puts_them(shipped: Robot) -> None:
+def test_bodies_are_where_another_reader_of_the_urdf_puts_them_loops_closed_and_the_path_is_the_motion(
+    shipped: Robot,
+) -> None:
     """Joint values of a frame, by inverse_kinematics of the scene's motion, through yourdfpy's forward kinematics."""
-    motion = default_motion(shipped)
+    motion, model = default_motion(shipped), shipped.model
     scene = rp.show(shipped, motion).scene
     q = rp.inverse_kinematics(shipped, motion).q.copy()
     q[:, shipped.carrier_position] = 0.0
     other = yourdfpy.URDF.load(io.BytesIO(shipped.urdf.encode()), load_meshes=False)
     frame = len(scene.t) // 3
     sample = int(np.flatnonzero(motion.t - motion.t[0] == scene.t[frame])[0])
-    model = shipped.model
     joints = {name: model.joints[model.getJointId(name)].idx_q for name in other.actuated_joint_names}
     other.update_cfg({name: q[sample, index] for name, index in joints.items()})
     for name in other.actuated_joint_names:
         ours = scene.placement[frame, scene.names.index(name)]
         theirs = other.get_transform(other.joint_map[name].child)
         np.testing.assert_allclose(ours, theirs, atol=ROUNDING, err_msg=name)
-
-
-def test_the_path_is_the_motion_of_the_platform(shipped: Robot) -> None:
-    if shipped.platform is None:
-        pytest.skip("no platform")
-    motion = default_motion(shipped)
-    path = rp.show(shipped, motion).scene.path
-    columns = ["xyz".index(axis) for axis in shipped.platform.axes if axis in "xyz"]
-    x = motion.x[:, :3, 3] if motion.is_pose else motion.x[:, : len(columns)]
-    np.testing.assert_allclose(path[:, columns], x, atol=ROUNDING)
+    for closure in shipped.closures:
+        frames = [model.frames[model.getFrameId(name)] for name in (closure.frame_a, closure.frame_b)]
+        ends = [in_world(scene, int(each.parentJoint), each.placement.translation) for each in frames]
+        np.testing.assert_allclose(ends[0], ends[1], atol=ROUNDING)
+    if shipped.platform is not None:
+        columns = ["xyz".index(axis) for axis in shipped.platform.axes if axis in "xyz"]
+        x = motion.x[:, :3, 3] if motion.is_pose else motion.x[:, : len(columns)]
+        np.testing.assert_allclose(scene.path[:, columns], x, atol=ROUNDING)
 
 
 def test_the_three_rrr_has_its_base_triangle_and_its_platform() -> None:
@@ -130,17 +128,6 @@ def test_the_three_rrr_has_its_base_triangle_and_its_platform() -> None:
     for corner in base.mesh[0][:3, :2]:
         assert np.linalg.norm(hinges - corner, axis=1).min() < ROUNDING
     assert len(base.mesh[0]) == len(platform.mesh[0]) == 8  # three corners a side, and their middles
-
-
-def test_closures_are_closed_in_every_frame(shipped: Robot) -> None:
-    scene = scene_of(shipped)
-    model = shipped.model
-    for closure in shipped.closures:
-        ends = []
-        for name in (closure.frame_a, closure.frame_b):
-            frame = model.frames[model.getFrameId(name)]
-            ends.append(in_world(scene, int(frame.parentJoint), frame.placement.translation))
-        np.testing.assert_allclose(ends[0], ends[1], atol=ROUNDING)
 
 
 def test_a_rod_is_drawn_between_its_ends_in_every_frame() -> None:
@@ -247,12 +234,6 @@ def test_forces_and_torques_have_scales_of_their_own() -> None:
         assert max(lengths) == pytest.approx(longest * size, rel=0.05)  # the largest may fall between two frames
 
 
-def test_margin_classes() -> None:
-    margins = np.array([0.0, 0.049, 0.05, 0.1, 0.3, -0.3, 0.4, 7.0, np.nan])
-    np.testing.assert_array_equal(margin_classes(margins), [0, 0, 1, 2, 3, 3, 4, 4, -1])
-    assert len(margin_labels()) == len(MARGIN_COLORS) == len(set(MARGIN_COLORS))
-
-
 def test_a_motor_that_slides_is_drawn_on_the_barrel_between_its_hinge_and_the_rods_end() -> None:
     """Of the 2-RPR, whose legs start at (0, 0) and (0.5, 0), at the reference; of a gantry on what it moves."""
     robot = zoo.robot_of("2rpr")
@@ -276,17 +257,13 @@ def test_the_origin_of_a_floating_joint_is_no_hinge(tmp_path: Path) -> None:
     rp.plot.snapshots(scene, 2)
 
 
-@pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
-def test_a_scale_that_is_none_is_refused(scale: float) -> None:
-    with pytest.raises(InputError, match="force_scale"):
-        rp.show(zoo.robot_of("2rpr"), force_scale=scale)
-
-
-def test_a_carrier_motion_of_another_length_is_refused() -> None:
+def test_scales_and_carriers_that_do_not_fit_are_refused() -> None:
     robot = zoo.robot_of("2rpr")
-    motion = default_motion(robot)
-    with pytest.raises(InputError, match="3"):
-        rp.show(robot, motion, rp.CarrierMotion.parked(3, 2))
+    for scale in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="force_scale"):
+            rp.show(robot, force_scale=scale)
+    with pytest.raises(InputError, match=r"shape \(3, 2\)"):
+        rp.show(robot, default_motion(robot), rp.CarrierMotion.parked(3, 2))
 
 
 # --- carriers that turn -----------------------------------------------------------------------------------------------
