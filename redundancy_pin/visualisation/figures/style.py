@@ -68,7 +68,30 @@ _LETTERS, _KEY = 15.0, 9  # letters of a legend on an inch, and how many of them
 _TITLE_LETTERS = 12.0  # letters of a title on an inch
 _LONGEST_LABEL = 44  # letters of a label; longer ones lose their middle
 _ZERO_WIDTH = "\N{ZERO WIDTH SPACE}"  # before a name that begins with an underscore: matplotlib hides such labels
-_STYLE = Path(__file__).with_name("style.mplstyle")
+SETTINGS: dict[str, Any] = {
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.labelsize": 9.0,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "figure.titlesize": 10.5,
+    "grid.color": "#E6E6E6",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "legend.columnspacing": 1.2,
+    "legend.handlelength": 2.6,
+    "figure.dpi": 100,
+    "savefig.dpi": 160,
+    "path.simplify": True,
+    "path.simplify_threshold": 0.2,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "redundancy_pin",  # identifiers inside an SVG are random without it
+    "text.parse_math": False,  # a $ in the name of a joint or a robot is a letter
+}
 
 
 @contextmanager
@@ -113,7 +136,7 @@ def _styled() -> Iterator[None]:
     """Apply the common style, whatever the user's own defaults are."""
     import matplotlib.style
 
-    with matplotlib.style.context(["default", _STYLE]), warnings.catch_warnings():
+    with matplotlib.style.context(["default", SETTINGS]), warnings.catch_warnings():
         # a letter that the font lacks is drawn as a box
         warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from")
         yield
