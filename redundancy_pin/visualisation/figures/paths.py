@@ -318,7 +318,8 @@ def draw_path(axes: Axes, scene: scenes.Scene, *, plane: str = "xy") -> None:
     points, classes = scene.path @ projection(plane).T, scenes.margin_classes(scene.path_margin)
     if len(points) < 2:
         return
-    axes.plot(*points.T, color="#FFFFFF", linewidth=5.4, zorder=3.9)  # seen on a platform of its colour
+    halo = 5.4 if (classes == 0).any() else 3.6  # seen on a platform of its colour
+    axes.plot(*points.T, color="#FFFFFF", linewidth=halo, zorder=3.9)
     for a, b in stretches(classes):  # each up to where the next one begins
         number, color = int(classes[a]), scenes.margin_color(scene.path_margin[a])
         name = f"margin {scenes.margin_labels()[number]}" if number >= 0 else None
