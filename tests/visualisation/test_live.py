@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from redundancy_pin.errors import InputError, RedundancyPinError, SingularPoseEr
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.visualisation.viewer.live import LiveRobot
+from redundancy_pin.visualisation.viewer.page import require_meshcat
 
 pytest.importorskip("ipywidgets")
 
@@ -103,13 +106,24 @@ def test_a_singular_pose_is_not_passed_by_motors_and_the_branch_is_named() -> No
     assert "near_singular" not in live.message
 
 
-def test_numbers_have_units_and_sliders_names_and_ranges() -> None:
+def test_a_notebook_gets_sliders_with_names_and_ranges_numbers_with_units_and_the_picture(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     live = rp.show("3rrr", live=True)
     assert [*live.sliders] == ["x", "y", "rz", "carrier_1", "carrier_2", "carrier_3"]
     limits = live.robot.carrier_limits[0]
     assert (live.sliders["carrier_1"].min, live.sliders["carrier_1"].max) == (limits.lower, limits.upper)
     for text in ("base_1", "N·m", "carrier_3", f"{live.margin:.3g}", "working mode +++"):
         assert text in live._numbers.value
+    require_meshcat()
+    import meshcat
+
+    window = SimpleNamespace(send=lambda command: None, web_url="http://127.0.0.1:7000/static/")
+    monkeypatch.setattr(meshcat, "Visualizer", partial(meshcat.Visualizer, window=window))
+    assert "application/vnd.jupyter.widget-view+json" in live._repr_mimebundle_()
+    controls, picture = live.widget.children
+    assert controls.children[: len(live.sliders)] == tuple(live.sliders.values())
+    assert f'src="{window.web_url}"' in picture.value
 
 
 def test_what_goes_with_no_sliders_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -86,7 +86,8 @@ class LiveRobot:
         ranges = _coordinate_ranges(self._driven, self._home.x)
         self._coordinates, self._start = tuple(ranges), np.array([start for start, _, _ in ranges.values()])
         for name, limits in zip(robot.carriers, robot.carrier_limits, strict=True):
-            ranges[name] = _joint_range(robot, name, 0.0, limits.lower, limits.upper)
+            parked = min(max(0.0, limits.lower), limits.upper)
+            ranges[name] = _joint_range(robot, name, parked, limits.lower, limits.upper)
         self.sliders = {name: self._slider(name, *each) for name, each in ranges.items()}
         self._held = False
         self._update()
@@ -139,14 +140,19 @@ class LiveRobot:
     @property
     def scene(self) -> Scene:
         """What is shown, as a scene of one frame."""
-        robot, longest = self.robot, self.robot.characteristic_length
-        efforts = dict(zip((*robot.actuated, *robot.carriers), (*self.tau, *self.carrier_force), strict=True))
-        lengths = {arrow.name: np.nan_to_num(arrow.per_unit * efforts[arrow.name]) for arrow in self._first.arrows}
+        longest, efforts = self.robot.characteristic_length, self._efforts()
+        lengths = [np.nan_to_num(np.array([arrow.per_unit * efforts[arrow.name]])) for arrow in self._first.arrows]
         arrows = tuple(
-            replace(arrow, length=np.clip([lengths[arrow.name]], -longest, longest)) for arrow in self._first.arrows
+            replace(arrow, length=np.clip(length, -longest, longest))
+            for arrow, length in zip(self._first.arrows, lengths, strict=True)
         )
-        placement = placements(robot, self.q[None])
-        return replace(self._first, placement=placement, arrows=arrows, margin=np.array([self.margin]))
+        placement, margin = placements(self.robot, self.q[None]), np.array([self.margin])
+        return replace(self._first, placement=placement, arrows=arrows, margin=margin)
+
+    def _efforts(self) -> dict[str, float]:
+        """Return the effort of each actuator by name, N or N·m; NaN where no finite one holds the robot."""
+        names = (*self.robot.actuated, *self.robot.carriers)
+        return dict(zip(names, (*self.tau.tolist(), *self.carrier_force.tolist()), strict=True))
 
     def _slider(self, name: str, start: float, low: float, high: float) -> Any:
         step = (high - low) / _STEPS
@@ -180,13 +186,10 @@ class LiveRobot:
 
     def _text(self) -> str:
         """Return message, branch, margin and efforts as HTML."""
-        model, efforts = self.robot.model, zip(
-            (*self.robot.actuated, *self.robot.carriers), (*self.tau, *self.carrier_force), strict=True
-        )  # fmt: skip
         rows = [("margin to type II", f"{self.margin:.3g}, {self.status.label}"), ("branch", self.branch)]
-        rows += [
-            (name, f"{effort:.4g} {'N' if slides(find_joint(model, name)) else 'N·m'}") for name, effort in efforts
-        ]
+        for name, effort in self._efforts().items():
+            unit = "N" if slides(find_joint(self.robot.model, name)) else "N·m"
+            rows.append((name, f"{effort:.4g} {unit}" if np.isfinite(effort) else "no finite effort"))
         table = "".join(f"<tr><td>{html.escape(name)}</td><td>{html.escape(text)}</td></tr>" for name, text in rows)
         return f"<b style='color: #B2182B'>{html.escape(self.message)}</b><table>{table}</table>"
 
