@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
+from typing import Literal, overload
 
 import numpy as np
 
@@ -18,21 +17,39 @@ from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.receding_horizon import Command
 from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.trajectory import reference
 from redundancy_pin.visualisation.figures.curves import curves_of_run
-from redundancy_pin.visualisation.viewer.ahead import ahead_of
+from redundancy_pin.visualisation.viewer.live import By, LiveRobot
 from redundancy_pin.visualisation.viewer.page import View
-from redundancy_pin.visualisation.viewer.scene import configurations, make_scene
+from redundancy_pin.visualisation.viewer.scene import make_scene
 
 SWING_DURATION = 2.0  # of the default motion of a robot that has none in the thesis, s
 SWING = 0.15  # its amplitude in characteristic lengths (rad for rotations); halved until the robot can follow
 _HALVINGS = 8
 _DT = 0.005
+
+
+@overload
+def show(
+    subject: Robot | str | Path, *, live: Literal[True], by: By = "platform", forces: bool = True, height: int = 480
+) -> LiveRobot: ...
+
+
+@overload
+def show(
+    subject: Plan | Simulation | Robot | str | Path,
+    motion: PlatformMotion | None = None,
+    carriers: CarrierMotion | None = None,
+    *,
+    robot: Robot | None = None,
+    forces: bool = True,
+    force_scale: float = 1.0,
+    height: int = 480,
+) -> View: ...
 
 
 def show(
@@ -41,11 +58,12 @@ def show(
     carriers: CarrierMotion | None = None,
     *,
     robot: Robot | None = None,
-    commands: Sequence[Command] = (),
     forces: bool = True,
     force_scale: float = 1.0,
     height: int = 480,
-) -> View:
+    live: bool = False,
+    by: By = "platform",
+) -> View | LiveRobot:
     """Return a moving picture: links, joints, tracks, carriers, efforts as arrows, and how near singularities are.
 
     In a notebook ``rp.show(plan)`` as the last line of a cell plays it; ``.save("out.html")`` writes one file that
@@ -53,23 +71,40 @@ def show(
     are coloured by the margin to type II. Meshes of the URDF are in the page; those that are not found or cannot be
     read are named in a warning through ``logging``.
 
+    With ``live=True`` a robot has sliders in a notebook, see ``LiveRobot``; its loops stay closed while one drags.
+
     Args:
         subject: a plan or a simulation; or a robot, or the name or path of one.
         motion: of a robot, its efforts by the RNEA backend; when left out, its trajectory in the thesis or a small
             swing there and back.
         carriers: of a robot; parked at zero when left out.
         robot: of a plan or a simulation from a file, if its files have moved, or it was changed in Python.
-        commands: of an on-line planner, one a tick, that have led to the plan or were made in the simulation: the path
-            that was known is dots ahead of the platform, and the planned carriers and efforts are ribbons beside it.
         forces: whether arrows are shown at first.
         force_scale: factor on their length.
         height: of the picture in a notebook, pixels.
+        live: whether a robot is moved by sliders (extra ``live``).
+        by: what the sliders of a live robot set, ``"platform"`` coordinates or ``"actuators"``.
 
     Raises:
-        InputError: no plan, simulation, robot or name; a motion or carriers together with a plan or a simulation; a
-            motion that is not sampled or not the robot's; or commands of another time.
+        InputError: no plan, simulation, robot or name; a motion or carriers together with a plan or a simulation, or
+            with sliders; a motion that is not sampled or not the robot's.
+        UnsupportedRobotError: sliders of actuators that do not determine the platform.
         RedundancyPinError: what ``load_robot``, ``load_robot_of`` and ``inverse_kinematics`` raise.
+
+    Example:
+        >>> import redundancy_pin as rp
+        >>> live = rp.show("five_bar", live=True)
+        >>> live.sliders["x"].value += 0.05
+        >>> live.tau.shape
+        (2,)
     """
+    if live:
+        if isinstance(subject, (Plan, Simulation)) or any(each is not None for each in (motion, carriers, robot)):
+            raise InputError(
+                "Sliders move a robot, without a plan or motions.", remedy="Pass the robot: show(robot, live=True)."
+            )
+        moved_by_hand = subject if isinstance(subject, Robot) else load_robot(subject)
+        return LiveRobot(RneaDynamics(moved_by_hand), by, forces=forces, height=height)
     if isinstance(subject, (Plan, Simulation)) and (motion is not None or carriers is not None):
         kind = "plan" if isinstance(subject, Plan) else "simulation"
         raise InputError(f"A {kind} has its own motions.", remedy=f"Pass a robot instead of the {kind}, or no motion.")
@@ -81,7 +116,8 @@ def show(
         tau, force = subject.tau, subject.carrier_force
     elif isinstance(subject, Plan):
         shown = robot_of_record(subject.robot, robot)
-        t, q, margin = subject.t, configurations(shown, subject.motion, subject.carriers), subject.margin
+        q = inverse_kinematics(shown, subject.motion).with_carriers(subject.carriers).q
+        t, margin = subject.t, subject.margin
         tau, force = subject.tau, subject.carrier_force
         title = f"{shown.name}: {subject.planner.replace('_', ' ')}, {subject.status.value.replace('_', ' ')}"
     elif isinstance(subject, (Robot, str, Path)):
@@ -98,7 +134,7 @@ def show(
         poses = PlatformMotion(motion.t, motion.x, motion.xd, motion.xdd, check_rates=False)
         reduced = RneaDynamics(shown).reduce(poses, carriers)
         efforts = distribute(reduced)
-        t, q, title = motion.t, configurations(shown, motion, carriers), shown.name
+        t, q, title = motion.t, inverse_kinematics(shown, motion).with_carriers(carriers).q, shown.name
         margin, tau, force = efforts.margin, efforts.tau, reduced.carrier_force
     else:
         raise InputError(
@@ -106,8 +142,6 @@ def show(
             remedy="Pass show(plan), or show(robot, motion, carriers).",
         )
     scene = make_scene(shown, t, q, margin, tau, force, title=title, force_scale=force_scale)
-    if commands:
-        scene = replace(scene, ahead=ahead_of(shown, t, q, commands))
     return View(scene, forces=forces, height=height)
 
 

@@ -149,8 +149,8 @@ def in_html(one: Named, folder: Path, harmless: Named) -> None:
     assert page.scripts[0] == usual.scripts[0]  # the viewer
     title = f"{one.name}: parked, ok"
     assert page.texts.count(title) == usual.texts.count(f"{HARMLESS}: parked, ok") == 2
-    (line,) = [line for line in page.scripts[1].splitlines() if line.startswith("const readings = ")]
-    readings = json.loads(line.removeprefix("const readings = ").removesuffix(";"))
+    (line,) = [line for line in page.scripts[1].splitlines() if line.startswith("const data = ")]
+    readings = json.loads(line.removeprefix("const data = ").removesuffix(";"))["readings"]
     assert {joint["name"] for joint in readings["joints"]} == {*one.joints, joints_of(one.name)["swivel_1"], "swivel_2"}
     assert len({path for path, _ in readings["parts"]}) == len(readings["parts"])
 

@@ -1,4 +1,4 @@
-"""Draw the pictures of the README into this folder: ``make pictures``. The same plans give the same bytes."""
+"""Draw the pictures of the README into this folder: ``make pictures``."""
 
 from __future__ import annotations
 

@@ -28,9 +28,7 @@ from redundancy_pin.visualisation.viewer.page import require_html, require_meshc
 @click.option("--tick", metavar="SECONDS", help="Between plans.  [default: a step]")
 @click.option("--start", default="0", show_default=True, metavar="S[,S...]", help="Where the carriers start, m.")
 @click.option("--out", metavar="NPZ", help="Where the plan goes that came of it; `load_plan` reads it.")
-@click.option(
-    "--html", metavar="HTML", help="Write one file that plays offline: the path known ahead, plans, the motion."
-)
+@click.option("--html", metavar="HTML", help="Write one file that plays the motion offline.")
 @options.json_option
 def online(
     robot: options.RobotOptions,
@@ -78,7 +76,7 @@ def online(
         advance(2, 3, "writing")
         if out:
             run.plan.save(out)
-        failed = output.drawn(html, lambda path: show(run.plan, robot=planner.robot, commands=run.commands).save(path))
+        failed = output.drawn(html, lambda path: show(run.plan, robot=planner.robot).save(path))
         html = None if failed else html
     plan = run.plan
     seconds = 1e3 * np.percentile([command.seconds for command in run.commands], [50.0, 99.0])

@@ -111,7 +111,8 @@ def _view(
         raise InputError("There is nothing to show.", remedy="Add --robot NAME or --plan NPZ.")
     robot = options.load()
     if not motion.path:
-        return view(robot, **settings)
+        moving: View = view(robot, **settings)
+        return moving
     return view(robot, motion.sampled("A picture", robot), motion.carriers(robot), **settings)
 
 

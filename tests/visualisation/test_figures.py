@@ -1,162 +1,530 @@
-"""Figures say what they show: units, legends, clipped singular windows, and the same bytes every time."""
+"""``rp.plot``: what each figure draws is what was computed, with units, limits, phases and singular instants."""
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import zoo
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
+from scipy.optimize import brentq
 
-from redundancy_pin.errors import OutputError, RedundancyPinError
-from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.visualisation.figures.comparisons import plot_efforts
-from redundancy_pin.visualisation.figures.curves import Curves
-from redundancy_pin.visualisation.figures.page import Page, RepeatableLayout
-from redundancy_pin.visualisation.figures.paths import plot_path
-from redundancy_pin.visualisation.figures.plots import plot_comparison
-from redundancy_pin.visualisation.figures.style import CARRIER_STROKES, STROKES, figure, save
+import redundancy_pin as rp
+from redundancy_pin.errors import InputError, OutputError, PlanFileError, RedundancyPinError
+from redundancy_pin.planners.limits import LimitReport
+from redundancy_pin.simulation import Event, Simulation
+from redundancy_pin.status import ResultStatus, SampleStatus
+from redundancy_pin.trajectory import reference
+from redundancy_pin.visualisation.figures.style import CARRIER_STROKES, STROKES, figure
+from redundancy_pin.visualisation.figures.time_panels import Background, Curve, Panel, plot_panel_grid, series
+from redundancy_pin.visualisation.viewer.mechanism import base_hinges, links
+from redundancy_pin.visualisation.viewer.scene import MARGIN_COLORS, margin_classes
 
-T = np.linspace(0.0, 1.0, 201)
-SINGULAR = 100
+INSTANT = 1e-9
+"""Roots are found to 1e-12 s or better."""
 
+EDGE = 1.5
+"""Pixels by which the box of a text may be larger than what is seen of it: ascenders and descenders it has not."""
 
-def _efforts(*, singular: bool = True, carriers: int = 2) -> Figure:
-    margin = np.abs(T - 0.5) if singular else np.ones(len(T))
-    with np.errstate(divide="ignore"):
-        tau = (
-            np.stack([1.0 / (T - 0.5), -1.0 / (T - 0.5)], axis=1) if singular else np.sin(np.stack([T, 2 * T], axis=1))
-        )
-    if singular:
-        tau[SINGULAR] = np.nan
-    curves = Curves(
-        title="title",
-        t=T,
-        tau=tau,
-        main_unit="force [N]",
-        carrier_force=np.zeros((len(T), carriers)),
-        carriers=CarrierMotion.parked(len(T), carriers),
-        limits=(),
-        condition=1.0 / np.maximum(margin, 1e-300),
-        margin=margin,
-        regular=margin > 0.05,
-        instants=(0.5,) if singular else (),
-    )
-    missing = (np.sqrt(2.0),) if singular else ()
-    return plot_efforts(
-        curves, tau * (1.0 + 1e-15), backends=("first", "second"), scale=np.ones(2), missing_force=missing
-    )
+T = np.linspace(0.0, 1.0, 11)
 
 
-def _path(*, singular: bool = True) -> Figure:
-    return plot_path(
-        "title",
-        T,
-        np.stack([np.cos(T), np.sin(T)], axis=1),
-        (np.array([[0.0, 0.0], [1.0, 0.0]]),),
-        np.zeros((1, 2)),
-        np.where(T == 0.5, np.inf, 1.0 / np.maximum(np.abs(T - 0.5), 1e-300)) if singular else 2.0 + T,
-        thresholds=(5.0,) if singular else (),
-        instants=(0.5,) if singular else (),
-        singular_points=((0.5, 0.5),) if singular else (),
-    )
+@cache
+def plan() -> rp.Plan:
+    """The 2-RPR through its singular line: it leaves a track, exceeds accelerations, and has three phases."""
+    return rp.plan_switch_off(rp.VirtualWork(zoo.robot_of("2rpr")), reference.circle(speed=0.6), threshold=7.0)
 
 
-@pytest.mark.parametrize("singular", [True, False])
-@pytest.mark.parametrize("carriers", [0, 2])
-def test_every_axis_has_a_quantity_and_a_unit(singular: bool, carriers: int) -> None:
-    for drawn in (_efforts(singular=singular, carriers=carriers), _path(singular=singular)):
-        for axes in drawn.axes:
+@cache
+def corner() -> rp.Plan:
+    return rp.plan_stepwise(rp.RneaDynamics(zoo.robot_of("3rrr")), reference.corner(radius=0.025))
+
+
+@cache
+def computed() -> rp.plot.Curves:
+    robot, trajectory = zoo.robot_of("2rpr"), reference.circle()
+    reduced = rp.VirtualWork(robot).reduce(trajectory.sample(dt=0.002))
+    crossings = rp.find_crossings(robot, trajectory)
+    return rp.plot.curves(robot, reduced, rp.distribute(reduced), crossings=crossings, thresholds=(5.0, 20.0))
+
+
+@cache
+def run() -> tuple[rp.Robot, rp.Plan, Simulation]:
+    """A plan, and what becomes of it on a machine whose carriers are heavier than planned."""
+    planned, heavier = rp.load_robot("3rrr"), rp.load_robot("3rrr", carrier_mass=2.4)
+    followed = rp.plan_stepwise(rp.RneaDynamics(planned), reference.corner(radius=0.025).sample(0.01))
+    return heavier, followed, rp.simulate(heavier, followed, duration=0.4, dt=0.02, rtol=1e-7, atol=1e-9)
+
+
+@cache
+def locus_of(name: str) -> Any:
+    return rp.singular_locus(zoo.robot_of(name), resolution=24)
+
+
+def spatial_path() -> Figure:
+    robot = zoo.robot_of("gough")
+    return rp.plot.path(robot, zoo.smooth_motion(robot).at(np.linspace(0.0, 0.5, 26)))
+
+
+BOX = [(-0.6, 1.1), (-1.0, 1.0)]
+FIGURES: dict[str, Callable[[], Figure]] = {
+    "plan of a crossing": lambda: rp.plot.plan(plan()),
+    "plan of a corner": lambda: rp.plot.plan(corner()),
+    "efforts": lambda: rp.plot.efforts(plan()),
+    "carriers": lambda: rp.plot.carriers(corner()),
+    "condition": lambda: rp.plot.condition(computed()),
+    "path of a crossing": lambda: rp.plot.path(plan()),
+    "spatial path": spatial_path,
+    "simulation": lambda: rp.plot.simulation(run()[2], run()[1]),
+    "snapshots of a crossing": lambda: rp.plot.snapshots(rp.show(plan())),
+    "comparison": lambda: rp.plot.comparison({"plan": plan(), "parked": computed()}),
+    "six in comparison": lambda: rp.plot.comparison(dict.fromkeys(
+        ["without carriers", "carriers parked", "λ = 0.5", "λ = 0", "least peak", "whole trajectory"], corner())),
+    "locus": lambda: rp.plot.locus(locus_of("2rpr")),
+    "locus of one coordinate": lambda: rp.plot.locus(locus_of("four_bar")),
+    "workspace": lambda: rp.plot.workspace(rp.workspace("five_bar", bounds=BOX, resolution=8, modes="all")),
+    "workspace of one coordinate": lambda: rp.plot.workspace(rp.workspace("four_bar", resolution=12)),
+    "workspace in space": lambda: rp.plot.workspace(rp.workspace("delta", resolution=5)),
+}  # fmt: skip
+
+
+def _texts(drawn: Figure) -> dict[str, Bbox]:
+    """Return the boxes of titles, labels of axes and legends, pixels."""
+    drawn.draw_without_rendering()
+    things: list[tuple[str, Any]] = [("suptitle", drawn._suptitle)] if drawn._suptitle else []
+    things += [(f"legend {i}", legend) for i, legend in enumerate(drawn.legends)]
+    for i, axes in enumerate(drawn.axes):
+        things += [(f"{kind} of panel {i}", thing) for kind, thing in (
+            ("title", axes.title), ("x label", axes.xaxis.label), ("y label", axes.yaxis.label),
+            ("legend", axes.get_legend())) if thing is not None and axes.get_visible() and axes.axison]  # fmt: skip
+    return {
+        name: thing.get_window_extent() for name, thing in things if not isinstance(thing, Text) or thing.get_text()
+    }
+
+
+@pytest.mark.long_for("plan of a corner", "snapshots of a crossing", "workspace", "efforts", "locus of one coordinate")
+@pytest.mark.parametrize("name", FIGURES)
+def test_titles_labels_and_legends_are_whole_and_apart_and_axes_have_units(name: str) -> None:
+    drawn = FIGURES[name]()
+    boxes = _texts(drawn)
+    for what, box in boxes.items():
+        assert min(box.x0, box.y0) > -EDGE, what
+        assert box.x1 < drawn.bbox.x1 + EDGE, what
+        assert box.y1 < drawn.bbox.y1 + EDGE, what
+    for (first, a), (second, b) in combinations(boxes.items(), 2):
+        over = Bbox.intersection(a, b)
+        assert over is None or min(over.width, over.height) < EDGE, f"{first} over {second}"
+    for axes in drawn.axes:
+        if axes.axison and axes.get_visible():
             assert "[" in axes.get_ylabel()
-        assert "[s]" in drawn.axes[-1].get_xlabel()
+    assert "[" in drawn.axes[-1].get_xlabel() + drawn.axes[-1].get_ylabel()
 
 
-def test_efforts_inside_the_window_are_not_drawn_and_do_not_scale_the_axis() -> None:
-    drawn = _efforts()
+# --- curves over time -------------------------------------------------------------------------------------------------
+
+
+def _panel(drawn: Figure, label: str) -> Any:
+    return next(axes for axes in drawn.axes if axes.get_ylabel().startswith(label))
+
+
+def _lines(axes: Any, samples: int) -> np.ndarray:
+    """Return (N, curves) what is drawn at so many samples."""
+    return np.stack([np.asarray(line.get_ydata()) for line in axes.lines if len(line.get_xdata()) == samples], axis=1)
+
+
+def _verticals(axes: Any) -> list[float]:
+    """Return where singular instants are drawn, from bottom to top."""
+    lines = [line for line in axes.lines if list(line.get_ydata()) == [0, 1]]
+    return sorted(float(line.get_xdata()[0]) for line in lines if line.get_label() == "singular instant")
+
+
+def _horizontals(axes: Any) -> set[float]:
+    return {float(line.get_ydata()[0]) for line in axes.lines if list(line.get_xdata()) == [0, 1]}
+
+
+def _bands(axes: Any) -> list[tuple[float, float]]:
+    """Return bottom and top of each hatched band."""
+    hatched = [patch for patch in axes.patches if patch.get_hatch()]
+    return sorted((float(p.get_xy()[1]), float(p.get_xy()[1] + p.get_height())) for p in hatched)
+
+
+def _legend(drawn: Any) -> list[str]:
+    """Return what the legend under a figure, or above a panel, says."""
+    legend = drawn.legends[0] if isinstance(drawn, Figure) else drawn.get_legend()
+    return [text.get_text() for text in legend.get_texts()]
+
+
+PANELS = {
+    "main": lambda one: one.tau,
+    "carrier force": lambda one: one.carrier_force,
+    "carrier position s [m]": lambda one: one.carriers.s,
+    "carrier speed ṡ [m/s]": lambda one: one.carriers.sd,
+    "carrier acceleration s̈ [m/s²]": lambda one: one.carriers.sdd,
+}
+
+
+@pytest.mark.parametrize("label", PANELS)
+def test_curves_are_the_arrays_of_the_plan_and_of_nothing_else(label: str) -> None:
+    one, values = plan(), PANELS[label](plan())
+    alone = rp.plot.efforts(one) if label in ("main", "carrier force") else rp.plot.carriers(one)
+    for drawn in (alone, rp.plot.plan(one)):
+        np.testing.assert_array_equal(_lines(_panel(drawn, label), len(one.t)), values)
+    shown = _lines(_panel(rp.plot.plan(one), "condition"), len(one.t))[:, 0]
+    np.testing.assert_allclose(shown[one.condition < 1e3], one.condition[one.condition < 1e3])
+
+
+def test_units_are_those_of_the_robot_and_no_carriers_have_no_panel() -> None:
+    assert rp.plot.efforts(plan()).axes[0].get_ylabel() == "main force [N]"
+    assert rp.plot.efforts(corner()).axes[0].get_ylabel() == "main torque [N·m]"
+    turning = replace(computed(), carriers_turn=True)
+    assert rp.plot.efforts(turning).axes[1].get_ylabel() == "carrier torque [N·m]"
+    assert rp.plot.carriers(turning).axes[1].get_ylabel() == "carrier speed ṡ [rad/s]"
+    robot = zoo.robot_of("2rpr", carriers=False)
+    reduced = rp.VirtualWork(robot).reduce(reference.line().sample(0.05))
+    bare = rp.plot.curves(robot, reduced, rp.distribute(reduced))
+    assert len(rp.plot.efforts(bare).axes) == 1
+    with pytest.raises(InputError, match="no carriers"):
+        rp.plot.carriers(bare)
+
+
+def test_what_limits_forbid_is_hatched_down_to_the_limit_and_far_limits_are_written() -> None:
+    """The plan leaves its track of ±0.2 m and exceeds 10 m/s²; 2.5 m/s it comes near to on one side only."""
+    drawn = rp.plot.plan(plan())
+    track, speed, acceleration = (_panel(drawn, f"carrier {name}") for name in ("position", "speed", "acceleration"))
+    assert _horizontals(track) == {-0.2}
+    assert _bands(track) == [pytest.approx((track.get_ylim()[0], -0.2))]
+    assert _bands(speed) == [pytest.approx((2.5, speed.get_ylim()[1]))]
+    low, high = acceleration.get_ylim()
+    assert _bands(acceleration) == [pytest.approx((low, -10.0)), pytest.approx((10.0, high))]
+    assert "limits ±1000" in [text.get_text() for text in _panel(drawn, "carrier force").texts]
+    marks = [line for line in track.lines if line.get_marker() == "X"]
+    (event,) = (one for one in plan().limits.violated if one.quantity == "track")
+    assert [(float(mark.get_xdata()[0]), float(mark.get_ydata()[0])) for mark in marks] == [(event.worst, event.value)]
+    assert [text.get_text() for text in track.texts] == [f"{event.amount:.2g} beyond"]
+    assert f"(acceleration of carrier_1, carrier_2; track of {event.joint})" in drawn.get_suptitle()
+
+
+def test_limits_that_differ_are_named() -> None:
+    judged = plan().limits.judged_by
+    wider = replace(judged, track=np.array([[-0.2, 0.1], [-0.25, np.inf]]))
+    axes = _panel(rp.plot.plan(replace(plan(), limits=LimitReport((), (), wider))), "carrier position")
+    assert _horizontals(axes) == {-0.2, -0.25}
+    assert {text.get_text() for text in axes.texts} == {"limit of carrier_1", "limit of carrier_2"}
+    assert _bands(axes) == [pytest.approx((axes.get_ylim()[0], -0.25))]  # what none of them may do
+
+
+def test_phases_are_shaded_from_one_to_the_next_and_named() -> None:
+    one, drawn = plan(), rp.plot.plan(plan())
+    starts = [0, *(np.flatnonzero(np.diff(one.phase)) + 1).tolist()]
+    shades = [patch for patch in drawn.axes[0].patches if not patch.get_hatch()]
+    assert [float(patch.get_x()) for patch in shades] == [float(one.t[start]) for start in starts]
+    assert float(shades[-1].get_x() + shades[-1].get_width()) == one.t[-1]
+    greys = np.array([patch.get_facecolor()[:3] for patch in shades])
+    assert np.ptp(greys, axis=1).max() == 0.0
+    assert np.abs(np.diff(greys[:, 0])).min() > 0.02  # a fiftieth from black to white, and a hairline between them
+    assert set(_legend(drawn)) >= {one.phases[int(one.phase[start])].replace("_", " ") for start in starts}
+
+
+def test_singular_instants_are_where_the_circle_meets_the_line_of_the_base() -> None:
+    """The 2-RPR is singular at y = 0; the times are found here from the trajectory alone."""
+    trajectory = reference.circle()
+
+    def height(t: float) -> float:
+        return float(trajectory.evaluate(t).x[1])
+
+    lowest = float(trajectory.sample(0.001).t[np.argmin(trajectory.sample(0.001).x[:, 1])])
+    expected = [brentq(height, 0.2, lowest, xtol=1e-13), brentq(height, lowest, 1.2, xtol=1e-13)]
+    for drawn in (rp.plot.condition(computed()), rp.plot.efforts(computed()), rp.plot.carriers(computed())):
+        for axes in drawn.axes:
+            np.testing.assert_allclose(_verticals(axes), expected, atol=INSTANT)
+    assert _legend(rp.plot.condition(computed())) == ["singular instant", "near-singular"]
+    np.testing.assert_array_equal(_verticals(rp.plot.condition(plan()).axes[0]), plan().findings.singular_instants)
+    inside = np.zeros(len(computed().t), dtype=bool)
+    for start, end in computed().windows:
+        inside |= (computed().t >= start) & (computed().t <= end)
+    np.testing.assert_array_equal(inside, computed().margin < 0.05)
+
+
+def test_thresholds_of_condition_numbers_are_drawn_and_named() -> None:
+    axes = rp.plot.condition(computed()).axes[0]
+    assert _horizontals(axes) == {5.0, 20.0}
+    assert {"threshold 5", "threshold 20"} <= set(axes.get_legend_handles_labels()[1])
+    assert _horizontals(rp.plot.condition(plan()).axes[0]) == {7.0}
+    other = replace(plan(), parameters={"threshold": 0.1, "measure": "margin"})
+    assert _horizontals(_panel(rp.plot.plan(other), "condition")) == set()
+    assert (axes.get_yscale(), rp.plot.condition(corner()).axes[0].get_yscale()) == ("log", "linear")
+
+
+def test_unbounded_efforts_do_not_flatten_the_others_and_a_comparison_leaves_them_out() -> None:
+    regular = np.abs(computed().tau[computed().regular]).max()
+    assert np.nanmax(np.abs(computed().tau)) > 2.0 * regular
+    parked = rp.plot.comparison({"parked": computed()})
+    for drawn in (rp.plot.efforts(computed()), parked):
+        assert drawn.axes[0].get_ylim()[1] < 1.2 * regular
+    assert parked.get_suptitle() == "2rpr, near-singular samples left out"
+    assert np.isnan(_lines(parked.axes[0], len(computed().t))[:, 0]).sum() == (~computed().regular).sum()
+    near = np.full(len(plan().t), SampleStatus.NEAR_SINGULAR)  # of a plan all samples count
+    drawn = rp.plot.comparison({"plan": replace(plan(), sample_status=near)})
+    assert drawn.get_suptitle() == "2rpr"
+    for axes, tau in zip(drawn.axes, plan().tau.T, strict=True):
+        np.testing.assert_array_equal(_lines(axes, len(tau))[:, 0], tau)
+        assert _legend(axes) == [f"plan: peak {np.abs(tau).max():.3g} N"]
+
+
+def test_series_are_told_apart_without_colour_and_keep_their_strokes() -> None:
+    for drawn in (rp.plot.efforts(plan()), rp.plot.comparison({"a": plan(), "b": computed()})):
+        for axes in drawn.axes:
+            curves = [line for line in axes.lines if len(line.get_xdata()) > 2]
+            assert len({str(line._dash_pattern) for line in curves}) == len(curves) > 1
+    assert not {stroke.color for stroke in STROKES} & {stroke.color for stroke in CARRIER_STROKES}
+    for strokes in (STROKES, CARRIER_STROKES):
+        assert len({str(stroke.dash) for stroke in strokes}) == len(strokes)
+    for drawn in (rp.plot.efforts(corner()), rp.plot.plan(corner())):
+        assert [line.get_color() for line in drawn.axes[0].lines[:3]] == [stroke.color for stroke in STROKES[:3]]
+        carriers = [line.get_color() for line in _panel(drawn, "carrier force").lines[:3]]
+        assert carriers == [stroke.color for stroke in CARRIER_STROKES[:3]]
+
+
+def test_a_reference_is_drawn_behind_the_efforts_of_a_plan_of_one_sample_too(tmp_path: Path) -> None:
+    drawn = rp.plot.plan(corner(), reference=np.full(corner().tau.shape, 0.5), reference_name="no carriers")
+    axes = _panel(drawn, "main torque")
+    assert (_lines(axes, len(corner().t)) == 0.5).all(axis=0).sum() == 3
+    assert _legend(axes)[0] == "no carriers"
+    names = ("t", "tau", "carrier_force", "condition", "margin", "regular", "carriers")
+    one = replace(computed(), **{name: getattr(computed(), name)[:1] for name in names})
+    rp.plot.save(rp.plot.efforts(one), tmp_path / "one.png")
+
+
+def test_a_figure_of_ones_own_is_a_list_of_panels() -> None:
+    """Rows of panels that share a scale, a curve of points only, a mark with its text, an axis with given ends."""
+    columns = [
+        [
+            Panel("P [W]", series(["P1", "P2"], T, np.stack([T, factor * T], axis=1)), legend=False, shared=True),
+            Panel("e [m]", (Curve("error", T, 1e-6 * T, style={"linestyle": "none", "marker": "o"}),), log=True,
+                  within=(1e-9, 1e-3), marks=((1.0, 1e-6, "largest"),), title=f"factor {factor}"),
+        ]
+        for factor in (2.0, 5.0)
+    ]  # fmt: skip
+    drawn = plot_panel_grid("title", columns, (8.0, 5.0), Background(windows=[(0.2, 0.3)]))
+    above_left, above_right, below_left, below_right = drawn.axes
+    assert above_left.get_ylim() == above_right.get_ylim()
+    assert above_left.get_ylim()[1] == pytest.approx(5.0 * 1.08)
+    assert (below_left.get_ylim(), below_right.get_title()) == ((1e-9, 1e-3), "factor 5.0")
+    assert [text.get_text() for text in below_left.texts] == ["largest"]
+    assert _legend(drawn) == ["P1", "P2", "near-singular"]
+
+
+# --- simulations ------------------------------------------------------------------------------------------------------
+
+
+def test_a_simulation_is_drawn_over_its_plan() -> None:
+    robot, followed, simulated = run()
+    drawn = rp.plot.simulation(simulated, followed)
+    assert drawn.get_suptitle() == "3rrr: simulation, stepwise, ok"
+    for label, values in PANELS.items():
+        axes = _panel(drawn, label)
+        np.testing.assert_array_equal(_lines(axes, len(followed.t)), values(followed))
+        np.testing.assert_array_equal(_lines(axes, len(simulated.t)), values(simulated))
+    assert _legend(drawn.axes[0]) == ["plan", "base_1", "base_2", "base_3"]
+    # the corner in closed form, not the plan's own functions
+    apart = simulated.x - reference.corner(radius=0.025).evaluate(simulated.t).x
+    expected = np.linalg.norm(apart * [1.0, 1.0, robot.characteristic_length], axis=1)
+    (line,) = _panel(drawn, "distance of the platform").lines
+    np.testing.assert_allclose(line.get_ydata()[1:], expected[1:], rtol=1e-9, atol=1e-13)
+    assert expected.max() > 1e-3  # heavier carriers do lead it astray
+    assert len(rp.plot.simulation(simulated).axes) == 5  # without a plan there is no distance
+    motion = rp.PlatformMotion(simulated.t, simulated.x, simulated.xd, 0.0 * simulated.xd, check_rates=False)
+    condition = rp.distribute(rp.RneaDynamics(robot).reduce(motion, simulated.carriers)).condition
+    np.testing.assert_allclose(rp.plot.condition(simulated).axes[0].lines[0].get_ydata(), condition, rtol=1e-9)
+
+
+def test_a_simulation_says_how_it_ended_and_draws_what_is_known_where_its_robot_is_gone() -> None:
+    robot, followed, simulated = run()
+    stopped = replace(simulated, status=ResultStatus.STOPPED, events=(Event("track", "carrier_2 lower", 0.4, True),))
+    failed = replace(simulated, status=ResultStatus.NOT_CONVERGED, reason="rank loss")
+    titles = [rp.plot.efforts(one).get_suptitle().partition("stepwise, ")[2] for one in (stopped, failed)]
+    assert titles == ["stopped at 0.4 s: carrier_2 lower", "failed at 0.4 s"]
+    gone = replace(simulated, robot=replace(simulated.robot, source="nowhere/robot.yaml"))
+    np.testing.assert_array_equal(rp.plot.efforts(gone).axes[0].lines[0].get_ydata(), simulated.tau[:, 0])
+    with pytest.raises(InputError, match="condition number is not known"):
+        rp.plot.condition(gone)
+    with pytest.raises(PlanFileError):
+        rp.show(gone)
+    assert rp.show(gone, robot=robot).scene.duration == pytest.approx(0.4)
+    other = replace(followed, robot=replace(followed.robot, name="2rpr", actuated=("a", "b", "c")))
+    with pytest.raises(InputError, match="plan is for 2rpr, the simulation of 3rrr"):
+        rp.plot.simulation(simulated, other)
+    with pytest.raises(InputError, match=r"plan runs from 0 to .* s, the simulation from 9 to 9.4 s"):
+        rp.plot.simulation(replace(simulated, t=simulated.t + 9.0), followed)
+
+
+# --- paths, snapshots, maps -------------------------------------------------------------------------------------------
+
+
+def test_the_path_is_drawn_with_the_singular_points_on_the_base_line() -> None:
+    axes = rp.plot.path(plan()).axes[0]
+    (singular,) = [line for line in axes.lines if line.get_label() == "singular"]
+    np.testing.assert_allclose(singular.get_ydata(), 0.0, atol=1e-5)  # between samples 1 ms apart
+    x = 0.25 + np.array([-1.0, 1.0]) * np.sqrt(0.2**2 - 0.185**2)
+    np.testing.assert_allclose(sorted(singular.get_xdata()), x, atol=1e-5)
+
+
+def test_a_spatial_path_is_seen_obliquely_and_titled_a_projection() -> None:
+    robot = zoo.robot_of("gough")
+    motion = zoo.smooth_motion(robot).at(np.linspace(0.0, 0.5, 26))
+    oblique, flat, _ = spatial_path().axes
+    towards = np.array([0.8, -1.0, 0.6]) / np.sqrt(2.0)
+    seen = next(np.array(line.get_xydata()) for line in oblique.lines if line.get_label() == "path")
+    moved, there = motion.x[:, :3, 3] - motion.x[0, :3, 3], seen - seen[0]
+    # an orthographic picture keeps all lengths but those along the line of sight, and up is up
+    np.testing.assert_allclose((there**2).sum(axis=1), (moved**2).sum(axis=1) - (moved @ towards) ** 2, atol=1e-12)
+    upward = np.array([*(-towards[2] * towards[:2]), 1.0 - towards[2] ** 2]) / np.hypot(*towards[:2])
+    np.testing.assert_allclose(there[:, 1], moved @ upward, atol=1e-9)
+    path = next(line for line in flat.lines if line.get_label() == "path")
+    np.testing.assert_allclose(path.get_xydata(), motion.x[:, :2, 3], atol=1e-9)
+    assert flat.get_title() == "path, projection on x, y"
+    assert {text.get_text() for text in oblique.texts} >= {"x", "y", "z", "axes: 0.1 m"}
+    view = rp.show(robot)
+    assert rp.plot.snapshots(view, 1, plane="xz").axes[0].get_title() == "gough, projection on x, z"
+    assert {"x", "y", "z"} <= {text.get_text() for text in rp.plot.snapshots(view, 1, plane="3d").axes[0].texts}
+
+
+def test_snapshots_show_the_mechanism_once_an_instant_and_its_margins() -> None:
+    scene = rp.show(zoo.robot_of("2rpr")).scene
+    drawn = rp.plot.snapshots(scene, (0.0, 0.5, 1.0))
     axes = drawn.axes[0]
-    assert axes.get_ylim()[1] < 30.0  # 1/0.05 and some room; the largest sample is 200
-    line = axes.get_lines()[0]
-    inside = (T > 0.455) & (T < 0.545)
-    assert np.isnan(np.asarray(line.get_ydata())[inside]).all()
-    assert [text.get_text() for text in drawn.legends[0].get_texts()] == ["near-singular", "singular instant"]
+    boxes = [patch for patch in axes.patches if to_hex(patch.get_facecolor()) == "#d95f0e"]
+    expected = []
+    for t in (0.0, 0.5, 1.0):
+        frame = int(np.abs(scene.t - t).argmin())
+        expected += [scene.placement[frame, scene.names.index(name), :2, 3] for name in ("carrier_1", "carrier_2")]
+    np.testing.assert_allclose([box.get_xy()[:-1].mean(axis=0) for box in boxes], expected, atol=1e-9)
+    path = [line for line in axes.lines if str(line.get_label()).startswith("margin")]
+    assert len(path) == 1 + np.count_nonzero(np.diff(margin_classes(scene.path_margin)))
+    assert {line.get_color() for line in path} == set(MARGIN_COLORS)
+    np.testing.assert_allclose(np.concatenate([path[0].get_xydata(), path[1].get_xydata()[:1]])[[0, -2]],
+                               scene.path[[0, len(path[0].get_xydata()) - 1], :2])  # fmt: skip
+    labels = {"driven joint", "passive joint", "closure", "track", "carrier"}
+    assert set(_legend(drawn)) == labels | {str(line.get_label()) for line in path}
+    assert sum(to_hex(patch.get_facecolor()) == "#5a5a5a" for patch in axes.patches) == 1  # the base does not move
 
 
-def test_the_bounded_product_meets_the_missing_force() -> None:
-    axes = _efforts().axes[1]
-    product, mark = axes.get_lines()[0], axes.get_lines()[2]
-    np.testing.assert_allclose(np.delete(np.asarray(product.get_ydata()), SINGULAR), np.sqrt(2.0), rtol=1e-12)
-    np.testing.assert_allclose(mark.get_ydata(), [np.sqrt(2.0)])
+@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
+def test_a_locus_draws_its_curves_hinges_motion_and_crossings(name: str) -> None:
+    locus, trajectory = locus_of(name), reference.circle() if name == "2rpr" else reference.corner()
+    crossings = rp.find_crossings(zoo.robot_of(name), trajectory)
+    axes = rp.plot.locus(locus, motion=trajectory.sample(0.01).x, crossings=crossings).axes[0]
+    drawn = [np.stack(line.get_data(), axis=1) for line in axes.get_lines()]
+    hinges = {"2rpr": [[0.0, 0.0], [0.5, 0.0]], "3rrr": [[0.0, 0.0], [3.0**0.5, 0.0], [3.0**0.5 / 2, 1.5]]}[name]
+    for wanted in (*(curve.points[:, :2] for curve in locus.curves), hinges, trajectory.sample(0.01).x[:, :2]):
+        assert any(len(line) == len(wanted) and np.allclose(line, wanted) for line in drawn)
+    marked = [line.get_xydata() for line in axes.lines if line.get_label() == "singular instant"]
+    np.testing.assert_allclose(
+        marked[0] if marked else np.zeros((0, 2)), [c.x[:2] for c in crossings] or np.zeros((0, 2))
+    )
+    kinds = {str(line.get_label())[:7].strip(): str(line.get_linestyle()) for line in axes.lines}
+    assert kinds["type II"] != kinds.get("type I")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "y [m]")
 
 
-def test_strokes_differ_without_colour() -> None:
-    assert len({str(stroke.dash) for stroke in STROKES}) == len(STROKES)
-    assert len({stroke.marker for stroke in STROKES}) == len(STROKES)
+def test_a_locus_and_a_workspace_of_one_coordinate_are_curves() -> None:
+    robot = zoo.robot_of("four_bar", ground_length=0.4, crank_length=0.3, coupler_length=0.35, rocker_length=0.2)
+    locus = rp.singular_locus(robot, resolution=40)
+    axes = rp.plot.locus(locus).axes[0]
+    assert axes.get_xlabel() == "crank [rad]"
+    verticals = [line.get_xdata()[0] for line in axes.lines if str(line.get_label()).startswith("combined")]
+    np.testing.assert_allclose(verticals, locus.points[:, 0])
+    space = rp.workspace(robot, resolution=24)
+    space = replace(space, in_range=space.in_range & (np.arange(24) % 5 > 0))  # as ranges of joints would have it
+    curves = [np.asarray(line.get_ydata(), dtype=float) for line in rp.plot.workspace(space).axes[0].lines]
+    shown = np.nanmax(np.stack(curves), axis=0, where=~np.isnan(curves), initial=-1.0)
+    np.testing.assert_allclose(shown, np.where(space.in_range[0], np.abs(space.margin[0]), -1.0))
 
 
-def test_carriers_have_strokes_of_their_own() -> None:
-    mains, carriers = ({stroke.color for stroke in strokes} for strokes in (STROKES, CARRIER_STROKES))
-    assert len(carriers) == len(CARRIER_STROKES)
-    assert not mains & carriers
-    assert len({str(stroke.dash) for stroke in CARRIER_STROKES}) == len(CARRIER_STROKES)
-    drawn = _efforts()
-    (panel,) = [axes for axes in drawn.axes if axes.get_ylabel() == "carrier force [N]"]
-    assert {line.get_color() for line in panel.lines[:2]} <= carriers
+def test_a_workspace_colours_margins_and_hatches_what_is_out_of_reach() -> None:
+    space = rp.workspace("five_bar", bounds=BOX, resolution=8, modes="all")
+    drawn = rp.plot.workspace(space)
+    for k, axes in enumerate(drawn.axes[: len(space.modes)]):
+        image = next(one for one in axes.collections if one.get_array() is not None and one.get_array().size == 64)
+        shown = np.ma.filled(image.get_array().astype(float), np.nan).reshape(8, 8)
+        np.testing.assert_array_equal(shown.T, np.where(space.in_range[k], np.abs(space.margin[k]), np.nan))
+    assert "out of reach" in _legend(drawn)
 
 
-def test_comparison_shows_each_case_with_its_peak() -> None:
-    tau = np.stack([T, -2.0 * T, 3.0 * T], axis=1)
-    drawn = plot_comparison("title", ("τ1", "τ2", "τ3"), "N·m", {"a": (T, tau), "b": (T, 2.0 * tau)})
-    assert len(drawn.axes) == 3
-    assert drawn.axes[1].get_legend_handles_labels()[1] == ["a: peak 2 N·m", "b: peak 4 N·m"]
+def test_the_sketches_are_the_links_of_the_machines() -> None:
+    three, four = zoo.robot_of("3rrr"), zoo.robot_of("four_bar")
+    lengths = [sorted(float(np.linalg.norm(b - a)) for a, b in links(one, one.q_reference)) for one in (three, four)]
+    assert lengths[0] == pytest.approx([0.25 * np.sqrt(3.0)] * 3 + [1.0] * 6)
+    assert lengths[1] == pytest.approx(sorted([0.1, 0.35, 0.25]))
+    np.testing.assert_allclose(np.ptp(base_hinges(four), axis=0), [0.4, 0.0, 0.0], atol=1e-12)
+    two = zoo.robot_of("2rpr")  # a barrel is a line to where its rod has slid to
+    ends = [np.array(pair)[:, :2] for pair in links(two, two.q_reference)]
+    tip = zoo.home_of(two)
+    for hinge in ([0.0, 0.0], [0.5, 0.0]):
+        assert any(np.allclose(pair, [hinge, tip], atol=1e-9) for pair in ends)
 
 
-@pytest.mark.long_for(".png", ".svg")
+# --- files, notebooks, refusals ---------------------------------------------------------------------------------------
+
+
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
-def test_saving_twice_gives_the_same_bytes(suffix: str, tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        save(_efforts(), tmp_path / f"{name}{suffix}")
-    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+def test_a_picture_is_whole_in_the_format_of_its_suffix_or_not_there(tmp_path: Path, suffix: str) -> None:
+    drawn, target = rp.plot.condition(corner()), tmp_path / f"condition{suffix}"
+    rp.plot.save(drawn, target)
+    head = target.read_bytes()[:200]
+    assert {".png": b"\x89PNG", ".svg": b"<svg", ".pdf": b"%PDF"}[suffix] in head or head.startswith(b"<?xml")
+    for wrong, text in ((tmp_path / "a.txt", "picture format"), (tmp_path / "none" / f"a{suffix}", "Cannot write")):
+        with pytest.raises(OutputError, match=text):
+            rp.plot.save(drawn, wrong)
+    assert list(tmp_path.iterdir()) == [target]
 
 
-def test_a_figure_is_laid_out_once_and_drawn_once_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    drawings, layouts = [], []
-    real, lay_out = Page.draw, RepeatableLayout.execute
-    monkeypatch.setattr(RepeatableLayout, "execute", lambda *given: layouts.append(0) or lay_out(*given))
-    with figure(3.0, 2.0) as drawn:
-        axes = drawn.subplots()
-        axes.set_ylabel("a label\nof three\nlines")
-    before, engine = axes.get_position(original=True), drawn.get_layout_engine()
-    # which file a drawing is for, and where the label is then, in fractions of the page
-    monkeypatch.setattr(Page, "draw", lambda self, to: (real(self, to), drawings.append(
-        (type(to).__name__, axes.yaxis.label.get_window_extent(to).x0 / drawn.bbox.width)))[0])  # fmt: skip
-    save(drawn, tmp_path / "a.png", tmp_path / "a.svg")
-    assert [kind for kind, _ in drawings] == ["RendererAgg", "MixedModeRenderer"]
-    assert len(layouts) == 1
-    assert all(0.0 < left < 0.05 for _, left in drawings)
-    assert axes.get_position(original=True).x0 > before.x0
-    assert (drawn.get_layout_engine(), drawn.dpi) == (engine, 100)
-
-
-def test_user_defaults_do_not_leak_in_or_out() -> None:
+def test_a_figure_is_its_own_picture_in_a_notebook_and_leaves_settings_alone() -> None:
     import matplotlib
 
     with matplotlib.rc_context({"lines.linewidth": 9.0}):
         before = dict(matplotlib.rcParams)
-        axes = _path().axes[0]
+        drawn = rp.plot.condition(plan())
         assert dict(matplotlib.rcParams) == before
-    assert all(line.get_linewidth() < 5.0 for line in axes.get_lines())
+    assert all(line.get_linewidth() < 5.0 for line in drawn.axes[0].get_lines())
+    picture, shown = drawn._repr_png_()
+    assert picture[:8] == b"\x89PNG\r\n\x1a\n"
+    assert shown == {"width": round(drawn.get_figwidth() * drawn.dpi)}
+    assert int.from_bytes(picture[16:20], "big") > 1.5 * shown["width"]  # pixels, in the header
 
 
-def test_pictures_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
-    drawn = _path()
-    with pytest.raises(OutputError, match="picture format"):
-        save(drawn, tmp_path / "a.txt")
-    with pytest.raises(OutputError, match="Cannot write"):
-        save(drawn, tmp_path / "none" / "a.png")
-
-
-def test_without_matplotlib_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
+def test_what_cannot_be_drawn_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, four_bar = zoo.robot_of("2rpr"), zoo.robot_of("four_bar")
+    scene = rp.show(robot).scene
+    reduced = rp.VirtualWork(robot).reduce(plan().motion[:5])
+    still = rp.PlatformMotion([0.0], [[1.0]], [[0.0]], [[0.0]])
+    refused: list[tuple[str, Callable[[], object]]] = [
+        ("plane", lambda: rp.plot.snapshots(scene, plane="zz")),
+        *(("motion lasts", lambda times=times: rp.plot.snapshots(scene, times)) for times in ((), (-0.1,), (99.0,), 0)),
+        ("robot with a motion", lambda: rp.plot.path(robot)),
+        ("robot with a motion", lambda: rp.plot.path(plan(), plan().motion)),
+        ("no platform", lambda: rp.plot.path(four_bar, still)),
+        ("cannot be compared", lambda: rp.plot.comparison({})),
+        ("cannot be compared", lambda: rp.plot.comparison({"2rpr": plan(), "3rrr": corner()})),
+        ("5 samples of dynamics do not fit",
+         lambda: rp.plot.curves(robot, reduced, rp.distribute(reduced), plan().carriers)),
+    ]  # fmt: skip
+    for text, draw in refused:
+        with pytest.raises(InputError, match=text):
+            draw()
+    for one in (rp.plot.efforts, rp.plot.carriers, rp.plot.condition, rp.plot.snapshots, rp.plot.locus, rp.plot.plan):
+        with pytest.raises(InputError, match="dict") as caught:
+            one({})  # type: ignore[operator]
+        assert any(word in caught.value.remedy for word in ("rp.", "load_plan"))
+    monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     with pytest.raises(RedundancyPinError, match=r"redundancy_pin\[plot\]"), figure(1.0, 1.0):
         pass

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import io
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+import moving
 import numpy as np
+import pinocchio as pin
 import pytest
 import yourdfpy
 import zoo
 from spatial_chains import chain_of
+from written import J, urdf_of, write_robot
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
 from redundancy_pin.errors import InputError
+from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.view import default_motion
-from redundancy_pin.visualisation.viewer.mechanism import body_points, links
+from redundancy_pin.visualisation.viewer.mechanism import BALANCED_RADIUS, base_hinges, body_points, links
 from redundancy_pin.visualisation.viewer.scene import (
     FRAME_RATE,
     LONGEST_FORCE,
@@ -26,14 +32,16 @@ from redundancy_pin.visualisation.viewer.scene import (
     MOST_POINTS,
     Arrow,
     Scene,
-    configurations,
     frame_samples,
     make_scene,
     margin_classes,
     margin_labels,
     path_samples,
 )
-from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS
+from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, Solid, corners_of, points_of
+
+EXACT = 1e-12
+"""Sums and products of numbers of order one."""
 
 ROUNDING = 1e-9
 """Positions of order one from a closure gap of 1e-11 and sines and cosines on either side."""
@@ -61,12 +69,8 @@ def test_frames_are_samples_at_their_own_times() -> None:
     assert len(chosen) == pytest.approx(3.0 * FRAME_RATE + 1, abs=1)
     # evenly spread: true to half a sample
     np.testing.assert_allclose(np.diff(t[chosen]), 1.0 / FRAME_RATE, atol=1.1e-3)
-
-
-def test_long_and_coarse_motions_keep_their_length() -> None:
     assert len(frame_samples(np.linspace(0.0, 100.0, 100001))) == MOST_FRAMES
-    coarse = np.array([0.0, 0.5, 2.0, 2.0, 4.0])
-    np.testing.assert_array_equal(frame_samples(coarse), [0, 1, 2, 4])
+    np.testing.assert_array_equal(frame_samples(np.array([0.0, 0.5, 2.0, 2.0, 4.0])), [0, 1, 2, 4])
     np.testing.assert_array_equal(frame_samples(np.array([1.0])), [0])
 
 
@@ -76,34 +80,36 @@ def test_the_drawn_path_is_thinned_but_not_where_its_colour_changes() -> None:
     assert len(chosen) < MOST_POINTS + 5
     assert {0, 41_236, 41_237, 41_238, 99_999} <= set(chosen.tolist())
     np.testing.assert_array_equal(path_samples(np.ones(3)), [0, 1, 2])
+    margins = np.array([0.0, 0.049, 0.05, 0.1, 0.3, -0.3, 0.4, 7.0, np.nan])
+    np.testing.assert_array_equal(margin_classes(margins), [0, 0, 1, 2, 3, 3, 4, 4, -1])
+    assert len(margin_labels()) == len(MARGIN_COLORS) == len(set(MARGIN_COLORS))
 
 
-def test_bodies_are_where_another_reader_of_the_urdf_puts_them(shipped: Robot) -> None:
+def test_bodies_are_where_another_reader_of_the_urdf_puts_them_loops_closed_and_the_path_is_the_motion(
+    shipped: Robot,
+) -> None:
     """Joint values of a frame, by inverse_kinematics of the scene's motion, through yourdfpy's forward kinematics."""
-    motion = default_motion(shipped)
+    motion, model = default_motion(shipped), shipped.model
     scene = rp.show(shipped, motion).scene
     q = rp.inverse_kinematics(shipped, motion).q.copy()
     q[:, shipped.carrier_position] = 0.0
     other = yourdfpy.URDF.load(io.BytesIO(shipped.urdf.encode()), load_meshes=False)
     frame = len(scene.t) // 3
     sample = int(np.flatnonzero(motion.t - motion.t[0] == scene.t[frame])[0])
-    model = shipped.model
     joints = {name: model.joints[model.getJointId(name)].idx_q for name in other.actuated_joint_names}
     other.update_cfg({name: q[sample, index] for name, index in joints.items()})
     for name in other.actuated_joint_names:
         ours = scene.placement[frame, scene.names.index(name)]
         theirs = other.get_transform(other.joint_map[name].child)
         np.testing.assert_allclose(ours, theirs, atol=ROUNDING, err_msg=name)
-
-
-def test_the_path_is_the_motion_of_the_platform(shipped: Robot) -> None:
-    if shipped.platform is None:
-        pytest.skip("no platform")
-    motion = default_motion(shipped)
-    path = rp.show(shipped, motion).scene.path
-    columns = ["xyz".index(axis) for axis in shipped.platform.axes if axis in "xyz"]
-    x = motion.x[:, :3, 3] if motion.is_pose else motion.x[:, : len(columns)]
-    np.testing.assert_allclose(path[:, columns], x, atol=ROUNDING)
+    for closure in shipped.closures:
+        frames = [model.frames[model.getFrameId(name)] for name in (closure.frame_a, closure.frame_b)]
+        ends = [in_world(scene, int(each.parentJoint), each.placement.translation) for each in frames]
+        np.testing.assert_allclose(ends[0], ends[1], atol=ROUNDING)
+    if shipped.platform is not None:
+        columns = ["xyz".index(axis) for axis in shipped.platform.axes if axis in "xyz"]
+        x = motion.x[:, :3, 3] if motion.is_pose else motion.x[:, : len(columns)]
+        np.testing.assert_allclose(scene.path[:, columns], x, atol=ROUNDING)
 
 
 def test_the_three_rrr_has_its_base_triangle_and_its_platform() -> None:
@@ -122,17 +128,6 @@ def test_the_three_rrr_has_its_base_triangle_and_its_platform() -> None:
     for corner in base.mesh[0][:3, :2]:
         assert np.linalg.norm(hinges - corner, axis=1).min() < ROUNDING
     assert len(base.mesh[0]) == len(platform.mesh[0]) == 8  # three corners a side, and their middles
-
-
-def test_closures_are_closed_in_every_frame(shipped: Robot) -> None:
-    scene = scene_of(shipped)
-    model = shipped.model
-    for closure in shipped.closures:
-        ends = []
-        for name in (closure.frame_a, closure.frame_b):
-            frame = model.frames[model.getFrameId(name)]
-            ends.append(in_world(scene, int(frame.parentJoint), frame.placement.translation))
-        np.testing.assert_allclose(ends[0], ends[1], atol=ROUNDING)
 
 
 def test_a_rod_is_drawn_between_its_ends_in_every_frame() -> None:
@@ -188,7 +183,13 @@ def test_carrier_arrows_point_along_the_work_they_do() -> None:
     moved = rp.CarrierMotion(zero + 1e-3, zero, zero)
     force = np.tile([1.0, -2.0], (len(motion), 1))
     here, there = (
-        make_scene(robot, motion.t, configurations(robot, motion, carriers), np.ones(len(motion)), carrier_force=force)
+        make_scene(
+            robot,
+            motion.t,
+            rp.inverse_kinematics(robot, motion).with_carriers(carriers).q,
+            np.ones(len(motion)),
+            carrier_force=force,
+        )
         for carriers in (rp.CarrierMotion.parked(len(motion), robot.k), moved)
     )
     for name, sign in zip(robot.carriers, (1.0, -1.0), strict=True):
@@ -210,7 +211,7 @@ def test_arrows_are_scaled_to_the_largest_effort_away_from_singularities() -> No
     scene = make_scene(
         robot,
         motion.t,
-        configurations(robot, motion, rp.CarrierMotion.parked(n, robot.k)),
+        rp.inverse_kinematics(robot, motion).q,
         margin,
         tau,
         force_scale=2.0,
@@ -233,62 +234,176 @@ def test_forces_and_torques_have_scales_of_their_own() -> None:
         assert max(lengths) == pytest.approx(longest * size, rel=0.05)  # the largest may fall between two frames
 
 
-def test_margin_classes() -> None:
-    margins = np.array([0.0, 0.049, 0.05, 0.1, 0.3, -0.3, 0.4, 7.0, np.nan])
-    np.testing.assert_array_equal(margin_classes(margins), [0, 0, 1, 2, 3, 3, 4, 4, -1])
-    assert len(margin_labels()) == len(MARGIN_COLORS) == len(set(MARGIN_COLORS))
-
-
-BARE = """<robot name="bare"><link name="base"/>
-{links}</robot>"""
-DECLARATION = """
-urdf: bare.urdf
-closures: [{frames: [left_tip, right_tip], axes: [x, y]}]
-actuated: [left_base, right_base]
-independent: {platform: left_tip, axes: [x, y]}
-reference: {platform: [0.25, 0.6], guess: {left_base: 2.0, right_base: 1.0}}
-"""
-
-
-def bare_robot(folder: Path, visual: str) -> Robot:
-    """A five-bar without shapes, or with what is given as every link's."""
-    chain = []
-    for side, x in (("left", 0.0), ("right", 0.5)):
-        for link, parent, joint, kind, origin in (
-            (f"{side}_1", "base", f"{side}_base", "revolute", x),
-            (f"{side}_2", f"{side}_1", f"{side}_elbow", "revolute", 0.4),
-            (f"{side}_tip", f"{side}_2", f"{side}_mount", "fixed", 0.5),
-        ):
-            chain.append(
-                f'<link name="{link}">{visual}<inertial><mass value="1"/>'
-                '<inertia ixx="0" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>'
-                f'<joint name="{joint}" type="{kind}"><parent link="{parent}"/><child link="{link}"/>'
-                f'<origin xyz="{origin} 0 0"/><axis xyz="0 0 1"/>'
-                '<limit lower="-9" upper="9" velocity="9" effort="9"/></joint>'
-            )
-    (folder / "bare.urdf").write_text(BARE.format(links="".join(chain)))
-    (folder / "robot.yaml").write_text(DECLARATION)
-    return rp.load_robot(folder)
-
-
-@pytest.mark.parametrize(
-    "visual", ["", '<visual><geometry><mesh filename="package://nowhere/a.stl"/></geometry></visual>']
-)
-def test_links_without_a_primitive_shape_are_bars_between_their_joints(tmp_path: Path, visual: str) -> None:
-    robot = bare_robot(tmp_path, visual)
-    bars = [solid for solid in scene_of(robot).solids if solid.role == "link"]
-    assert sorted(solid.size[1] for solid in bars) == pytest.approx([0.4, 0.4, 0.5, 0.5])
-    np.testing.assert_allclose(body_points(robot, 0), [[0, 0, 0], [0.5, 0, 0]])
-
-
-@pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
-def test_a_scale_that_is_none_is_refused(scale: float) -> None:
-    with pytest.raises(InputError, match="force_scale"):
-        rp.show(zoo.robot_of("2rpr"), force_scale=scale)
-
-
-def test_a_carrier_motion_of_another_length_is_refused() -> None:
+def test_a_motor_that_slides_is_drawn_on_the_barrel_between_its_hinge_and_the_rods_end() -> None:
+    """Of the 2-RPR, whose legs start at (0, 0) and (0.5, 0), at the reference; of a gantry on what it moves."""
     robot = zoo.robot_of("2rpr")
-    motion = default_motion(robot)
+    q = np.array(robot.q_reference)[None]
+    scene = make_scene(robot, np.zeros(1), q, np.ones(1))
+    tip = scene.path[0]
+    for leg, hinge in (("1", [0.0, 0.0, 0.0]), ("2", [0.5, 0.0, 0.0])):
+        (box,) = (solid for solid in scene.solids if solid.name == f"joint_slide_{leg}")
+        assert scene.names[box.body] == f"swivel_{leg}"
+        centre = in_world(scene, box.body, box.placement[:3, 3])[0]
+        np.testing.assert_allclose(centre[:2], 0.5 * (tip + hinge)[:2], atol=ROUNDING)
+
+
+def test_the_origin_of_a_floating_joint_is_no_hinge(tmp_path: Path) -> None:
+    robot = moving.floating(tmp_path, left=0.1)
+    body = robot.model.getJointId("root")
+    np.testing.assert_allclose(sorted(body_points(robot, body)[:, 0]), [0.1, 0.6], atol=1e-12)
+    assert len(base_hinges(robot)) == 0
+    scene = rp.show(robot).scene
+    assert not [solid for solid in scene.solids if solid.role == "base"]
+    rp.plot.snapshots(scene, 2)
+
+
+def test_scales_and_carriers_that_do_not_fit_are_refused() -> None:
+    robot = zoo.robot_of("2rpr")
+    for scale in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="force_scale"):
+            rp.show(robot, force_scale=scale)
     with pytest.raises(InputError, match=r"shape \(3, 2\)"):
-        make_scene(robot, motion.t, configurations(robot, motion, rp.CarrierMotion.parked(3, 2)), np.ones(len(motion)))
+        rp.show(robot, default_motion(robot), rp.CarrierMotion.parked(3, 2))
+
+
+# --- carriers that turn -----------------------------------------------------------------------------------------------
+
+LEVER = np.array([0.1, 0.02, 0.03])
+"""Centre of mass of every link that ``urdf_of`` writes, in the frame of its joint, m."""
+
+JOINTS = [
+    J("left_base", "revolute", "base", "left_1"),
+    J("left_elbow", "revolute", "left_1", "left_2", (0.4, 0, 0)),
+    J("left_mount", "fixed", "left_2", "left_tip", (0.5, 0, 0)),
+    J("right_base", "revolute", "base", "right_1", (0.5, 0, 0)),
+    J("right_elbow", "revolute", "right_1", "right_2", (0.4, 0, 0)),
+    J("right_mount", "fixed", "right_2", "right_tip", (0.5, 0, 0)),
+    # a mass that turns off its axis, tilted against its link, and one whose centre of mass is on its axis
+    J("rotor", "revolute", "left_1", "rotor_link", (0.2, 0.01, 0.05), (0.3, -0.2, 0.5)),
+    J("wheel", "revolute", "right_1", "wheel_link", (0.2, 0, 0.05), axis=tuple(LEVER / np.linalg.norm(LEVER))),
+]
+DECLARATION = {
+    "closures": [{"frames": ["left_tip", "right_tip"], "axes": ["x", "y"]}],
+    "actuated": ["left_base", "right_base"],
+    "carriers": [{"joint": "rotor", "position": [-0.7, 1.1]}, {"joint": "wheel"}],
+    "independent": {"platform": "left_tip", "axes": ["x", "y"]},
+    "reference": {"platform": [0.25, 0.6], "guess": {"left_base": 2.0, "right_base": 1.0}},
+}
+
+
+@cache
+def with_turning_carriers() -> Robot:
+    with TemporaryDirectory() as folder:
+        return rp.load_robot(write_robot(Path(folder), urdf_of(JOINTS), DECLARATION))
+
+
+@cache
+def turned() -> tuple[Array, Scene]:
+    """Angles (N, 2) through the rotor's range and round the wheel, and what is shown of them."""
+    motion = default_motion(with_turning_carriers())
+    rate = np.array([1.8, 2.0]) / np.ptp(motion.t)
+    s = np.array([-0.7, 0.0]) + np.outer(motion.t - motion.t[0], rate)
+    carriers = CarrierMotion(s, np.tile(rate, (len(s), 1)), np.zeros_like(s))
+    return s, rp.show(with_turning_carriers(), motion, carriers).scene
+
+
+def solid(scene: Scene, name: str, body: str) -> Solid:
+    return next(item for item in scene.solids if item.name == name and scene.names[item.body] == body)
+
+
+def placed(scene: Scene, item: Solid, points: Array, frame: int) -> Array:
+    place = scene.placement[frame, item.body] @ item.placement
+    return points @ place[:3, :3].T + place[:3, 3]
+
+
+def distance_to(line: Array, point: Array) -> float:
+    """Least distance of a point from straight pieces between points (P, 3)."""
+    a, b = line[:-1], line[1:]
+    along = np.clip(np.einsum("pi,pi->p", point - a, b - a) / np.einsum("pi,pi->p", b - a, b - a), 0.0, 1.0)
+    return float(np.linalg.norm(a + along[:, None] * (b - a) - point, axis=1).min())
+
+
+def test_the_mass_is_drawn_at_its_centre_of_mass_in_every_frame() -> None:
+    """Against Pinocchio's own centre of mass of the body's subtree, which is the body alone."""
+    s, scene = turned()
+    box = solid(scene, "carrier", "rotor")
+    model, motion = with_turning_carriers().model, default_motion(with_turning_carriers())
+    data = model.createData()
+    q = rp.inverse_kinematics(with_turning_carriers(), motion).q.copy()
+    q[:, with_turning_carriers().carrier_position] = s
+    for frame in (0, len(scene.t) // 2, len(scene.t) - 1):
+        sample = int(np.abs(motion.t - motion.t[0] - scene.t[frame]).argmin())
+        pin.centerOfMass(model, data, q[sample])
+        drawn = placed(scene, box, np.zeros((1, 3)), frame)[0]
+        np.testing.assert_allclose(drawn, data.oMi[box.body].act(data.com[box.body]), atol=EXACT)
+
+
+def test_the_mass_stays_on_its_arc_from_end_to_end() -> None:
+    _, scene = turned()
+    box, arc = solid(scene, "carrier", "rotor"), solid(scene, "track_of_rotor", "left_base")
+    assert arc.role == "track"
+    radius = np.hypot(LEVER[0], LEVER[1])  # the axis is z
+    assert arc.size[0] == pytest.approx(radius)
+    assert arc.size[2:] == (-0.7, 1.1)
+    sagitta = radius * 0.05**2 / 8.0  # of the pieces the arc is drawn with
+    for frame in range(0, len(scene.t), 10):
+        centre = placed(scene, box, np.zeros((1, 3)), frame)[0]
+        assert distance_to(placed(scene, arc, points_of(arc), frame), centre) < 1.1 * sagitta
+    for frame, end in ((0, 0), (-1, -1)):
+        centre = placed(scene, box, np.zeros((1, 3)), frame)[0]
+        np.testing.assert_allclose(placed(scene, arc, points_of(arc), frame)[end], centre, atol=EXACT)
+
+
+def test_an_arm_holds_the_mass() -> None:
+    _, scene = turned()
+    box, arm = solid(scene, "carrier", "rotor"), solid(scene, "carrier_arm", "rotor")
+    half = 0.5 * arm.size[1] * np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+    foot, tip = (half @ arm.placement[:3, :3].T) + arm.placement[:3, 3]
+    np.testing.assert_allclose(foot, [0.0, 0.0, LEVER[2]], atol=EXACT)
+    np.testing.assert_allclose(tip, LEVER, atol=EXACT)
+    np.testing.assert_allclose(box.placement[:3, 3], LEVER, atol=EXACT)
+
+
+def test_a_balanced_carrier_is_a_bar_across_its_axis_in_a_full_round() -> None:
+    _, scene = turned()
+    bar, arc = solid(scene, "carrier", "wheel"), solid(scene, "track_of_wheel", "right_base")
+    size = with_turning_carriers().characteristic_length
+    assert arc.size[0] == pytest.approx(BALANCED_RADIUS * size)
+    assert arc.size[2:] == (-np.pi, np.pi)  # limits of ±100 rad
+    assert bar.size[0] == pytest.approx(2.0 * BALANCED_RADIUS * size)
+    axis = LEVER / np.linalg.norm(LEVER)
+    assert abs(bar.placement[:3, 0] @ axis) < EXACT  # across
+    np.testing.assert_allclose(bar.placement[:3, 3], LEVER, atol=EXACT)
+    directions = scene.placement[:, bar.body, :3, :3] @ bar.placement[:3, 0]
+    assert np.ptp(directions, axis=0).max() > 0.5  # its turning is seen
+
+
+def test_no_solid_is_twice_on_a_body() -> None:
+    _, scene = turned()
+    names = [(item.body, item.name) for item in scene.solids]
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize("name", ["turning carriers", "3rrr"])
+def test_boxes_hold_what_is_drawn_and_snapshots_draw_it(name: str) -> None:
+    """Every vertex that viewers draw is inside, and each face is touched."""
+    scene = turned()[1] if name != "3rrr" else rp.show("3rrr").scene
+    seen = set()
+    for item in scene.solids:
+        corners = (corners_of(item) - item.placement[:3, 3]) @ item.placement[:3, :3]
+        if item.shape == "arc" or item.mesh is not None:
+            drawn = points_of(item) if item.mesh is None else item.mesh[0]
+        else:
+            radius, *length = item.size
+            reach = {"box": 0.5 * np.array(item.size), "sphere": np.full(3, radius)}.get(
+                item.shape, np.array([radius, radius, 0.5 * length[-1] if length else 0.0])
+            )
+            drawn = np.array([reach, -reach])
+        np.testing.assert_allclose(corners.max(axis=0), drawn.max(axis=0), atol=1e-9)
+        np.testing.assert_allclose(corners.min(axis=0), drawn.min(axis=0), atol=1e-9)
+        seen.add(item.shape)
+    assert {"box", "cylinder", "sphere"} <= seen
+    lines = [np.array(line.get_xydata()) for line in rp.plot.snapshots(scene, 1).axes[0].lines]
+    for item in (item for item in scene.solids if item.shape == "arc"):
+        expected = placed(scene, item, points_of(item), 0)[:, :2]
+        assert any(len(line) == len(expected) and np.allclose(line, expected, atol=EXACT) for line in lines)

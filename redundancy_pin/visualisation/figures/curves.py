@@ -77,12 +77,17 @@ def curves_of_plan(plan: Plan) -> Curves:
     require_type(plan, Plan, "A plan", "Pass load_plan(...).")
     threshold = plan.parameters.get("threshold") if plan.parameters.get("measure") == "condition" else None
     return Curves(
-        f"{plan.robot.name}: {plan.planner.replace('_', ' ')}, {plan.status.value.replace('_', ' ')}",
+        title=f"{plan.robot.name}: {plan.planner.replace('_', ' ')}, {plan.status.value.replace('_', ' ')}",
+        t=plan.t,
+        tau=plan.tau,
+        carrier_force=plan.carrier_force,
+        carriers=plan.carriers,
         limits=plan.limits.judged_by.of_carriers,
+        condition=plan.condition,
+        margin=plan.margin,
         regular=plan.sample_status == SampleStatus.OK,
         instants=plan.findings.singular_instants,
-        thresholds=numbers([threshold]),
-        **_drawn(plan, ("t", "tau", "carrier_force", "carriers", "condition", "margin")),
+        thresholds=(float(threshold),) if isinstance(threshold, (int, float)) else (),
         **_joints(plan.robot),
     )
 
@@ -99,12 +104,15 @@ def curves_of_run(run: Simulation, robot: Robot | None = None) -> Curves:
     except PlanFileError:
         pass
     return Curves(
-        run_title(run),
+        title=run_title(run),
+        t=run.t,
+        tau=run.tau,
+        carrier_force=run.carrier_force,
+        carriers=run.carriers,
         limits=run.robot.carrier_limits,
         condition=condition,
         margin=margin,
         regular=np.ones(len(run), dtype=bool),  # the efforts are those that acted
-        **_drawn(run, ("t", "tau", "carrier_force", "carriers")),
         **_joints(run.robot),
     )
 
@@ -159,21 +167,19 @@ def curves(
             remedy="Pass what belongs to one motion.",
         )
     return Curves(
-        robot.name if title is None else title,
+        title=robot.name if title is None else title,
+        t=reduced.t,
+        tau=efforts.tau,
+        carrier_force=reduced.carrier_force,
         carriers=sliding,
         limits=robot.carrier_limits,
+        condition=efforts.condition,
+        margin=efforts.margin,
         regular=efforts.status == SampleStatus.OK,
         instants=tuple(crossing.t for crossing in crossings),
         thresholds=tuple(thresholds),
-        **_drawn(reduced, ("t", "carrier_force")),
-        **_drawn(efforts, ("tau", "condition", "margin")),
         **_joints(robot_record(robot)),
     )
-
-
-def _drawn(source: object, names: Sequence[str]) -> dict[str, Any]:
-    """Return what curves take over from a plan, a simulation or dynamics as it is."""
-    return {name: getattr(source, name) for name in names}
 
 
 def _joints(record: RobotRecord) -> dict[str, Any]:
@@ -183,12 +189,6 @@ def _joints(record: RobotRecord) -> dict[str, Any]:
     turn = bool(record.carriers) and set(record.carriers) <= set(record.rotating)
     names = {"main_names": record.actuated, "carrier_names": record.carriers}
     return {**names, "main_unit": f"{kind} [{unit}]", "carriers_turn": turn}
-
-
-def numbers(values: object) -> tuple[float, ...]:
-    """Return the numbers of a list in a plan's parameters; none where it is something else."""
-    listed = values if isinstance(values, (list, tuple)) else ()
-    return tuple(float(value) for value in listed if isinstance(value, (int, float)))
 
 
 def plan_title(plan: Plan) -> str:

@@ -6,7 +6,6 @@ What is not flat is seen obliquely ("3d"), with the directions of the axes drawn
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,20 +17,19 @@ from redundancy_pin.kinematics.coordinates import mode_name
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing
 from redundancy_pin.singularities.locus import SingularLocus
-from redundancy_pin.visualisation.figures.shading import brightest, hatched, shade
+from redundancy_pin.visualisation.figures.shading import brightest, shade
 from redundancy_pin.visualisation.figures.style import STROKES, Stroke, figure, legend_below
 from redundancy_pin.visualisation.figures.time_panels import Background, Windows, condition_panel, draw_panel
 from redundancy_pin.visualisation.viewer import mechanism
 from redundancy_pin.visualisation.viewer import scene as scenes
 from redundancy_pin.visualisation.viewer.page import View
-from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, ROLE_NAMES, Solid, arc_points, corners_of
+from redundancy_pin.visualisation.viewer.solids import ROLE_NAMES, points_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _ZOOM_BELOW = 0.3  # A path smaller than this fraction of the mechanism gets a panel of its own
-_TRIAD = 0.12  # length of the drawn axes, in widths of the picture
 
 
 def projection(plane: str) -> Array:
@@ -59,30 +57,18 @@ def label_plane(axes: Axes, plane: str = "xy", *, flat: bool = True) -> None:
         return
     axes.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]")
     if not flat:
-        _add_title(axes, f"projection on {plane[0]}, {plane[1]}")
-
-
-def _add_title(axes: Axes, text: str) -> None:
-    title = axes.get_title()
-    axes.set_title(f"{title}, {text}" if title else text)
+        title = axes.get_title()
+        axes.set_title(f"{title}{', ' if title else ''}projection on {plane[0]}, {plane[1]}")
 
 
 def _draw_triad(axes: Axes) -> None:
     """Draw the directions of the world's axes in a corner, with their length, in place of ticks."""
-    axes.set(xticks=[], yticks=[])
-    axes.grid(False)
-    axes.spines[:].set_visible(False)
-    axes.autoscale_view()
+    axes.set_axis_off()
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    wide = _TRIAD * max(right - left, top - bottom)
-    step = 10.0 ** np.floor(np.log10(wide))
-    length = step * max(factor for factor in (1.0, 2.0, 5.0) if factor * step <= wide)
-    foot = np.array([left + length, bottom - 1.2 * length])  # below everything else
-    axes.update_datalim([foot - [length, 0.8 * length]])
-    axes.autoscale_view()
+    length = 10.0 ** np.floor(np.log10(0.3 * max(right - left, top - bottom)))
+    foot = np.array([left, bottom])
     for name, tip in zip("xyz", length * projection("3d").T, strict=True):
-        arrow = {"arrowstyle": "-|>", "color": "#444444", "mutation_scale": 8, "shrinkA": 0, "shrinkB": 0}
-        axes.annotate("", xy=tuple(foot + tip), xytext=tuple(foot), arrowprops=arrow)
+        axes.plot(*np.stack([foot, foot + tip]).T, color="#444444", linewidth=1.0)
         axes.annotate(name, xy=tuple(foot + 1.25 * tip), ha="center", va="center", fontsize=8)
     axes.annotate(f"axes: {length:g} m", xy=(0.01, 0.005), xycoords="axes fraction", fontsize=7.5, color="#444444")
 
@@ -146,11 +132,9 @@ def plot_path(
             label_plane(axes, view, flat=not spatial)
         panel = condition_panel(t, condition, thresholds, singular=bool(instants))
         draw_panel(last, panel, 1.4 * drawn.get_figwidth() / sum(ratios) - 0.8)
-        background = Background(instants=instants, windows=windows)
-        background.draw(last)
+        Background(instants=instants, windows=windows).draw(last)
         last.set(xlim=(t[0], t[-1]), xlabel="time t [s]")
-        handles = panels[0].get_legend_handles_labels()[0]
-        legend_below(drawn, [*handles, *background.handles(drawn)])
+        legend_below(drawn)
         return drawn
 
 
@@ -170,7 +154,7 @@ def plot_plane_paths(
             _draw_path(axes, point, stroke, label)
         _draw_singular(axes, singular, "#000000")
         label_plane(axes)
-        legend_below(drawn, axes.get_legend_handles_labels()[0])
+        legend_below(drawn)
         return drawn
 
 
@@ -214,24 +198,20 @@ def draw_locus(locus: SingularLocus, *, motion: Array | None = None, crossings: 
             _draw_singular(axes, places, "#0072B2", "singular instant")
         else:
             _draw_line(axes, locus)
-        out = hatched(locus.reachable, locus.reachable) if plane else []
-        legend_below(drawn, [*axes.get_legend_handles_labels()[0], *out])
+        legend_below(drawn)
         return drawn
 
 
 def _draw_plane(drawn: Figure, axes: Axes, locus: SingularLocus) -> None:
-    size, there = np.abs(locus.margin), (locus.reachable, locus.reachable)
-    image = shade(axes, locus.axes, size, there, brightest(size))
+    size = np.abs(locus.margin)
+    image = shade(axes, locus.axes, size, (locus.reachable, locus.reachable), brightest(size))
     bar = drawn.colorbar(image, ax=axes, shrink=0.8, extend="max")
     bar.set_label("margin to type II: smallest scaled singular value of W [–]")
     spatial = ["xyz".index(name) for name in locus.names]  # which of the world's axes the picture has
     for ends in mechanism.links(locus.robot, locus.q_reference):
         axes.plot(*np.stack(ends)[:, spatial].T, "-o", color="#5A5A5A", linewidth=1.6, markersize=3.5, zorder=2.0)
-    named: set[SingularityKind] = set()
     for curve in locus.curves:
-        style = _LOCUS_STROKES[curve.kind] | ({"label": None} if curve.kind in named else {})
-        named.add(curve.kind)
-        axes.plot(*curve.points[:, list(locus.free)].T, zorder=2.5, **style)
+        axes.plot(*curve.points[:, list(locus.free)].T, zorder=2.5, **_LOCUS_STROKES[curve.kind])
     axes.plot(*mechanism.base_hinges(locus.robot)[:, spatial].T, "^", color="#000000", markersize=8, zorder=3.0,
               label="base hinge")  # fmt: skip
     home = locus.reference[list(locus.free)]
@@ -267,15 +247,9 @@ def scene_in(view: object) -> scenes.Scene:
 
 _FAINTEST = 0.25  # opacity of the first instant; the last one is drawn in full
 _BASE_OPACITY = 0.18  # of the base, which is behind everything
-_TRACK: dict[str, Any] = {"linestyle": (0, (3, 1.5))}
-
-_COLORS = (
-    *scenes.MARGIN_COLORS,
-    scenes.UNKNOWN_COLOR,
-)  # of the classes of the margin; class −1, not known, is the last
-_WIDTHS = (3.4, *[1.6] * len(scenes.MARGIN_COLORS))  # singular stretches are wider, for print without colour
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
-_DRAWN_AS_JOINT = {"actuated": "o", "passive": "o", "closure": "D"}
+_MARKERS = {"actuated": "o", "passive": "o", "closure": "D"}
+_ORDER = {"base": 0.5, "link": 1.8, "track": 2.2, "platform": 2.6, "carrier": 3.0}  # in which parts are drawn
 
 
 def draw_snapshots(
@@ -288,7 +262,7 @@ def draw_snapshots(
     Args:
         view: what ``rp.show`` returns, or its scene.
         times: instants from the start of the motion, s, or how many, evenly spread.
-        plane: which coordinates are drawn: "xy", "xz" or "yz", said to be a projection of what is not flat; or
+        plane: which coordinates are drawn: "xy", "xz" or "yz", titled a projection for a spatial machine; or
             "3d", seen obliquely.
         title: of the figure; the scene's when left out.
 
@@ -311,109 +285,60 @@ def draw_snapshots(
             draw_frame(axes, scene, frame, plane=plane, alpha=alpha, base=i == 0)
         draw_path(axes, scene, plane=plane)
         label_plane(axes, plane, flat=scene.is_flat)
-        legend_below(drawn, scene_handles(scene, frames))
+        legend_below(drawn)
         return drawn
-
-
-def fitting_plane(scene: scenes.Scene) -> str:
-    """Return the plane that shows a scene: "xy" where it is flat, else "3d"."""
-    return "xy" if scene.is_flat else "3d"
 
 
 def draw_frame(
     axes: Axes, scene: scenes.Scene, frame: int, *, plane: str = "xy", alpha: float = 1.0, base: bool = True
 ) -> None:
-    """Draw the mechanism at one frame of a scene; the ``base`` is the same in every frame."""
+    """Draw the outlines of the mechanism's parts at one frame of a scene; the ``base`` is the same in every frame."""
     matrix = projection(plane)
-    platform = _COLORS[scenes.margin_classes(scene.margin[[frame]])[0]]
     for solid in scene.solids:
-        if solid.role == "platform":
-            _draw_solid(axes, replace(solid, color=platform), scene.placement[frame, solid.body], matrix, alpha)
+        place = scene.placement[frame, solid.body] @ solid.placement
+        points = (points_of(solid) @ place[:3, :3].T + place[:3, 3]) @ matrix.T
+        name = ROLE_NAMES.get(solid.role) if solid.role != "link" else None
+        style: dict[str, Any] = {"alpha": alpha, "label": name, "zorder": _ORDER.get(solid.role, 2.8)}
+        if solid.role in _MARKERS:
+            face = "#FFFFFF" if solid.role == "passive" else solid.color
+            axes.plot(*matrix @ place[:3, 3], _MARKERS[solid.role], linestyle="none", markersize=4.5,
+                      markerfacecolor=face, markeredgecolor="#202020", markeredgewidth=0.7, **style)  # fmt: skip
+        elif solid.role == "track":
+            line = points if solid.shape == "arc" else _ends(solid.size[2], place) @ matrix.T
+            axes.plot(*line.T, color=solid.color, linewidth=1.2, linestyle=(0, (3, 1.5)), **style)
         elif base or solid.role != "base":
-            _draw_solid(axes, solid, scene.placement[frame, solid.body], matrix, alpha)
+            style["alpha"] = _BASE_OPACITY if solid.role == "base" else solid.opacity * alpha
+            color = scenes.margin_color(scene.margin[frame]) if solid.role == "platform" else solid.color
+            edge = color if solid.shape == "plate" else "#202020"  # seen from the side a plate is a line
+            axes.fill(*_hull(points).T, facecolor=color, edgecolor=edge, linewidth=0.6, **style)
 
 
 def draw_path(axes: Axes, scene: scenes.Scene, *, plane: str = "xy") -> None:
-    """Draw the path of the platform in the colours of the margin."""
-    from matplotlib.collections import LineCollection
-
-    points = scene.path @ projection(plane).T
+    """Draw the path of the platform in the colours of the margin, wider where it is near-singular."""
+    points, classes = scene.path @ projection(plane).T, scenes.margin_classes(scene.path_margin)
     if len(points) < 2:
         return
-    classes = scenes.margin_classes(scene.path_margin)
-    parts = stretches(classes)
-    pieces = [points[a : b + 1] for a, b in parts]  # each up to where the next one begins
-    colors, widths = [_COLORS[classes[a]] for a, _ in parts], [_WIDTHS[classes[a]] for a, _ in parts]
-    # white about it: seen on a platform of its colour
-    axes.add_collection(LineCollection([points], colors=["#FFFFFF"], linewidths=[max(widths) + 2.0], zorder=3.9))
-    axes.add_collection(LineCollection(pieces, colors=colors, linewidths=widths, zorder=4.0))
+    halo = 5.4 if (classes == 0).any() else 3.6  # seen on a platform of its colour
+    axes.plot(*points.T, color="#FFFFFF", linewidth=halo, zorder=3.9)
+    for a, b in stretches(classes):  # each up to where the next one begins
+        number, color = int(classes[a]), scenes.margin_color(scene.path_margin[a])
+        name = f"margin {scenes.margin_labels()[number]}" if number >= 0 else None
+        axes.plot(*points[a : b + 1].T, color=color, linewidth=1.6 if number else 3.4, zorder=4.0, label=name)
     axes.plot(*points[0], "o", color="#000000", markersize=4, zorder=4.1)
 
 
-def scene_handles(scene: scenes.Scene, frames: Sequence[int]) -> list[Any]:
-    """Return what the legend says: the kinds of parts there are, and the margins that occur."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    handles: list[Any] = []
-    for role in (role for role in ROLE_NAMES if role != "link" and any(solid.role == role for solid in scene.solids)):
-        color, name = ROLE_COLORS[role], ROLE_NAMES[role]
-        if role in _DRAWN_AS_JOINT:
-            face = "#FFFFFF" if role == "passive" else color
-            handles.append(Line2D([], [], linestyle="none", marker=_DRAWN_AS_JOINT[role], markerfacecolor=face,
-                                  markeredgecolor="#202020", markersize=5.0, label=name))  # fmt: skip
-        elif role == "track":
-            handles.append(Line2D([], [], color=color, linewidth=1.2, label=name, **_TRACK))
-        else:
-            handles.append(Patch(facecolor=color, edgecolor="#202020", linewidth=0.5, label=name))
-    margins = scenes.margin_classes(np.concatenate([scene.path_margin, scene.margin[list(frames)]]))
-    for number, (color, name) in enumerate(zip(scenes.MARGIN_COLORS, scenes.margin_labels(), strict=True)):
-        if number in margins:
-            handles.append(Line2D([], [], color=color, linewidth=_WIDTHS[number], label=f"margin {name}"))
-    return handles
-
-
-def _draw_solid(axes: Axes, solid: Solid, body: Array, matrix: Array, alpha: float) -> None:
-    """Draw a solid of a body that is placed at (4, 4), by a projection (2, 3)."""
-    place, color = body @ solid.placement, solid.color
-    middle = matrix @ place[:3, 3]
-    if solid.role in _DRAWN_AS_JOINT:
-        face = "#FFFFFF" if solid.role == "passive" else color
-        axes.plot(*middle, _DRAWN_AS_JOINT[solid.role], markersize=4.5, markerfacecolor=face, alpha=alpha,
-                  markeredgecolor="#202020", markeredgewidth=0.7, zorder=2.8)  # fmt: skip
-    elif solid.role == "track":
-        ends = arc_points(solid) if solid.shape == "arc" else 0.5 * solid.size[2] * np.outer([-1.0, 1.0], [0, 0, 1])
-        points = (ends @ place[:3, :3].T + place[:3, 3]) @ matrix.T
-        axes.plot(*points.T, color=color, alpha=alpha, linewidth=1.2, zorder=2.2, **_TRACK)
-    elif solid.mesh is not None or solid.shape == "box":
-        corners = corners_of(solid) @ body[:3, :3].T + body[:3, 3]
-        if solid.mesh is not None:
-            corners = solid.mesh[0] @ place[:3, :3].T + place[:3, 3]
-        style: dict[str, Any] = {"alpha": solid.opacity * alpha, "edgecolor": "#202020", "linewidth": 0.5}
-        style["zorder"] = 3.0 if solid.role == "carrier" else 1.8
-        if solid.shape == "plate":  # with an edge of its colour: seen from the side it is a line
-            opacity, order = (alpha, 2.6) if solid.role == "platform" else (_BASE_OPACITY, 0.5)
-            style = {"alpha": opacity, "edgecolor": color, "linewidth": 1.6, "zorder": order}
-        axes.fill(*_hull(corners @ matrix.T).T, facecolor=color, **style)
-    elif solid.shape == "cylinder":
-        radius, length = solid.size
-        along = matrix @ place[:3, 2]
-        if np.linalg.norm(along) * length > radius:  # seen end on it is a disc, which the plate stands for
-            ends = np.stack([middle - 0.5 * length * along, middle + 0.5 * length * along])
-            width, opacity, order = (5.0, _BASE_OPACITY, 0.5) if solid.role == "base" else (2.6, alpha, 2.0)
-            axes.plot(*ends.T, color=color, alpha=opacity, solid_capstyle="round", linewidth=width, zorder=order)
-    elif solid.role == "platform":
-        axes.plot(*middle, "o", color=color, alpha=alpha, markersize=8.0, zorder=2.6)
+def _ends(length: float, place: Array) -> Array:
+    """Return (2, 3) the ends of a bar along z that is placed at (4, 4)."""
+    ends: Array = place[:3, 3] + 0.5 * length * np.outer([-1.0, 1.0], place[:3, 2])
+    return ends
 
 
 def _hull(points: Array) -> Array:
-    """Return the corners of the convex hull of points (N, 2) in order; the two ends where they lie on a line."""
-    from scipy.spatial import ConvexHull
+    """Return the corners of the convex hull of points (N, 2) in order."""
+    from scipy.spatial import ConvexHull, QhullError
 
-    spread = points - points.mean(axis=0)
-    _, size, along = np.linalg.svd(spread, full_matrices=False)
-    if size[1] <= 1e-9 * size[0]:
-        place = spread @ along[0]
-        return points[[int(place.argmin()), int(place.argmax())]]
-    hull: Array = points[ConvexHull(points).vertices]
+    try:
+        hull: Array = points[ConvexHull(points).vertices]
+    except QhullError:  # they lie on a line
+        hull = points[np.lexsort(points.T)[[0, -1]]]
     return hull

@@ -130,8 +130,8 @@ def _carrier_panel(
 ) -> Panel:
     broken = [event for event in events if event.quantity == quantity]
     marks = tuple((event.worst, event.value, f"{event.amount:.2g} beyond") for event in broken)
-    return Panel(f"carrier {label}", series(drawn.carrier_names, drawn.t, values, carrier=True), limits=limits,
-                 marks=marks)  # fmt: skip
+    curves = series(drawn.carrier_names, drawn.t, values, carrier=True)
+    return Panel(f"carrier {label}", curves, limits=limits, marks=marks)
 
 
 def efforts(subject: Plan | Simulation | Curves) -> Figure:
@@ -243,10 +243,9 @@ def simulation(
         PlanFileError: the robot is gone or has changed.
     """
     drawn = curves_of_run(run, robot)
-    left, right = [main_panel(drawn)], []
+    columns = [[main_panel(drawn)]]
     if drawn.carrier_names:
-        left.append(force_panel(drawn))
-        right = _carrier_column(drawn)
+        columns = [[main_panel(drawn), force_panel(drawn)], _carrier_column(drawn)]
     if plan is not None:
         planned = curves_of_plan(plan)
         if (planned.main_names, planned.carrier_names) != (drawn.main_names, drawn.carrier_names):
@@ -254,14 +253,12 @@ def simulation(
                 f"The plan is for {plan.robot.name}, the simulation of {run.robot.name}: they have other joints.",
                 remedy="Pass the plan that was simulated.",
             )
-        behind = [main_panel(planned), *([force_panel(planned)] if right else [])]
-        left = [_over(*pair) for pair in zip(left, behind, strict=True)]
-        right = [_over(*pair) for pair in zip(right, carrier_panels(planned) if right else [], strict=True)]
-        left.append(_distance_panel(run, plan, robot_of_record(run.robot, robot)))
-    # both columns have as many panels
-    columns = [left, right] if len(left) == len(right) else [[*left, *right]]
-    height = 1.1 + 1.75 * sum(panel.height for panel in columns[0])
-    size = (9.6 if len(columns) > 1 else 7.2, height)
+        behind = [[main_panel(planned), force_panel(planned)], carrier_panels(planned)]
+        columns = [list(map(_over, *both)) for both in zip(columns, behind, strict=False)]
+        columns[0].append(_distance_panel(run, plan, robot_of_record(run.robot, robot)))
+    if len({len(column) for column in columns}) > 1:  # both columns have as many panels
+        columns = [[panel for column in columns for panel in column]]
+    size = (9.6 if len(columns) > 1 else 7.2, 1.1 + 1.75 * sum(panel.height for panel in columns[0]))
     return plot_panel_grid(title or drawn.title, columns, size, Background(None, windows=drawn.windows))
 
 
@@ -279,10 +276,10 @@ def _distance_panel(run: Simulation, plan: Plan, robot: Robot) -> Panel:
             f"{run.t[-1]:.6g} s.",
             remedy="Pass the plan that was simulated.",
         )
-    t = run.t[during]
-    away = distance(robot, run.x[during], plan.platform_at(t).x)
+    away = distance(robot, run.x[during], plan.platform_at(run.t[during]).x)
     name = "angles count times the characteristic length" if angle_columns(robot) else ""
-    return distance_panel("distance of the platform\nfrom its plan [m]", {name: (t, away)}, SHOWN_DISTANCES)
+    label = "distance of the platform\nfrom its plan [m]"
+    return distance_panel(label, {name: (run.t[during], away)}, SHOWN_DISTANCES)
 
 
 def distance_panel(label: str, curves: Mapping[str, tuple[Array, Array]], least: float = 0.0) -> Panel:
@@ -348,10 +345,10 @@ def path(
         [line[:, :axes] for line in mechanism],
         hinges[:, :axes],
         condition,
-        thresholds=drawn.thresholds if drawn else (),
-        windows=drawn.windows if drawn else (),
         instants=instants,
         singular_points=places,
+        thresholds=drawn.thresholds if drawn else (),
+        windows=drawn.windows if drawn else (),
     )
 
 

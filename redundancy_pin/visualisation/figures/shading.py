@@ -1,4 +1,4 @@
-"""Margins over a grid in colour; what is out of reach is hatched, and has no colour of the scale."""
+"""Margins over a grid in colour; hatched where there are none."""
 
 from __future__ import annotations
 
@@ -30,29 +30,23 @@ def brightest(size: Array) -> float:
 
 
 def shade(axes: Axes, grid: tuple[Array, ...], size: Array, there: tuple[BoolArray, BoolArray], top: float) -> Any:
-    """Draw margins (A, B) over a grid in colour and hatch where there are none; return the image.
+    """Draw margins (A, B) over a grid in colour; cells without one are hatched and named in the legend.
 
-    ``there`` is where nodes are reachable, and where joints are within their ranges too.
+    ``there`` is where nodes are reachable, and where joints are within their ranges too. Returns the image.
     """
+    from matplotlib.patches import Rectangle
+
     axes.grid(False)
     reachable, in_range = there
     wide = [
         np.concatenate([axis[:1] * 1.5 - axis[1:2] * 0.5, axis, axis[-1:] * 1.5 - axis[-2:-1] * 0.5]) for axis in grid
     ]
-    for style, where in zip(_HATCHES.values(), (~reachable, reachable & ~in_range), strict=True):
+    for (name, style), where in zip(_HATCHES.items(), (~reachable, reachable & ~in_range), strict=True):
         if where.any():
             around = np.pad(where.T.astype(float), 1, mode="edge")
             face, hatch = [style["facecolor"]], [style["hatch"]]
             filled = axes.contourf(*wide, around, levels=[0.5, 1.5], colors=face, hatches=hatch)
-            filled.set_edgecolor(style["edgecolor"])
-            filled.set_linewidth(0.0)
+            filled.set(edgecolor=style["edgecolor"], linewidth=0.0)
+            axes.add_patch(Rectangle((0.0, 0.0), 0.0, 0.0, label=name, **style))  # for the legend
     shown = np.ma.masked_where(~in_range, size)
     return axes.pcolormesh(*grid, shown.T, cmap=COLORS, vmin=0.0, vmax=top, shading="nearest", rasterized=True)
-
-
-def hatched(reachable: BoolArray, in_range: BoolArray) -> list[Any]:
-    """Return what the legend says of hatched parts that occur."""
-    from matplotlib.patches import Patch
-
-    there = (not reachable.all(), bool((reachable & ~in_range).any()))
-    return [Patch(label=name, **style) for (name, style), occurs in zip(_HATCHES.items(), there, strict=True) if occurs]

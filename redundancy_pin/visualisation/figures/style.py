@@ -1,8 +1,7 @@
-"""One look for all figures: colours and line styles that also tell apart in black and white, and how to save."""
+"""One style for all figures: colours, line styles, legends, and how a figure is saved."""
 
 from __future__ import annotations
 
-import math
 import textwrap
 import warnings
 from collections.abc import Iterator, Sequence
@@ -68,8 +67,7 @@ _FORMATS = ("png", "svg", "pdf")
 _LETTERS, _KEY = 15.0, 9  # letters of a legend on an inch, and how many of them an entry takes with its line and space
 _TITLE_LETTERS = 12.0  # letters of a title on an inch
 _LONGEST_LABEL = 44  # letters of a label; longer ones lose their middle
-# What legends accept before a name: matplotlib leaves out labels that begin with an underscore
-_ZERO_WIDTH = "\N{ZERO WIDTH SPACE}"
+_ZERO_WIDTH = "\N{ZERO WIDTH SPACE}"  # before a name that begins with an underscore: matplotlib hides such labels
 SETTINGS: dict[str, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 10.0,
@@ -103,10 +101,10 @@ def figure(width: float, height: float, title: str = "") -> Iterator[Figure]:
     When the block ends, long titles are broken, and long labels of axes lose their middle.
     """
     require_matplotlib()
-    from redundancy_pin.visualisation.figures.page import Page, RepeatableLayout
+    from redundancy_pin.visualisation.figures.page import Page
 
     with _styled():
-        page = Page(figsize=(width, height), layout=RepeatableLayout())
+        page = Page(figsize=(width, height), layout="constrained")
         if title:
             page.suptitle(break_lines(title, width))
         yield page
@@ -152,34 +150,14 @@ def require_matplotlib() -> None:
 def save(drawn: Figure, *paths: str | Path) -> None:
     """Write a figure to files, each whole or not at all; the suffix decides on the format.
 
-    The same figure gives the same bytes.
-
     Raises:
         OutputError: a suffix that is no picture format, or a file that cannot be written.
     """
     kinds = [picture_format(path) for path in paths]
-    with laid_out(drawn):
-        for path, kind in zip(paths, kinds, strict=True):
-            stamp = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
-            with replacing_file(path) as temporary, refusing(path):
-                drawn.savefig(temporary, format=kind, metadata=stamp)
-
-
-@contextmanager
-def laid_out(drawn: Figure) -> Iterator[None]:
-    """Lay a figure out once, in the common style, for all files: ``savefig`` with a layout engine draws each twice."""
-    with _styled():
-        engine, dpi = drawn.get_layout_engine(), drawn.dpi
-        try:
-            if engine is not None:
-                drawn.dpi = SETTINGS["savefig.dpi"]
-                engine.execute(drawn)
-            drawn.dpi = dpi
-            drawn.set_layout_engine(None)
-            yield
-        finally:
-            drawn.dpi = dpi
-            drawn.set_layout_engine(engine)
+    for path, kind in zip(paths, kinds, strict=True):
+        stamp = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
+        with _styled(), replacing_file(path) as temporary, refusing(path):
+            drawn.savefig(temporary, format=kind, metadata=stamp)
 
 
 def picture_format(path: str | Path) -> str:
@@ -218,11 +196,21 @@ def legend_above(axes: Axes, width: float) -> None:
         _show_names(legend)
 
 
-def legend_below(drawn: Figure, handles: Sequence[Any]) -> None:
-    """Put a legend under all axes of a figure; none without entries."""
-    if handles:
-        columns = _columns([str(handle.get_label()) for handle in handles], drawn.get_figwidth())
-        _show_names(drawn.legend(handles=list(handles), loc="outside lower center", ncols=columns))
+def legend_below(drawn: Figure, handles: Sequence[Any] = ()) -> None:
+    """Put a legend under all axes: each thing once that no legend of the axes names, and ``handles`` after them."""
+    legends = [axes.get_legend() for axes in drawn.axes]
+    named = {text.get_text() for legend in legends if legend for text in legend.get_texts()}
+    found = {
+        str(label): handle
+        for axes in drawn.axes
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+        if str(label).removeprefix(_ZERO_WIDTH) not in named
+    }
+    found |= {str(handle.get_label()): handle for handle in handles}
+    found = dict(sorted(found.items(), key=lambda item: -item[1].get_zorder()))  # what is behind all comes last
+    if found:
+        columns = _columns([*found], drawn.get_figwidth())
+        _show_names(drawn.legend([*found.values()], [*found], loc="outside lower center", ncols=columns))
 
 
 def _show_names(legend: Legend) -> None:
@@ -231,7 +219,5 @@ def _show_names(legend: Legend) -> None:
 
 
 def _columns(labels: Sequence[str], width: float) -> int:
-    """Return in how many columns entries fit: all in a row, else evenly spread over the rows it takes."""
-    room, lengths = int(_LETTERS * width), [_KEY + len(label) for label in labels]
-    fit = len(labels) if sum(lengths) <= room else max(1, room // max(lengths))
-    return math.ceil(len(labels) / math.ceil(len(labels) / fit))
+    """Return in how many columns of equal width entries fit."""
+    return max(1, min(len(labels), int(_LETTERS * width) // (_KEY + max(map(len, labels)))))

@@ -95,29 +95,18 @@ class Background:
     windows: Windows = ()  # near-singular stretches, shaded
 
     def draw(self, axes: Axes) -> None:
-        """Draw it behind a panel."""
-        for i, (phase, start, end) in enumerate(phase_spans(self.plan) if self.plan is not None else []):
-            axes.axvspan(start, end, color=_PHASE_FILLS[phase % len(_PHASE_FILLS)], linewidth=0, zorder=0.2)
+        """Draw it behind a panel, labelled for the legend under the figure."""
+        spans = phase_spans(self.plan) if self.plan is not None else []
+        for i, (phase, start, end) in enumerate(spans):
+            name = self.plan.phases[phase].replace("_", " ") if self.plan and len(self.plan.phases) > 1 else None
+            fill = _PHASE_FILLS[phase % len(_PHASE_FILLS)]
+            axes.axvspan(start, end, facecolor=fill, edgecolor="#777777", linewidth=0, zorder=0.2, label=name)
             if i:
                 axes.axvline(start, color="#777777", linewidth=0.5, zorder=0.6)
         for start, end in self.windows:
-            axes.axvspan(start, end, zorder=0.5, **WINDOW | {"label": None})
+            axes.axvspan(start, end, zorder=0.5, **WINDOW)
         for instant in self.instants:
-            axes.axvline(instant, zorder=1.6, **INSTANT | {"label": None})
-
-    def handles(self, drawn: Figure) -> list[Any]:
-        """Return what the legend under a figure says of it, and of limits where there are any."""
-        from matplotlib.lines import Line2D
-        from matplotlib.patches import Patch
-
-        handles: list[Any] = []
-        if self.plan is not None and len(self.plan.phases) > 1:
-            for phase in np.unique(self.plan.phase).tolist():
-                fill, name = _PHASE_FILLS[phase % len(_PHASE_FILLS)], self.plan.phases[phase].replace("_", " ")
-                handles.append(Patch(facecolor=fill, edgecolor="#777777", linewidth=0.5, label=name))
-        handles += [Patch(**WINDOW)] * bool(self.windows) + [Line2D([], [], **INSTANT)] * bool(self.instants)
-        hatched = any(patch.get_hatch() for axes in drawn.axes for patch in axes.patches)
-        return handles + [Patch(**BEYOND)] * hatched
+            axes.axvline(instant, zorder=1.6, **INSTANT)
 
 
 def phase_spans(plan: Plan) -> list[tuple[int, float, float]]:
@@ -180,7 +169,7 @@ def plot_panel_grid(
             axis.set_xlabel("time t [s]")
         for column in axes.T:
             drawn.align_ylabels(column)
-        legend_below(drawn, [*_unnamed(columns, axes), *background.handles(drawn)])
+        legend_below(drawn)
         return drawn
 
 
@@ -202,17 +191,17 @@ def draw_panel(axes: Axes, panel: Panel, width: float, *, alike: Sequence[Panel]
         axes.annotate(text, (t, value), xytext=(6, -1), textcoords="offset points", fontsize=7.5, va="center",
                       zorder=3.0, bbox=_BOX)  # fmt: skip
     axes.set_ylabel(panel.label)
+    axes.set_title(panel.title, fontsize=8.5)
+    if panel.legend:
+        legend_above(axes, width)
     if panel.log:
         log_scale(axes)
-    axes.set_title(panel.title, fontsize=8.5)
     if panel.log or panel.within is not None:
         axes.set_ylim(panel.within or (1.0, _CONDITION_TOP))
     elif panel.curves:
         _fit(axes, panel, alike or (panel,))
     else:
         axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color="#6E6E6E")
-    if panel.legend:
-        legend_above(axes, width)
 
 
 def fitted_range(curves: Sequence[Curve], edges: Sequence[float] = ()) -> tuple[float, float]:
@@ -231,48 +220,28 @@ def _extent(curves: Sequence[Curve]) -> tuple[float, float]:
 
 
 def _fit(axes: Axes, panel: Panel, alike: Sequence[Panel]) -> None:
-    """Scale the axis to the curves of panels alike and to limits in reach, and draw those of the panel."""
+    """Scale the axis to the curves of panels alike and to limits in reach, and draw the limits of the panel."""
     curves = [curve for other in alike for curve in other.curves]
     extent = np.array(_extent(curves))
 
-    def in_reach(limits: Array) -> Array:  # NaN where a limit is so far that it would flatten the curves
-        return np.where(np.abs(extent) >= _VISIBLE_FRACTION * np.abs(limits), limits, np.nan)
+    def in_reach(limits: ArrayLike) -> Array:  # (c, 2); NaN where a limit is so far that it would flatten the curves
+        pairs = np.reshape(limits, (-1, 2)).astype(float)
+        return np.where(np.abs(extent) >= _VISIBLE_FRACTION * np.abs(pairs), pairs, np.nan)
 
-    edges = in_reach(np.concatenate([np.ravel(other.limits) for other in alike]).reshape(-1, 2)).ravel()
-    ends = fitted_range(curves, edges[np.isfinite(edges)].tolist())
-    axes.set_ylim(ends)
-    limits = np.reshape(panel.limits, (-1, 2))
-    shown = in_reach(limits)
-    _draw_limits(axes, shown, ends, [brief(curve.label) for curve in panel.curves if not curve.reference])
+    edges = np.concatenate([in_reach(other.limits).ravel() for other in alike])
+    axes.set_ylim(fitted_range(curves, edges[np.isfinite(edges)].tolist()))
+    shown, limits = in_reach(panel.limits), np.reshape(panel.limits, (-1, 2))
     if len(limits) and (limits == limits[0]).all() and np.isnan(shown).all() and np.isfinite(limits[0]).any():
         low, high = limits[0]
         text = f"limits ±{high:g}" if low == -high else f"limits {low:g}, {high:g}"
         axes.text(0.985, 0.95, text, transform=axes.transAxes, ha="right", va="top", fontsize=7.5, color="#444444")
-
-
-def _draw_limits(axes: Axes, shown: Array, ends: tuple[float, float], names: Sequence[str]) -> None:
-    """Draw limits (c, 2) of curves by name, say whose they are where they differ, and hatch what no curve may do."""
-    for side, end, outermost in zip(shown.T, ends, (np.min, np.max), strict=True):
+    names = [brief(curve.label) for curve in panel.curves if not curve.reference]
+    for side, end, outermost in zip(shown.T, axes.get_ylim(), (np.min, np.max), strict=True):
         for edge in np.unique(side[np.isfinite(side)]):
             axes.axhline(edge, color="#000000", linewidth=0.8, zorder=1.5)
-            whose = np.flatnonzero(side == edge)
-            if len(whose) < len(side):
-                text = f"limit of {', '.join(names[i] for i in whose.tolist())}"
+            if not (side == edge).all():
+                text = f"limit of {', '.join(names[i] for i in np.flatnonzero(side == edge).tolist())}"
                 axes.text(0.985, edge, text, transform=axes.get_yaxis_transform(), ha="right", va="center",
                           fontsize=7.0, zorder=1.6, bbox=_BOX)  # fmt: skip
-        if len(side) and np.isfinite(side).all():
-            nearest = float(outermost(side))
-            axes.axhspan(min(nearest, end), max(nearest, end), zorder=0.4, **BEYOND | {"label": None})
-
-
-def _unnamed(columns: Sequence[Sequence[Panel]], axes: Any) -> list[Any]:
-    """Return the curves, one of a name, that no legend of a panel names."""
-    panels = [(panel, axes[i, j]) for j, column in enumerate(columns) for i, panel in enumerate(column)]
-    named = {legend_label(curve.label) for panel, _ in panels if panel.legend for curve in panel.curves}
-    handles = {
-        label: handle
-        for panel, axis in panels
-        if not panel.legend
-        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
-    }
-    return [handle for label, handle in handles.items() if label not in named]
+        if len(side) and np.isfinite(side).all():  # what no curve may do
+            axes.axhspan(*sorted((float(outermost(side)), end)), zorder=0.4, **BEYOND)

@@ -57,14 +57,12 @@ def save_video(
     scene = paths.scene_in(view)
     require_video(path)
     frames = _frames(scene, positive(rate, "rate", "Hz"), positive(speed, "speed", ""))
-    plane = paths.fitting_plane(scene) if plane is None else plane
+    plane = ("xy" if scene.is_flat else "3d") if plane is None else plane
     low, high = extent_of(scene.solids, scene.placement, scene.path, paths.projection(plane))
     room = _ROOM * float((high - low).max())
     low, high = low - room, high + room
     with figure(_WIDTH, 5.6) as drawn, replacing_file(path) as temporary, refusing(path):
-        axes = drawn.subplots()
-        legend_below(drawn, paths.scene_handles(scene, range(len(scene.t))))
-        writer = _writer(path, rate)
+        axes, writer = drawn.subplots(), _writer(path, rate)
         with writer.saving(drawn, str(temporary), _DPI):
             for done, frame in enumerate(frames.tolist()):
                 axes.clear()
@@ -75,7 +73,9 @@ def save_video(
                 axes.autoscale_view()
                 paths.label_plane(axes, plane, flat=scene.is_flat)
                 axes.text(0.99, 0.99, f"t = {scene.t[frame]:.2f} s", transform=axes.transAxes, ha="right", va="top")
-                if done == 1:
+                if done == 0:
+                    legend_below(drawn)
+                elif done == 1:
                     drawn.set_layout_engine(None)  # the page is as it was laid out for the first frame
                 writer.grab_frame()
                 if progress is not None:
@@ -93,12 +93,10 @@ def _writer(path: str | Path, rate: float) -> Any:
 
 
 def _ffmpeg() -> str:
-    """Return the system's ffmpeg, else that of the package imageio-ffmpeg."""
+    """Return the system's ffmpeg, otherwise that of the package imageio-ffmpeg."""
     remedy = "Install it with `pip install 'redundancy_pin[video]'`, or write a .gif."
-    return (
-        shutil.which("ffmpeg")
-        or optional("imageio_ffmpeg", "Without the program ffmpeg an MP4 needs", remedy).get_ffmpeg_exe()
-    )
+    found = shutil.which("ffmpeg")
+    return found or optional("imageio_ffmpeg", "Without the program ffmpeg an MP4 needs", remedy).get_ffmpeg_exe()
 
 
 def require_video(path: str | Path) -> None:

@@ -1,4 +1,4 @@
-"""Maps of workspaces: the margin in colour, what is out of reach hatched, what joints forbid dotted."""
+"""Maps of workspaces: the margin in colour; where the platform or a joint cannot be is hatched."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from redundancy_pin.arrays import Array, require_type
 from redundancy_pin.kinematics.coordinates import mode_name
 from redundancy_pin.singularities.workspace import Workspace
 from redundancy_pin.visualisation.figures.paths import draw_mechanism, label_plane, projection
-from redundancy_pin.visualisation.figures.shading import COLORS, brightest, hatched, shade
+from redundancy_pin.visualisation.figures.shading import COLORS, brightest, shade
 from redundancy_pin.visualisation.figures.style import figure, legend_below
 from redundancy_pin.visualisation.viewer.mechanism import base_hinges, links
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_MARK: dict[str, Any] = {"color": "#D55E00", "linestyle": "--", "linewidth": 1.2}
-"""Of what is in an island."""
+_ISLAND: dict[str, Any] = {"color": "#D55E00", "linestyle": "--", "linewidth": 1.2}
+_ISLAND_NAME = "not reached from the reference"
 
 
 def draw_workspace(space: Workspace) -> Figure:
@@ -33,74 +33,60 @@ def draw_workspace(space: Workspace) -> Figure:
     Raises:
         InputError: no workspace.
     """
-    from matplotlib.lines import Line2D
-
     require_type(space, Workspace, "A workspace", "Pass what rp.workspace(robot) returns.")
     many = len(space.modes)
     columns = min(many, 4)
     rows = -(-many // columns)
     with figure(2.4 + 3.6 * columns, 1.4 + 3.4 * rows, f"{space.robot.name}: margin to type II singularities") as drawn:
         panels = drawn.subplots(rows, columns, squeeze=False).ravel()
+        for axes in panels[many:]:
+            axes.set_visible(False)
         size = np.abs(space.margin)
         top = brightest(size[space.in_range])
-        image = None
-        for k, axes in enumerate(panels):
-            if k >= many:
-                axes.set_visible(False)
-                continue
-            if space.modes[k]:
-                axes.set_title(f"working mode {mode_name(space.modes[k])}")
-            if len(space.axes) == 1:
-                for island, look in ((False, {"color": "#0072B2"}), (True, _MARK)):
-                    shown = space.in_range[k] & ((space.island[k] > 0) == island)
-                    axes.plot(space.axes[0], np.where(shown, size[k], np.nan), **look)
-                axes.set(
-                    xlabel=f"{space.names[0]} [{space.units[0]}]", ylabel="margin to type II [–]", ylim=(0.0, None)
-                )
-            elif len(space.axes) == 2:
-                image = shade(axes, space.axes, size[k], (space.reachable[k], space.in_range[k]), top)
-                if (space.island[k] > 0).any():
-                    axes.contour(
-                        *space.axes,
-                        (space.island[k] > 0).T,
-                        [0.5],
-                        **{f"{name}s": value for name, value in _MARK.items()},
-                    )
-                axes.set(
-                    **{
-                        f"{a}label": f"{name} [{unit}]"
-                        for a, name, unit in zip("xy", space.names, space.units, strict=True)
-                    }
-                )
-                axes.set_aspect("equal" if space.units[0] == space.units[1] else "auto")
-            else:
-                image = _cloud(axes, space, k, size[k], top)
-        if image is not None:
-            bar = drawn.colorbar(image, ax=list(panels), shrink=0.8, extend="max")
+        draw: Any = (_curve, _map, _cloud)[len(space.axes) - 1]
+        images = [draw(axes, space, k, size[k], top) for k, axes in enumerate(panels[:many])]
+        if len(space.axes) > 1:
+            bar = drawn.colorbar(images[-1], ax=list(panels), shrink=0.8, extend="max")
             bar.set_label("smallest scaled singular value of W [–]")
-        marks = hatched(space.reachable, space.in_range)
-        if (space.island > 0).any():
-            look = _MARK if len(space.axes) < 3 else {"ls": "", "marker": "o", "mfc": "none", "mec": _MARK["color"]}
-            marks.append(Line2D([], [], label="not reached from the reference", **look))
-        legend_below(drawn, marks if len(space.axes) == 2 else marks[-1:] if (space.island > 0).any() else [])
+        for mode, axes in zip(space.modes, panels, strict=False):
+            axes.set_title(f"working mode {mode_name(mode)}" if mode else axes.get_title())
+        legend_below(drawn)
         return drawn
 
 
+def _curve(axes: Axes, space: Workspace, k: int, size: Array, top: float) -> None:
+    island = space.island[k] > 0
+    for inside, look in ((~island, {"color": "#0072B2"}), (island, _ISLAND | {"label": _ISLAND_NAME})):
+        if inside.any():
+            axes.plot(space.axes[0], np.where(space.in_range[k] & inside, size, np.nan), **look)
+    axes.set(xlabel=f"{space.names[0]} [{space.units[0]}]", ylabel="margin to type II [–]", ylim=(0.0, None))
+
+
+def _map(axes: Axes, space: Workspace, k: int, size: Array, top: float) -> Any:
+    image = shade(axes, space.axes, size, (space.reachable[k], space.in_range[k]), top)
+    island = (space.island[k] > 0).T
+    if island.any():
+        axes.contour(*space.axes, island, [0.5], **{f"{name}s": value for name, value in _ISLAND.items()})
+        axes.plot([], [], label=_ISLAND_NAME, **_ISLAND)
+    x, y = (f"{name} [{unit}]" for name, unit in zip(space.names, space.units, strict=True))
+    axes.set(xlabel=x, ylabel=y, aspect="equal" if space.units[0] == space.units[1] else "auto")
+    return image
+
+
 def _cloud(axes: Axes, space: Workspace, k: int, size: Array, top: float) -> Any:
-    matrix = projection("3d")
-    robot = space.robot
-    draw_mechanism(
-        axes, [np.stack(ends) @ matrix.T for ends in links(robot, robot.q_reference)], base_hinges(robot) @ matrix.T
-    )
+    matrix, robot = projection("3d"), space.robot
+    lines = [np.stack(ends) @ matrix.T for ends in links(robot, robot.q_reference)]
+    draw_mechanism(axes, lines, base_hinges(robot) @ matrix.T)
     mesh = np.stack([part.ravel() for part in np.meshgrid(*space.axes, indexing="ij")], axis=1)
-    inside = space.in_range[k].ravel()
-    points, values = mesh[inside], size.ravel()[inside]
-    towards = np.cross(matrix[0], matrix[1])
-    order = np.argsort(points @ towards)  # the nearest last, on top
-    flat = points[order] @ matrix.T
-    rings = np.where(space.island[k].ravel()[inside][order] > 0, 0.7, 0.0)
+    inside = np.flatnonzero(space.in_range[k])
+    order = inside[np.argsort(mesh[inside] @ np.cross(matrix[0], matrix[1]))]  # the nearest last, on top
+    island = space.island[k].ravel()[order] > 0
     look: dict[str, Any] = {"cmap": COLORS, "vmin": 0.0, "vmax": top, "s": 6.0, "zorder": 1.5}
-    look |= {"linewidths": rings, "edgecolors": _MARK["color"]}
-    image = axes.scatter(flat[:, 0], flat[:, 1], c=values[order], **look)
+    look |= {"linewidths": np.where(island, 0.7, 0.0), "edgecolors": _ISLAND["color"]}
+    flat = mesh[order] @ matrix.T
+    image = axes.scatter(flat[:, 0], flat[:, 1], c=size.ravel()[order], **look)
+    if island.any():
+        axes.plot([], [], linestyle="", marker="o", markerfacecolor="none", markeredgecolor=_ISLAND["color"],
+                  label=_ISLAND_NAME)  # fmt: skip
     label_plane(axes, "3d", flat=False)
     return image

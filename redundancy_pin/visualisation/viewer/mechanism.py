@@ -19,7 +19,7 @@ from redundancy_pin.robot import CarrierLimits, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint_index, find_link
 from redundancy_pin.robot.loop_joints import ends_of
 from redundancy_pin.robot.types import slides
-from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, Mesh, Role, Shape, Solid, shapes_of_urdf
+from redundancy_pin.visualisation.viewer.solids import Mesh, Role, Shape, Solid, shapes_of_urdf
 
 # Cross-section of a straight track: narrow and high, so that it stands out of the link it lies on
 RAIL_WIDTH, RAIL_HEIGHT = 0.012, 0.06
@@ -82,7 +82,7 @@ def links(robot: Robot, q: Array) -> tuple[tuple[Array, Array], ...]:
             frame = find_link(model, robot.platform.frame)
             if int(frame.parentJoint) == body:
                 points = _distinct(robot, [*points, (data.oMi[body] * frame.placement).translation])
-        pairs += _outline(_ordered(points))
+        pairs += _outline(points)
     return (*pairs, *(ends_of(rod, model, data) for rod in rods_of(robot)))
 
 
@@ -103,16 +103,11 @@ def _hinges(robot: Robot, body: int, data: pin.Data) -> Array:
     A joint that floats or moves in a plane joins nothing: its origin is no point that both bodies have.
     """
     model = robot.model
-    points = [data.oMi[body].translation] if body and not _floats(model, body) else []
-    children = [
-        j
-        for j in range(1, model.njoints)
-        if model.parents[j] == body and model.names[j] not in robot.carriers and not _floats(model, j)
-    ]
-    points += [data.oMi[j].translation for j in children]
+    joints = [body, *(j for j in range(1, model.njoints) if model.parents[j] == body)]
+    joints = [j for j in joints if j and not _floats(model, j) and (j == body or model.names[j] not in robot.carriers)]
     frames = [find_link(model, name) for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
-    points += [(data.oMi[body] * frame.placement).translation for frame in frames if int(frame.parentJoint) == body]
-    return _distinct(robot, points)
+    placed = [data.oMi[body] * frame.placement for frame in frames if int(frame.parentJoint) == body]
+    return _distinct(robot, [*(data.oMi[j].translation for j in joints), *(each.translation for each in placed)])
 
 
 def _floats(model: pin.Model, index: int) -> bool:
@@ -145,9 +140,10 @@ def _ordered(points: Array) -> Array:
 
 
 def _outline(points: Array) -> list[tuple[Array, Array]]:
-    """Return the sides between points in order, that from the last to the first too where there are three or more."""
-    pairs = list(pairwise(points))
-    return [*pairs, (points[-1], points[0])] if len(points) > 2 else pairs
+    """Return the line between two points, or the sides of the polygon of three or more (c, 3)."""
+    corners = _ordered(points)
+    pairs = list(pairwise(corners))
+    return [*pairs, (corners[-1], corners[0])] if len(corners) > 2 else pairs
 
 
 # --- what is drawn there -------------------------------------------------------------------------------------------
@@ -156,26 +152,23 @@ def _outline(points: Array) -> list[tuple[Array, Array]]:
 def _plates(robot: Robot, size: float) -> list[Solid]:
     """Return the base, through the joints fixed to it, and the platform: a plate, a bar, or a ball at its origin."""
     thickness = PLATE_THICKNESS * size
+    plates: list[Solid] = []
     base = _ordered(body_points(robot, 0))
-    plates = [_plate("base", 0, base, 0.5 * thickness)] if len(base) > 1 else []
+    if len(base) == 2:
+        plates = [replace(_rod("plate", 0, base[0], base[1], 0.5 * thickness, "base"), opacity=_CLEAR)]
+    elif len(base) > 2:
+        mesh = prism(base, 0.5 * thickness)
+        plates = [Solid("plate", 0, np.eye(4), "plate", (), "base", mesh=mesh, opacity=_CLEAR)]
     if robot.platform is not None:
         frame = find_link(robot.model, robot.platform.frame)
         body = int(frame.parentJoint)
         corners = _ordered(body_points(robot, body))
         if len(corners) > 2:
-            plates.append(_plate("platform", body, corners, thickness))
+            plates.append(Solid("plate", body, np.eye(4), "plate", (), "platform", mesh=prism(corners, thickness)))
         else:
             ball = place(translation=frame.placement.translation)
-            plates.append(_solid("plate", body, ball, "sphere", (_POINT_RADIUS * size,), "platform"))
+            plates.append(Solid("plate", body, ball, "sphere", (_POINT_RADIUS * size,), "platform"))
     return plates
-
-
-def _plate(role: Role, body: int, corners: Array, thickness: float) -> Solid:
-    opacity = _CLEAR if role == "base" else 1.0
-    if len(corners) == 2:
-        bar = _rod("plate", body, corners[0], corners[1], thickness, role)
-        return replace(bar, opacity=opacity)
-    return Solid("plate", body, np.eye(4), "plate", (), role, ROLE_COLORS[role], prism(corners, thickness), opacity)
 
 
 def prism(corners: Array, thickness: float) -> Mesh:
@@ -195,12 +188,13 @@ def _bars(robot: Robot, size: float, clothed: set[int]) -> list[Solid]:
         _rod(f"bar_{i}", body, start, end, BAR_RADIUS * size, "link")
         for body in range(1, robot.model.njoints)
         if body not in clothed and robot.model.names[body] not in robot.carriers
-        for i, (start, end) in enumerate(_outline(_ordered(body_points(robot, body))))
+        for i, (start, end) in enumerate(_outline(body_points(robot, body)))
     ]
 
 
 def _joints(robot: Robot, size: float) -> list[Solid]:
     model, solids = robot.model, []
+    reference, along = np.array(robot.q_reference), np.array([0.0, 0.0, 1.0])
     for body in range(1, model.njoints):
         name = str(model.names[body])
         if name in robot.carriers or model.joints[body].nv != 1:
@@ -213,17 +207,19 @@ def _joints(robot: Robot, size: float) -> list[Solid]:
         parent, placement = int(model.parents[body]), model.jointPlacements[body].homogeneous @ axis
         if _is_carriage(model, body):
             parent, placement = body, axis
-        solids.append(_solid(f"joint_{name}", parent, placement, shape, form, role))
+        elif slides(model.joints[body]):  # a cylinder: half way out at the reference, clear of the barrel's hinge
+            placement = placement @ place(translation=0.5 * robot.joint_positions(reference, [name]).item() * along)
+        solids.append(Solid(f"joint_{name}", parent, placement, shape, form, role))
     ball = (1.3 * JOINT_RADIUS * size,)
     for closure in robot.closures:
         ends = {"": closure.frame_a, "_b": closure.frame_b} if closure.is_rod else {"": closure.frame_a}
         for suffix, link in ends.items():
             frame, label = find_link(model, link), f"closure_{closure.name}{suffix}"
             centre = frame.placement.homogeneous.copy()
-            solids.append(_solid(label, int(frame.parentJoint), centre, "sphere", ball, "closure"))
+            solids.append(Solid(label, int(frame.parentJoint), centre, "sphere", ball, "closure"))
     for body, rod in enumerate(rods_of(robot), start=model.njoints):
         form = (BAR_RADIUS * size, rod.length)
-        solids.append(_solid(f"rod_{rod.name}", body, np.eye(4), "cylinder", form, "link"))
+        solids.append(Solid(f"rod_{rod.name}", body, np.eye(4), "cylinder", form, "link"))
     return solids
 
 
@@ -256,8 +252,8 @@ def _sliding(robot: Robot, body: int, limits: CarrierLimits, size: float) -> lis
     home = model.jointPlacements[body].homogeneous @ place(along_z(axis), 0.5 * (low + high) * axis)
     sides = (RAIL_WIDTH * size, RAIL_HEIGHT * size, high - low)
     return [
-        _solid(f"track_of_{model.names[body]}", int(model.parents[body]), home, "box", sides, "track"),
-        _solid("carrier", body, np.eye(4), "box", (CARRIER_SIDE * size,) * 3),
+        Solid(f"track_of_{model.names[body]}", int(model.parents[body]), home, "box", sides, "track"),
+        Solid("carrier", body, np.eye(4), "box", (CARRIER_SIDE * size,) * 3, "carrier"),
     ]
 
 
@@ -282,26 +278,20 @@ def _turning(robot: Robot, body: int, limits: CarrierLimits, size: float) -> lis
         low, high = -pi, pi
     home = model.jointPlacements[body].homogeneous @ frame
     form = (radius, _ARM_RADIUS * size, low, high)
-    track = _solid(f"track_of_{model.names[body]}", int(model.parents[body]), home, "arc", form, "track")
+    track = Solid(f"track_of_{model.names[body]}", int(model.parents[body]), home, "arc", form, "track")
     side = CARRIER_SIDE * size
     if balanced:
-        return [track, _solid("carrier", body, frame, "box", (2.0 * radius, 0.5 * side, 0.5 * side))]
+        return [track, Solid("carrier", body, frame, "box", (2.0 * radius, 0.5 * side, 0.5 * side), "carrier")]
     mass = frame @ place(translation=np.array([radius, 0.0, 0.0]))
     rod = _rod("carrier_arm", body, frame[:3, 3], mass[:3, 3], _ARM_RADIUS * size, "carrier")
-    return [track, _solid("carrier", body, mass, "box", (side,) * 3), rod]
-
-
-def _solid(
-    name: str, body: int, placement: Array, shape: Shape, form: tuple[float, ...], role: Role = "carrier"
-) -> Solid:
-    return Solid(name, body, placement, shape, form, role, ROLE_COLORS[role])
+    return [track, Solid("carrier", body, mass, "box", (side,) * 3, "carrier"), rod]
 
 
 def _rod(name: str, body: int, start: Array, end: Array, radius: float, role: Role) -> Solid:
     """Return a cylinder between two points."""
     length = float(np.linalg.norm(end - start))
     placement = place(along_z((end - start) / length), 0.5 * (start + end))
-    return _solid(name, body, placement, "cylinder", (radius, length), role)
+    return Solid(name, body, placement, "cylinder", (radius, length), role)
 
 
 # --- joints and placements -----------------------------------------------------------------------------------------

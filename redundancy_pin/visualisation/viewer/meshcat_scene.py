@@ -1,7 +1,4 @@
-"""A scene on meshcat: objects once, then one animation. Works on a live viewer and on a recorder alike.
-
-Everything that changes with time belongs to groups (pose, size, shown or not) and nothing to materials: a browser that
-connects late is sent the animation first and the objects after it, and finds groups but no materials then.
+"""A scene on meshcat: its objects, the pose of a frame, and the animation through all frames.
 
 Times of key frames are in seconds of the motion (a frame rate of 1 and frames that need not be whole), so that a motion
 plays at true speed whatever its sampling. Every clip spans the whole motion: clips of different length would drift
@@ -10,25 +7,24 @@ apart in a loop.
 
 from __future__ import annotations
 
-import uuid
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray
+from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.visualisation.viewer import mechanism
 from redundancy_pin.visualisation.viewer import scene as scenes
-from redundancy_pin.visualisation.viewer.solids import Mesh, Solid, arc_points, extent_of
+from redundancy_pin.visualisation.viewer.solids import Mesh, Solid, extent_of, points_of
 
 AROUND = 14  # corners of the round cross-section of an arrow
 PATH_RADIUS = 0.008  # of the traced path, in sizes of the machine
-BEAD_RADIUS = 0.02  # of what is known of it ahead, likewise
 
 # Angle of an arc up to its head: long enough to tell the sense of rotation, short enough to see where it starts
 _ARC = 1.5 * np.pi
-_NOTHING = 1e-6  # least size of an arrow, in sizes of the machine: viewers warn of objects without any
+_NOTHING = 1e-6  # least size of an arrow, in sizes of the machine: a matrix of scale zero has no normals
+_WIDEST = 0.35  # length of an arrow, in sizes of the machine, from which on arrows get no wider
 _CONSTANT = 1e-12  # relative change of a property below which it needs no key frames: rounding
 _MARGIN = 0.1  # free space about the machine, in its sizes: arrows need some
 _SAMPLED = 40  # frames from which the camera's view follows
@@ -40,22 +36,42 @@ _Y_TO_Z = mechanism.place(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0
 
 
 def send_scene(viewer: Any, scene: scenes.Scene, *, forces: bool = True) -> None:
-    """Send a scene to a ``meshcat.Visualizer``; ``forces`` says whether arrows are shown at first."""
+    """Send the objects of a scene to a ``meshcat.Visualizer``; ``forces`` says whether arrows are shown at first."""
+    _set_stage(viewer, scene)
+    for solid in scene.solids:
+        _add_solid(viewer, scene, solid)
+    for arrow in scene.arrows:
+        _add_arrow(viewer, arrow)
+    viewer["forces"].set_property("visible", forces)
+    _add_path(viewer, scene)
+    send_frame(viewer, scene, 0)
+
+
+def send_frame(viewer: Any, scene: scenes.Scene, frame: int) -> None:
+    """Pose the bodies and the arrows of a scene that was sent, and give the platform the colour of its margin."""
+    for j in range(len(scene.names)):
+        viewer[_body_path(scene, j)].set_transform(scene.placement[frame, j])
+    for arrow in scene.arrows:
+        placement, scale = _arrow_frames(scene, arrow)
+        viewer[arrow_path(arrow)].set_transform(placement[frame])
+        viewer[f"{arrow_path(arrow)}/effort"].set_property("scale", scale[frame].tolist())
+    for solid in scene.solids:
+        if solid.role == "platform":
+            color = [*rgb(scenes.margin_color(float(scene.margin[frame]))), 1.0]
+            viewer[solid_path(scene, solid)].set_property("color", color)
+
+
+def send_animation(viewer: Any, scene: scenes.Scene) -> None:
+    """Send key frames of the bodies and the arrows of a scene, which play in a loop."""
     from meshcat.animation import Animation
 
     clips: dict[Any, Any] = {}
-    _set_stage(viewer, scene)
     for j in range(len(scene.names)):
-        body = viewer[_body_path(scene, j)]
-        body.set_transform(scene.placement[0, j])
-        _animate(clips, body, scene.t, **_pose(scene.placement[:, j]))
-    for solid in scene.solids:
-        _add_solid(viewer, scene, solid, clips)
+        _animate(clips, viewer[_body_path(scene, j)], scene.t, **_pose(scene.placement[:, j]))
     for arrow in scene.arrows:
-        _add_arrow(viewer, scene, arrow, clips)
-    viewer["forces"].set_property("visible", forces)
-    _add_path(viewer, scene)
-    _add_ahead(viewer, scene, clips)
+        placement, scale = _arrow_frames(scene, arrow)
+        _animate(clips, viewer[arrow_path(arrow)], scene.t, **_pose(placement))
+        _animate(clips, viewer[f"{arrow_path(arrow)}/effort"], scene.t, scale=scale)
     viewer.set_animation(Animation(clips=clips), play=True, repetitions=_ENDLESS)
 
 
@@ -100,10 +116,10 @@ def _set_stage(viewer: Any, scene: scenes.Scene) -> None:
 # --- objects -------------------------------------------------------------------------------------------------------
 
 
-def _add_solid(viewer: Any, scene: scenes.Scene, solid: Solid, clips: dict[Any, Any]) -> None:
+def _add_solid(viewer: Any, scene: scenes.Scene, solid: Solid) -> None:
     from meshcat import geometry
 
-    path, placement = solid_path(scene, solid), solid.placement
+    placement, color = solid.placement, {"color": int(solid.color[1:], 16), "opacity": solid.opacity}
     if solid.shape == "box":
         shape = geometry.Box(list(solid.size))
     elif solid.shape == "sphere":
@@ -111,48 +127,35 @@ def _add_solid(viewer: Any, scene: scenes.Scene, solid: Solid, clips: dict[Any, 
     elif solid.shape == "cylinder":
         shape, placement = geometry.Cylinder(solid.size[1], solid.size[0]), placement @ _Y_TO_Z
     else:
-        mesh = solid.mesh or tube(arc_points(solid), solid.size[1])[:2]
+        mesh = solid.mesh or tube(points_of(solid), solid.size[1])[:2]
         shape = geometry.TriangularMeshGeometry(*mesh)
-    if solid.role != "platform":
-        # triangles of a mesh are shaded each by itself: edges of machine parts stay sharp
-        faceted = solid.shape == "mesh"
-        kind = geometry.MeshPhongMaterial if faceted else geometry.MeshLambertMaterial
-        flat = {"flatShading": True} if faceted else {}
-        _add(viewer, path, shape, kind(color=_code(solid.color), opacity=solid.opacity, **flat), placement)
-        return
-    # a platform has a copy in the colour of each class of the margin that occurs, shown while it lasts
-    classes = scenes.margin_classes(scene.margin)
-    for number in np.unique(classes).tolist():
-        copy = f"{path}_margin_{number if number >= 0 else 'unknown'}"
-        # no light changes a colour that means something
-        material = geometry.MeshBasicMaterial(color=_code((*scenes.MARGIN_COLORS, scenes.UNKNOWN_COLOR)[number]))
-        _add(viewer, copy, shape, material, placement)
-        shown: BoolArray = classes == number
-        viewer[copy].set_property("visible", bool(shown[0]))
-        if not shown.all():
-            _animate(clips, viewer[copy], scene.t, visible=shown)
+    if solid.role == "platform":
+        material = geometry.MeshBasicMaterial(**color)  # no light changes a colour that means something
+    elif solid.shape == "mesh":
+        material = geometry.MeshPhongMaterial(**color, flatShading=True)  # edges of machine parts stay sharp
+    else:
+        material = geometry.MeshLambertMaterial(**color)
+    _add(viewer, solid_path(scene, solid), shape, material, placement)
 
 
-def _add_arrow(viewer: Any, scene: scenes.Scene, item: scenes.Arrow, clips: dict[Any, Any]) -> None:
+def _add_arrow(viewer: Any, item: scenes.Arrow) -> None:
     from meshcat import geometry
 
-    path = arrow_path(item)
-    placement = scene.placement[:, item.body] @ mechanism.place(mechanism.along_z(item.axis))
+    shape = geometry.TriangularMeshGeometry(*(arc() if item.turning else arrow()))
+    material = _on_top(color=int(scenes.EFFORT_COLORS[item.group][1:], 16))
+    _add(viewer, f"{arrow_path(item)}/effort/arrow", shape, material, order=_LAST)
+
+
+def _arrow_frames(scene: scenes.Scene, item: scenes.Arrow) -> tuple[Array, Array]:
+    """Return (F, 4, 4) where an arrow is and (F, 3) its scale.
+
+    A negative effort mirrors its arrow: straight ones point the other way, arcs turn the other way.
+    """
     least = _NOTHING * scene.size
     length = np.where(np.abs(item.length) < least, least, item.length)
-    # a negative effort mirrors its arrow: straight ones point the other way, arcs turn the other way. All arrows are
-    # equally wide except short ones
-    wide = np.abs(length) if item.turning else np.minimum(np.abs(length), 0.35 * scene.size)
+    wide = np.abs(length) if item.turning else np.minimum(np.abs(length), _WIDEST * scene.size)
     scale = np.stack([wide, length, wide] if item.turning else [wide, wide, length], axis=1)
-    viewer[path].set_transform(placement[0])
-    _animate(clips, viewer[path], scene.t, **_pose(placement))
-    # as a property, like its key frames: viewers decompose a transform with a negative scale into a half turn and
-    # another scale, and key frames of the scale replace only the latter
-    viewer[f"{path}/effort"].set_property("scale", scale[0].tolist())
-    _animate(clips, viewer[f"{path}/effort"], scene.t, scale=scale)
-    shape = geometry.TriangularMeshGeometry(*(arc() if item.turning else arrow()))
-    material = _on_top(color=_code(scenes.EFFORT_COLORS[item.group]))
-    _add(viewer, f"{path}/effort/arrow", shape, material, np.eye(4), order=_LAST)
+    return scene.placement[:, item.body] @ mechanism.place(mechanism.along_z(item.axis)), scale
 
 
 def _add_path(viewer: Any, scene: scenes.Scene) -> None:
@@ -166,26 +169,10 @@ def _add_path(viewer: Any, scene: scenes.Scene) -> None:
             return
         color = np.ones(vertices.shape) if name == "halo" else palette[scenes.margin_classes(scene.path_margin)][owner]
         shape = geometry.TriangularMeshGeometry(vertices, triangles, color=color)
-        _add(viewer, f"path/{name}", shape, _on_top(vertexColors=True), np.eye(4), order=order)
+        _add(viewer, f"path/{name}", shape, _on_top(vertexColors=True), order=order)
 
 
-def _add_ahead(viewer: Any, scene: scenes.Scene, clips: dict[Any, Any]) -> None:
-    """Beads on the path, each shown from when it is known until the platform is there."""
-    from meshcat import geometry
-
-    if scene.ahead is None:
-        return
-    in_sight = scene.ahead.in_sight(scene.t)
-    for i, (place, shown) in enumerate(zip(scene.ahead.places, in_sight.T, strict=True)):
-        path = f"ahead/{i}"
-        shape, material = geometry.Sphere(BEAD_RADIUS * scene.size), _on_top(color=_code(scenes.AHEAD_COLOR))
-        _add(viewer, path, shape, material, mechanism.place(translation=place), order=_LAST)
-        viewer[path].set_property("visible", bool(shown[0]))
-        if shown.any() and not shown.all():
-            _animate(clips, viewer[path], scene.t, visible=shown)
-
-
-def _add(viewer: Any, path: str, shape: Any, material: Any, placement: Array, *, order: int = 0) -> None:
+def _add(viewer: Any, path: str, shape: Any, material: Any, placement: Array | None = None, *, order: int = 0) -> None:
     """Set an object; among see-through objects, those of a higher ``order`` are drawn later."""
     from meshcat import geometry
 
@@ -195,12 +182,9 @@ def _add(viewer: Any, path: str, shape: Any, material: Any, placement: Array, *,
             data["object"]["renderOrder"] = order
             return data
 
-    thing = Ordered(shape, material)
-    # identifiers, else random, follow from the path: the same scene gives the same bytes
-    for kind, element in (("object", thing), ("geometry", shape), ("material", material)):
-        element.uuid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"redundancy_pin/{path}/{kind}"))
-    viewer[path].set_object(thing)
-    viewer[path].set_transform(placement)
+    viewer[path].set_object(Ordered(shape, material))
+    if placement is not None:
+        viewer[path].set_transform(placement)
 
 
 def _on_top(**settings: Any) -> Any:
@@ -216,30 +200,20 @@ def rgb(color: str) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def _code(color: str) -> int:
-    """Return a colour ``#rrggbb`` as one number, as viewers want it."""
-    return int(color[1:], 16)
-
-
 # --- key frames ----------------------------------------------------------------------------------------------------
 
-_KINDS = {"position": "vector3", "quaternion": "quaternion", "scale": "vector3", "visible": "bool"}
+_KINDS = {"position": "vector3", "quaternion": "quaternion", "scale": "vector3"}
 
 
-def _animate(clips: dict[Any, Any], group: Any, t: Array, **tracks: Array | BoolArray) -> None:
+def _animate(clips: dict[Any, Any], group: Any, t: Array, **tracks: Array) -> None:
     """Give a group of the viewer key frames of what changes of it: arrays over the frames (F, ...) by property."""
     from meshcat.animation import AnimationClip, AnimationTrack
 
-    made = {}
-    for name, values in tracks.items():
-        if name == "visible":  # a key where it changes, and one at either end
-            changes = np.flatnonzero(np.diff(values)) + 1
-            keys = np.unique(np.concatenate([[0], changes, [len(t) - 1]]))
-        elif np.abs(values - values[0]).max(initial=0.0) <= _CONSTANT * np.abs(values).max(initial=0.0):
-            continue
-        else:
-            keys = np.arange(len(t))
-        made[name] = AnimationTrack(name, _KINDS[name], t[keys].tolist(), values[keys].tolist())
+    made = {
+        name: AnimationTrack(name, _KINDS[name], t.tolist(), values.tolist())
+        for name, values in tracks.items()
+        if np.abs(values - values[0]).max(initial=0.0) > _CONSTANT * np.abs(values).max(initial=0.0)
+    }
     if made:
         clips[group.path] = AnimationClip(tracks=made, fps=1)
 

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import base64
 import html
-import json
 import logging
 import math
 import os
-import re
 import warnings
 import webbrowser
 from collections.abc import Sequence
@@ -24,16 +22,23 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
+import jinja2
+
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import OutputError, RedundancyPinError, optional
 from redundancy_pin.io.files import write_text
-from redundancy_pin.visualisation.viewer.meshcat_scene import arrow_path, send_scene, solid_path
+from redundancy_pin.visualisation.viewer.meshcat_scene import (
+    arrow_path,
+    send_animation,
+    send_scene,
+    solid_path,
+)
 from redundancy_pin.visualisation.viewer.scene import (
-    AHEAD_COLOR,
     EFFORT_COLORS,
     MARGIN_COLORS,
-    JointCourse,
+    UNKNOWN_COLOR,
     Scene,
+    margin_classes,
     margin_labels,
 )
 from redundancy_pin.visualisation.viewer.solids import MESH_OPACITY, ROLE_COLORS, ROLE_NAMES
@@ -67,11 +72,13 @@ class View:
         import meshcat
 
         recorder = _Recorder()
-        send_scene(meshcat.Visualizer(window=recorder), self.scene, forces=self.forces)
+        viewer = meshcat.Visualizer(window=recorder)
+        send_scene(viewer, self.scene, forces=self.forces)
+        send_animation(viewer, self.scene)
         return _page(self.scene, recorder.commands, forces=self.forces)
 
     def save(self, path: str | Path) -> None:
-        """Write the page to a file; the same scene gives the same bytes.
+        """Write the page to a file.
 
         Raises:
             OutputError: the suffix is not .html, or the file cannot be written; an earlier one is as it was.
@@ -89,7 +96,7 @@ class View:
         Raises:
             RedundancyPinError: meshcat is not installed, or no port can be opened.
         """
-        live = serve_page(self.html())
+        live = LiveView(self.html())
         if open_browser:
             webbrowser.open(live.url)
         return live
@@ -118,83 +125,55 @@ def _page(scene: Scene, commands: Sequence[bytes], *, forces: bool) -> str:
     import meshcat
 
     folder = Path(meshcat.__file__).parent / "viewer"
-    meshes = [solid_path(scene, solid) for solid in scene.solids if solid.shape == "mesh"]
-    parts = {
-        "TITLE": html.escape(scene.title),
-        "LICENSES": _licenses(folder),
-        "LEGEND": _legend(scene),
-        "CAPTIONS": "".join(f"<div>{html.escape(text)}</div>" for text in scene.captions),
-        "CHECKED": "checked" if forces else "",
-        "HAS_FORCES": "" if scene.arrows else "hidden",
-        "HAS_MESHES": "" if meshes else "hidden",
-        "MESH_NODES": _script(meshes),
-        "READINGS": _script(_readings(scene)),
-        "HAS_READINGS": "" if any(reading.effort is not None for reading in scene.readings) else "hidden",
-        "AHEAD": _script(_ahead(scene)),
-        "HAS_AHEAD": "" if scene.ahead else "hidden",
-        "MESH_OPACITY": json.dumps(MESH_OPACITY),
-        "COMMANDS": json.dumps([base64.b64encode(command).decode("ascii") for command in commands]),
-        "DURATION": json.dumps(scene.duration),
-        "FORCE_NODES": _script([arrow_path(arrow) for arrow in scene.arrows]),
-        # an end tag inside a script would end it; in a string or a pattern the backslash changes nothing
-        "VIEWER": (folder / "dist" / "main.min.js").read_text(encoding="utf-8").replace("</script", "<\\/script"),
-    }
-    text = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
-    # in one pass: a value that looks like a mark stays as it is
-    return re.sub(r"@([A-Z_]+)@", lambda mark: parts[mark[1]], text)
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    environment.policies["json.dumps_kwargs"] = {"allow_nan": False}
+    words = {"main": "effort of main actuators", "carrier": "effort of carriers"}
+    # links have the colours of the URDF where it gives them
+    roles = [(name, ROLE_COLORS[r]) for r, name in ROLE_NAMES.items() if r in {s.role for s in scene.solids} - {"link"}]
+    groups = [(words[g], color) for g, color in EFFORT_COLORS.items() if g in {arrow.group for arrow in scene.arrows}]
+    # an end tag inside a script would end it; in a string or a pattern the backslash changes nothing
+    viewer = (folder / "dist" / "main.min.js").read_text(encoding="utf-8").replace("</script", "<\\/script")
+    return environment.from_string(Path(__file__).with_name("page.html").read_text(encoding="utf-8")).render(
+        scene=scene,
+        forces=forces,
+        roles=roles + groups,
+        margins=list(zip(margin_labels(), MARGIN_COLORS, strict=True)),
+        licenses=_licenses(folder),
+        viewer=viewer,
+        data=_data(scene),
+        commands=[base64.b64encode(command).decode("ascii") for command in commands],
+    )
 
 
-def _script(data: Any) -> str:
-    """Return plain data for a script: names come from files of strangers, and must not end the script."""
-    return json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+def _data(scene: Scene) -> dict[str, Any]:
+    """Return what the page's own script reads, plain and by paths in meshcat's tree.
 
-
-def _readings(scene: Scene) -> dict[str, Any]:
-    """Return positions and efforts of the joints over the frames, and which parts of the picture belong to which."""
+    Positions and efforts of the joints over the frames, which parts of the picture belong to which joint, which have
+    the colour of the margin, and that colour over the frames.
+    """
     of_body = {reading.body: i for i, reading in enumerate(scene.readings)}
     of_name = {f"joint_{reading.name}": i for i, reading in enumerate(scene.readings)}
     parts = [(solid_path(scene, solid), of_name.get(solid.name, of_body.get(solid.body))) for solid in scene.solids]
+    joints = [
+        {
+            **{name: getattr(reading, name) for name in ("name", "kind", "unit")},
+            "position": _digits(reading.position),
+            "effort": None if reading.effort is None else _digits(reading.effort),
+            "effort_unit": "N" if reading.unit == "m" else "N·m",
+        }
+        for reading in scene.readings
+    ]
+    colors = [*MARGIN_COLORS, UNKNOWN_COLOR]
     return {
-        "t": _digits(scene.t),
-        "joints": [
-            {
-                **{name: getattr(reading, name) for name in ("name", "kind", "unit")},
-                "position": _digits(reading.position),
-                "effort": None if reading.effort is None else _digits(reading.effort),
-                "effort_unit": _effort_unit(reading),
-            }
-            for reading in scene.readings
-        ],
-        "parts": [[path, joint] for path, joint in parts if joint is not None],
-    }
-
-
-def _effort_unit(reading: JointCourse) -> str:
-    return "N" if reading.unit == "m" else "N·m"
-
-
-def _ahead(scene: Scene) -> dict[str, Any] | None:
-    """Return what an on-line planner knew and planned at its ticks, by panels of joints."""
-    ahead = scene.ahead
-    if ahead is None:
-        return None
-    panels = []
-    for kind, words, what, unit_of in (
-        (ROLE_NAMES["carrier"], "carriers", "position", lambda reading: reading.unit),
-        (ROLE_NAMES["actuated"], "efforts", "effort", _effort_unit),
-    ):
-        joints = [i for i, reading in enumerate(scene.readings) if reading.kind == kind]
-        units = sorted({unit_of(scene.readings[i]) for i in joints})
-        panels.append({"title": f"{words} [{', '.join(units)}]", "what": what, "joints": joints})
-    return {
-        **{name: _digits(getattr(ahead, name)) for name in ("t", "until", "singular")},
-        "times": [_digits(row) for row in ahead.times],
-        "planned": {
-            str(i): [_digits(row) for row in ahead.planned[reading.name]]
-            for i, reading in enumerate(scene.readings)
-            if reading.name in ahead.planned
+        "readings": {"t": _digits(scene.t), "joints": joints, "parts": [each for each in parts if each[1] is not None]},
+        "margins": {
+            "parts": [solid_path(scene, solid) for solid in scene.solids if solid.role == "platform"],
+            "colors": colors,
+            "classes": (margin_classes(scene.margin) % len(colors)).tolist(),
         },
-        "panels": panels,
+        "arrows": [arrow_path(arrow) for arrow in scene.arrows],
+        "meshes": [solid_path(scene, solid) for solid in scene.solids if solid.shape == "mesh"],
+        "mesh_opacity": MESH_OPACITY,
     }
 
 
@@ -210,36 +189,52 @@ def _licenses(folder: Path) -> str:
     return f"The viewer in this page is meshcat.\n{text}".replace("--", "- -")  # -- would end the comment
 
 
-def _legend(scene: Scene) -> str:
-    present, groups = {solid.role for solid in scene.solids}, {arrow.group for arrow in scene.arrows}
-    # links have the colours of the URDF where it gives them
-    entries = [(name, ROLE_COLORS[role]) for role, name in ROLE_NAMES.items() if role in present - {"link"}]
-    if "main" in groups:
-        entries.append(("effort of main actuators", EFFORT_COLORS["main"]))
-    if "carrier" in groups:
-        entries.append(("effort of carriers", EFFORT_COLORS["carrier"]))
-    if scene.ahead:
-        entries.append(("path known ahead", AHEAD_COLOR))
-    colored = "platform, path" if "platform" in present else "path"
-    head = f"<div class='head'>margin to singularity ({colored})</div>"
-    return _entries(entries) + head + _entries(list(zip(margin_labels(), MARGIN_COLORS, strict=True)))
+class _Handler(BaseHTTPRequestHandler):
+    def do_GET(self) -> None:
+        page: bytes = self.server.page  # type: ignore[attr-defined]
+        if self.path.partition("?")[0] != "/":
+            self.send_error(HTTPStatus.NOT_FOUND)
+            return
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.send_header("Content-Length", str(len(page)))
+        self.send_header("Cache-Control", "no-store")  # the next view may have the same address
+        self.end_headers()
+        self.wfile.write(page)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        _LOG.debug(format, *args)
 
 
-def _entries(entries: Sequence[tuple[str, str]]) -> str:
-    return "".join(f"<div><i style='background:{color}'></i>{html.escape(name)}</div>" for name, color in entries)
+class LiveView(ThreadingHTTPServer):
+    """A server that shows one page to browsers of this machine, at ``PORT`` if it is free.
 
+    Args:
+        text: the HTML.
 
-@dataclass(frozen=True, eq=False)
-class LiveView:
-    """A running server.
-
-    Attributes:
-        url: where to look.
+    Raises:
+        RedundancyPinError: no port can be opened.
     """
 
-    url: str
-    _server: ThreadingHTTPServer
-    _thread: Thread
+    allow_reuse_address = os.name == "posix"  # elsewhere it would share a port that someone listens on
+
+    def __init__(self, text: str) -> None:
+        self.page = text.encode("utf-8")
+        try:
+            super().__init__((HERE, PORT), _Handler)
+        except OSError:  # taken, by another view as a rule
+            try:
+                super().__init__((HERE, 0), _Handler)
+            except OSError as error:
+                message = f"No port of {HERE} can be opened for the view: {error}."
+                raise RedundancyPinError(message, remedy="Write a file instead (--html, View.save).") from error
+        self._thread = Thread(target=self.serve_forever, name="redundancy_pin view", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """Where to look."""
+        return f"http://{HERE}:{self.server_address[1]}/"
 
     def wait(self) -> None:
         """Wait until the server is closed or Ctrl-C is pressed."""
@@ -247,46 +242,9 @@ class LiveView:
 
     def close(self) -> None:
         """End the server. Pages that are open stay as they are."""
-        self._server.shutdown()
-        self._server.server_close()
+        self.shutdown()
+        self.server_close()
         self._thread.join()
-
-
-def serve_page(text: str) -> LiveView:
-    """Start a server for one HTML page, at ``PORT`` if it is free."""
-    page = text.encode("utf-8")
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            if self.path.partition("?")[0] != "/":
-                self.send_error(HTTPStatus.NOT_FOUND)
-                return
-            self.send_response(HTTPStatus.OK)
-            self.send_header("Content-Type", "text/html; charset=utf-8")
-            self.send_header("Content-Length", str(len(page)))
-            self.send_header("Cache-Control", "no-store")  # the next view may have the same address
-            self.end_headers()
-            self.wfile.write(page)
-
-        def log_message(self, format: str, *args: Any) -> None:
-            _LOG.debug(format, *args)
-
-    try:
-        server = _Server((HERE, PORT), Handler)
-    except OSError:  # taken, by another view as a rule
-        try:
-            server = _Server((HERE, 0), Handler)
-        except OSError as error:
-            message = f"No port of {HERE} can be opened for the view: {error}."
-            raise RedundancyPinError(message, remedy="Write a file instead (--html, View.save).") from error
-    thread = Thread(target=server.serve_forever, name="redundancy_pin view", daemon=True)
-    thread.start()
-    return LiveView(f"http://{HERE}:{server.server_address[1]}/", server, thread)
-
-
-class _Server(ThreadingHTTPServer):
-    allow_reuse_address = os.name == "posix"  # elsewhere it would share a port that someone listens on
-    daemon_threads = True
 
 
 def require_html(path: str | Path) -> None:

@@ -8,25 +8,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, positive, read_only
-from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.robot.loop_joints import ends_of
 from redundancy_pin.robot.types import slides
 from redundancy_pin.visualisation.viewer.mechanism import along_z, joint_axis, place, rods_of, solids_of
 from redundancy_pin.visualisation.viewer.solids import ROLE_NAMES, Role, Solid
-
-if TYPE_CHECKING:
-    from redundancy_pin.visualisation.viewer.ahead import Ahead
 
 Group = Literal["main", "carrier"]
 """Whose effort an arrow shows."""
@@ -38,7 +32,6 @@ MARGIN_EDGES = (NEAR_SINGULAR_MARGIN, 0.1, 0.2, 0.4)
 # Colour of each class of the margin, from singular to far
 MARGIN_COLORS = ("#B2182B", "#EF6C00", "#F6B600", "#5BAA3A", "#2166AC")
 UNKNOWN_COLOR = "#9E9E9E"  # where there is no margin
-AHEAD_COLOR = "#000000"  # of what an on-line planner knows of the path
 
 OBLIQUE = (0.8, -1.0, 0.6)  # from where machines that are not flat are seen
 
@@ -60,6 +53,7 @@ class Arrow:
     axis: Array  # (3,) unit axis of the joint in its own frame; positive efforts point along it
     turning: bool  # whether it is a torque
     group: Group
+    per_unit: float  # m of its length for each N or N·m
     length: Array  # (F,) with its sign, m; the radius of an arc. Zero where no finite effort exists
 
 
@@ -91,7 +85,6 @@ class Scene:
     size: float  # of the machine, m: parts that have no size of their own are drawn in proportion to it
     captions: tuple[str, ...]  # what the arrows' lengths stand for, a line each
     readings: tuple[JointCourse, ...] = ()  # of all joints of one freedom
-    ahead: Ahead | None = None  # what an on-line planner knew and planned
 
     @property
     def duration(self) -> float:
@@ -102,25 +95,6 @@ class Scene:
     def is_flat(self) -> bool:
         """Whether everything stays in a plane z = const."""
         return bool(np.ptp(self.placement[:, 1:, 2, 3]) < FLAT * self.size)
-
-
-def configurations(robot: Robot, motion: PlatformMotion, carriers: CarrierMotion) -> Array:
-    """Return the (N, nq) configurations of a robot along a motion of N samples.
-
-    Raises:
-        InputError: samples that do not fit.
-        UnreachablePoseError, SingularPoseError, WorkingModeError: as ``inverse_kinematics``.
-    """
-    if len(carriers) != len(motion) or carriers.s.shape[1] != robot.k:
-        raise InputError(
-            f"The carrier motion has shape {carriers.s.shape}, expected ({len(motion)}, {robot.k}).",
-            remedy="Sample it at the times of the platform motion.",
-        )
-    q = inverse_kinematics(robot, motion).q.copy()
-    q[:, robot.carrier_position] = (
-        carriers.s
-    )  # the inverse kinematics does not move them: no closure contains a carrier
-    return q
 
 
 def make_scene(
@@ -156,7 +130,7 @@ def make_scene(
         title=title,
         names=("base", *(str(name) for name in moving)),
         t=t[frames] - t[0],
-        placement=_placements(robot, q[frames]),
+        placement=placements(robot, q[frames]),
         solids=solids_of(robot),
         arrows=arrows,
         margin=np.abs(margin[frames]),
@@ -208,7 +182,8 @@ def path_samples(margin: Array) -> IntArray:
     return np.unique(np.concatenate([even, changes, changes + 1])).astype(np.intp)
 
 
-def _placements(robot: Robot, q: Array) -> Array:
+def placements(robot: Robot, q: Array) -> Array:
+    """Return (F, J, 4, 4) the frames of joints and rods at configurations (F, nq), as ``Scene.placement``, m."""
     model, rods = robot.model, rods_of(robot)
     data = model.createData()
     placement = np.empty((len(q), model.njoints + len(rods), 4, 4))
@@ -246,11 +221,10 @@ def _arrows(
         per_unit = longest * robot.characteristic_length * scale / largest
         captions.append(f"largest {what} away from singularities: {largest:.3g} {unit}")
         for name, group, effort in alike:
-            bounded = np.clip(
-                np.nan_to_num(effort[frames], posinf=0.0, neginf=0.0), -_BEYOND * largest, _BEYOND * largest
-            )
+            lengths = per_unit * np.where(np.isfinite(effort[frames]), effort[frames], 0.0)
+            bounded = np.clip(lengths, -_BEYOND * largest * per_unit, _BEYOND * largest * per_unit)
             axis = joint_axis(robot.model, bodies[name])
-            arrows.append(Arrow(name, bodies[name], axis, turns, group, per_unit * bounded))
+            arrows.append(Arrow(name, bodies[name], axis, turns, group, per_unit, bounded))
     return tuple(arrows), tuple(captions)
 
 
@@ -258,6 +232,11 @@ def margin_classes(margin: Array) -> IntArray:
     """Return (N,) the class of each margin: an index into ``MARGIN_COLORS``, −1 where it is not known."""
     classes: IntArray = np.searchsorted(MARGIN_EDGES, np.abs(margin), side="right").astype(np.intp)
     return np.where(np.isnan(margin), -1, classes)
+
+
+def margin_color(margin: float) -> str:
+    """Return the colour of the class of a margin."""
+    return (*MARGIN_COLORS, UNKNOWN_COLOR)[margin_classes(np.array([margin]))[0]]  # class −1 is the last
 
 
 def margin_labels() -> tuple[str, ...]:

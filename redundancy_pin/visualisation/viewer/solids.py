@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.arrays import Array, IntArray, assign
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.formats.packages import is_within, own_folders, package_roots
@@ -51,6 +51,7 @@ ROLE_NAMES: Mapping[Role, str] = {
 
 MESH_OPACITY = 0.5  # of meshes: joints, closures and carriers are inside them
 _ARC_STEP = 0.05  # of the points along an arc, rad
+_CORNERS = 16  # of a circle
 LARGEST_MESH = 50 << 20  # bytes, of an untrusted robot
 _CLOSED_FORMATS = (".stl", ".obj", ".dae", ".ply")  # others, such as glTF, name further files for their vertices
 _WARNED = 3  # of the meshes that cannot be read, how many the warning names
@@ -72,20 +73,43 @@ class Solid:
     shape: Shape
     size: tuple[float, ...]
     role: Role
-    color: str  # ``#rrggbb``
+    color: str = ""  # ``#rrggbb``; that of the role when left out
     mesh: Mesh | None = None  # of a mesh and a plate, in the frame of ``placement``
     opacity: float = 1.0  # less than 1 where other things are to be seen through it
 
+    def __post_init__(self) -> None:
+        """Give it the colour of its role."""
+        assign(self, color=self.color or ROLE_COLORS[self.role])
+
+
+def points_of(solid: Solid) -> Array:
+    """Return points (P, 3) whose convex hull is a solid, round ones as polygons, in the frame of its placement, m.
+
+    Of an arc they are along its middle.
+    """
+    angle = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    points: Array
+    if solid.mesh is not None:
+        points = solid.mesh[0]
+    elif solid.shape == "arc":
+        radius, _, low, high = solid.size
+        angle = np.linspace(low, high, max(2, round(abs(high - low) / _ARC_STEP) + 1))
+        points = radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    elif solid.shape == "box":
+        points = (np.indices((2, 2, 2)).reshape(3, 8).T - 0.5) * np.array(solid.size)
+    elif solid.shape == "cylinder":
+        points = np.concatenate([solid.size[0] * circle + [0.0, 0.0, end * solid.size[1]] for end in (-0.5, 0.5)])
+    else:
+        rise = np.linspace(-0.5 * np.pi, 0.5 * np.pi, _CORNERS // 2 + 1)[:, None, None]
+        points = solid.size[0] * (np.cos(rise) * circle + np.sin(rise) * [0.0, 0.0, 1.0]).reshape(-1, 3)
+    return points
+
 
 def corners_of(solid: Solid) -> Array:
-    """Return points (8, 3) whose convex hull holds a solid, in the frame of its body, m."""
-    if solid.mesh is not None or solid.shape == "arc":
-        points = arc_points(solid) if solid.mesh is None else solid.mesh[0]
-        low, high = points.min(axis=0), points.max(axis=0)
-    else:
-        sides = {"box": solid.size, "cylinder": (2.0 * solid.size[0], 2.0 * solid.size[0], solid.size[-1])}
-        high = 0.5 * np.array(sides.get(solid.shape, (2.0 * solid.size[0],) * 3))
-        low = -high
+    """Return the corners (8, 3) of a box about a solid, in the frame of its body, m."""
+    points = points_of(solid)
+    low, high = points.min(axis=0), points.max(axis=0)
     corners: Array = np.where(np.indices((2, 2, 2)).reshape(3, 8).T, high, low)
     placed: Array = corners @ solid.placement[:3, :3].T + solid.placement[:3, 3]
     return placed
@@ -103,13 +127,6 @@ def extent_of(solids: Iterable[Solid], placement: Array, path: Array, seen: Arra
         points.append(corners.reshape(-1, 3) @ seen.T)
     every = np.concatenate(points)
     return every.min(axis=0), every.max(axis=0)
-
-
-def arc_points(solid: Solid) -> Array:
-    """Return points (P, 3) along the middle of a solid that is an arc, in the frame of its placement, m."""
-    radius, _, low, high = solid.size
-    angle = np.linspace(low, high, max(2, round(abs(high - low) / _ARC_STEP) + 1))
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros_like(angle)], axis=1)
 
 
 def shapes_of_urdf(robot: Robot) -> tuple[Solid, ...]:
@@ -140,7 +157,7 @@ def shapes_of_urdf(robot: Robot) -> tuple[Solid, ...]:
         carrier = str(robot.model.names[body]) in robot.carriers
         role: Role = "carrier" if carrier else "base" if body == 0 else "link"
         given = "#" + "".join(f"{round(255 * float(part)):02x}" for part in item.meshColor[:3])
-        color = given if item.overrideMaterial and not carrier else ROLE_COLORS[role]
+        color = given if item.overrideMaterial and not carrier else ""
         shape, size = _primitive(item.geometry)
         mesh = None
         if shape == "mesh":  # a file that many links share is copied out of coal once

@@ -111,42 +111,31 @@ def test_each_file_and_each_scale_is_a_mesh_of_its_own(tmp_path: Path) -> None:
     assert reach == pytest.approx([0.3, 0.05, 0.15, 0.3], abs=SINGLE)
 
 
-def test_a_mesh_has_the_colour_of_the_urdf(tmp_path: Path) -> None:
+def test_a_base_has_its_mesh_too_in_the_colour_of_the_urdf(tmp_path: Path) -> None:
     wedge().export(tmp_path / "wedge.stl")
-    painted = visual('<mesh filename="wedge.stl"/>', "1.0 0.2 0.6 1")
-    (solid,) = shapes_on(scene_of(robot_with(tmp_path, [painted])), "left_base")
-    assert solid.color == "#ff3399"
-
-
-def test_a_base_has_its_mesh_too(tmp_path: Path) -> None:
-    wedge().export(tmp_path / "wedge.stl")
-    robot = robot_with(tmp_path, [visual('<mesh filename="wedge.stl"/>', "0 1 0 1")], link="base")
+    robot = robot_with(tmp_path, [visual('<mesh filename="wedge.stl"/>', "1.0 0.2 0.6 1")], link="base")
     (solid,) = shapes_on(scene_of(robot), "base")
-    assert (solid.shape, solid.role, solid.color) == ("mesh", "base", "#00ff00")
+    assert (solid.shape, solid.role, solid.color) == ("mesh", "base", "#ff3399")
 
 
 def test_the_page_holds_every_vertex_of_a_mesh(tmp_path: Path) -> None:
     pytest.importorskip("meshcat")
-    from test_meshcat import commands_in
+    from test_page import objects_in
 
     wedge().export(tmp_path / "wedge.stl")
     view = show(robot_with(tmp_path, [visual('<mesh filename="wedge.stl"/>')]))
+    (solid,) = shapes_on(view.scene, "left_base")
     (tmp_path / "wedge.stl").unlink()  # the page needs no file
-    sent = [c for c in commands_in(view.html()) if c["type"] == "set_object" and c["path"].endswith("left_1_0")]
-    (geometry,) = sent[0]["object"]["geometries"]
+    (sent,) = [thing for path, thing in objects_in(view.html()).items() if path.endswith("left_1_0")]
+    (geometry,) = sent["geometries"]
     data = geometry["data"]["attributes"]["position"]["array"].data
     vertices = np.frombuffer(data, dtype=np.float32).reshape(-1, 3)
+    corners = (corners_of(solid) - solid.placement[:3, 3]) @ solid.placement[:3, :3]  # which the camera must see
+    np.testing.assert_allclose(corners.min(axis=0), wedge().vertices.min(axis=0), atol=SINGLE)
+    np.testing.assert_allclose(corners.max(axis=0), wedge().vertices.max(axis=0), atol=SINGLE)
     assert {tuple(row) for row in vertices.round(4)} == {tuple(row) for row in wedge().vertices.astype("f4").round(4)}
     assert 'hidden><input id="clear"' not in view.html()
     assert 'hidden><input id="clear"' in show("five_bar").html()  # nothing to see through
-
-
-def test_the_camera_sees_all_of_a_mesh(tmp_path: Path) -> None:
-    wedge().export(tmp_path / "wedge.stl")
-    (solid,) = shapes_on(scene_of(robot_with(tmp_path, [visual('<mesh filename="wedge.stl"/>')])), "left_base")
-    corners = (corners_of(solid) - solid.placement[:3, 3]) @ solid.placement[:3, :3]
-    np.testing.assert_allclose(corners.min(axis=0), wedge().vertices.min(axis=0), atol=SINGLE)
-    np.testing.assert_allclose(corners.max(axis=0), wedge().vertices.max(axis=0), atol=SINGLE)
 
 
 def test_primitives_are_drawn(tmp_path: Path) -> None:
@@ -197,16 +186,10 @@ def test_files_that_cannot_be_read_are_named_once_and_bars_stand_in(
     assert "gone.obj is not found" in message
     assert "ROS_PACKAGE_PATH" in message
     assert shapes_on(scene, "left_base") == []
-    body = scene.names.index("left_base")
-    assert any(solid.name.startswith("bar") for solid in scene.solids if solid.body == body)
-
-
-def test_one_bad_mesh_does_not_spoil_the_others(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    wedge().export(tmp_path / "wedge.stl")
-    files = [visual(f'<mesh filename="{name}"/>') for name in ("gone.stl", "wedge.stl")]
-    (solid,) = shapes_on(scene_of(robot_with(tmp_path, files)), "left_base")
-    assert solid.shape == "mesh"
-    assert "gone.stl is not found" in caplog.text
+    bars = [solid for solid in scene.solids if solid.name.startswith("bar")]
+    assert sorted(bar.size[1] for bar in bars) == pytest.approx([0.4, 0.4, 0.5, 0.5])  # from joint to joint
+    bare = [solid for solid in scene_of(robot_with(tmp_path, [])).solids if solid.name.startswith("bar")]
+    assert [bar.size for bar in bare] == [bar.size for bar in bars]
 
 
 def test_many_missing_files_make_no_long_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
