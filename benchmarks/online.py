@@ -28,9 +28,9 @@ import numpy as np
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.planners.receding_horizon import Preview, RecedingHorizon, run_online
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.simulation.controllers import Encoders, NoisyAmplifier, OnlinePlanning, Sampling, joint_friction
 from redundancy_pin.simulation.state import closed_state
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.studies.trial import MASSES, Imperfections, draw
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.paths import circle_path

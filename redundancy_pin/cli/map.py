@@ -14,12 +14,14 @@ from redundancy_pin.cli import options
 from redundancy_pin.cli.errors import FAILED_CHECK
 from redundancy_pin.cli.output import drawn, report, resumable, warning
 from redundancy_pin.cli.plan_problem import PARAMETERS, number, read_parameters
+from redundancy_pin.dynamics.backends import RNEA, VIRTUAL_WORK
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import expanded
+from redundancy_pin.io.json_data import json_data
+from redundancy_pin.planners.registry import STEPWISE, SWITCH_OFF, WHOLE
 from redundancy_pin.studies import feasibility
-from redundancy_pin.studies.case import PLANNERS, RNEA, VIRTUAL_WORK
 from redundancy_pin.studies.store import FILE
-from redundancy_pin.studies.table import Column, Table, json_data, table
+from redundancy_pin.studies.table import Column, Table, table
 from redundancy_pin.trajectory.points import read_points
 from redundancy_pin.visualisation.figures.style import require_matplotlib
 from redundancy_pin.workers import cluster
@@ -40,7 +42,7 @@ def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option(
     "--planner",
     "planners",
-    type=click.Choice(list(PLANNERS)),
+    type=click.Choice([SWITCH_OFF, STEPWISE, WHOLE]),
     multiple=True,
     help="May be repeated.  [default: that of the thesis, and whole-trajectory]",
 )
@@ -159,7 +161,11 @@ def _parameter(text: str) -> tuple[str, str, str]:
         raise InputError(
             f"--parameter {shown(text)} is not PLANNER:NAME=VALUE.", remedy="Write --parameter switch-off:threshold=20."
         )
-    return options.require_choice(planner.strip(), tuple(PLANNERS), "the planner"), key.strip(), value.strip()
+    return (
+        options.require_choice(planner.strip(), (SWITCH_OFF, STEPWISE, WHOLE), "the planner"),
+        key.strip(),
+        value.strip(),
+    )
 
 
 def _read(planner: str, given: Mapping[str, list[str]]) -> dict[str, Any]:

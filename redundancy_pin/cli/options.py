@@ -189,15 +189,15 @@ DEFAULT_BACKEND = "compiled; rnea without a C compiler"
 
 def backend_option(text: str = "How to compute.", default: str = DEFAULT_BACKEND) -> Callable[[_Command], _Command]:
     """Return the option ``--backend``, None where the user names none; ``default`` is what the help says of that."""
-    from redundancy_pin.studies.case import BACKENDS
+    from redundancy_pin.dynamics.backends import BACKENDS
 
     return click.option("--backend", type=click.Choice(list(BACKENDS)), show_default=default, help=text)
 
 
 def dynamics_of(robot: Robot, backend: str | None) -> Dynamics:
     """Return the dynamics that ``--backend`` names, the default ones for None; what they warn of goes to stderr."""
+    from redundancy_pin.dynamics.backends import BACKENDS
     from redundancy_pin.dynamics.default import as_dynamics
-    from redundancy_pin.studies.case import BACKENDS
 
     with warnings.catch_warnings(record=True) as notes:
         warnings.simplefilter("always")
@@ -307,7 +307,7 @@ def _capital(text: str) -> str:
 
 
 def _trajectories() -> Mapping[str, Callable[..., Trajectory]]:
-    from redundancy_pin.studies.case import TRAJECTORIES  # `info` shares this file, and has no use for planners
+    from redundancy_pin.trajectory.reference import TRAJECTORIES  # `info` shares this file, and has no use for planners
 
     return TRAJECTORIES
 

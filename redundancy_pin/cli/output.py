@@ -20,7 +20,7 @@ from redundancy_pin._startup import INTERRUPTED
 from redundancy_pin.cli.errors import printable
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.io.files import require_writable
-from redundancy_pin.studies.table import json_data
+from redundancy_pin.io.json_data import json_data
 from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib
 
 if TYPE_CHECKING:  # rich is imported where something is printed by it: `--help` and `--json` do without

@@ -14,18 +14,21 @@ from redundancy_pin.arrays import decimal
 from redundancy_pin.cli import options
 from redundancy_pin.cli.map import trajectory_of
 from redundancy_pin.cli.output import drawn, progress, report, resumable
-from redundancy_pin.cli.plan_problem import PARAMETERS, PLANNERS, read_parameters
+from redundancy_pin.cli.plan_problem import PARAMETERS, read_parameters
+from redundancy_pin.dynamics.backends import VIRTUAL_WORK
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import expanded, write_text
+from redundancy_pin.io.json_data import json_data
 from redundancy_pin.planners.optimal.co_design import DesignTask, compare_machines
 from redundancy_pin.planners.optimal.least_cost import TIME
-from redundancy_pin.studies.case import VIRTUAL_WORK, WHOLE, Case, in_groups, load
+from redundancy_pin.planners.registry import PLANNERS, WHOLE, in_groups
+from redundancy_pin.studies.case import Case, load
 from redundancy_pin.studies.case import options as as_options
 from redundancy_pin.studies.reproduce import reproduce as run_job
 from redundancy_pin.studies.reproduce import tables
 from redundancy_pin.studies.robustness import DRAWS, robustness_study, study_caption, study_csv, study_table
 from redundancy_pin.studies.store import FILE, make_folder
-from redundancy_pin.studies.table import Column, Table, json_data, table
+from redundancy_pin.studies.table import Column, Table, table
 from redundancy_pin.studies.trade import BOUNDED, MINIMISED, trade_off
 from redundancy_pin.visualisation.figures.style import require_matplotlib, save
 from redundancy_pin.workers import cluster

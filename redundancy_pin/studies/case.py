@@ -10,59 +10,30 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from redundancy_pin.dynamics.backends import BACKENDS, RNEA, VIRTUAL_WORK
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.dynamics.compiled import CompiledDynamics
-from redundancy_pin.dynamics.rnea import RneaDynamics
-from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.loading import load_with
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import PlannedMotion
-from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
 from redundancy_pin.planners.options import GROUPS, Limits
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.registry import PLANNERS, in_groups
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
-from redundancy_pin.planners.switch_off.planner import plan_switch_off
 from redundancy_pin.robot import CarrierLimits, Robot
-from redundancy_pin.trajectory import Trajectory, reference
+from redundancy_pin.trajectory import Trajectory
 from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.reference import TRAJECTORIES
 from redundancy_pin.workers import parallel
-
-RNEA = "rnea"
-VIRTUAL_WORK = "virtual-work"
-COMPILED = "compiled"
-
-BACKENDS: dict[str, Callable[[Robot], Dynamics]] = {
-    RNEA: RneaDynamics,
-    VIRTUAL_WORK: VirtualWork,
-    COMPILED: CompiledDynamics,
-}
-"""Dynamics of a robot, by the name the command line uses."""
-
-
-def backend_of(dynamics: Dynamics) -> str:
-    """Return the name of a backend in ``BACKENDS``, of its class where it is none of them."""
-    own = type(dynamics)
-    return next((name for name, kind in BACKENDS.items() if kind is own), own.__name__)
-
 
 Mode: TypeAlias = tuple[int, ...]
 """Working mode, ±1 a leg."""
 
 Options: TypeAlias = tuple[tuple[str, Any], ...]
 """Keyword arguments as sorted pairs: cases are hashable and go to other processes."""
-
-SWITCH_OFF, STEPWISE, WHOLE = "switch-off", "stepwise", "whole-trajectory"
-
-PLANNERS: Mapping[str, Callable[..., Plan]] = {
-    SWITCH_OFF: plan_switch_off,
-    STEPWISE: plan_stepwise,
-    WHOLE: plan_whole_trajectory,
-}
-"""Planners by the name the command line uses."""
 
 
 def options_of(planner: Callable[..., Any]) -> tuple[str, ...]:
@@ -74,36 +45,8 @@ def options_of(planner: Callable[..., Any]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for name in taken if name != "weights"))
 
 
-def in_groups(planner: Callable[..., Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return keyword arguments of a planner from options as flags, problem files and cases write them: in one mapping.
-
-    Fields of a group that the planner takes go there: ``{"dt": 0.02}`` is ``mesh=Mesh(dt=0.02)`` of a planner that has
-    no keyword ``dt`` itself. What is unknown stays, and the planner refuses it.
-    """
-    own = inspect.signature(planner).parameters
-    keywords = dict(options)
-    for group in GROUPS.keys() & own.keys():
-        kind = GROUPS[group]
-        names = {field.name for field in fields(kind)} - own.keys()
-        given = {name: keywords.pop(name) for name in names & keywords.keys()}
-        if given and group == "objective" and group in keywords:
-            given["weights"] = keywords[group]
-        if given:
-            keywords[group] = kind(**given)
-    return keywords
-
-
 Planner = Literal["none", "parked", "switch_off", "stepwise", "whole_trajectory"]
 """What moves the carriers: none, as there are none; nothing, as they stay at s = 0; or a planner."""
-
-
-PATHS = ("circle", "line", "corner", "square")
-"""Trajectories of the thesis."""
-
-TRAJECTORIES: Mapping[str, Callable[..., Trajectory]] = {
-    name: getattr(reference, name) for name in (*PATHS, "points", "polygon", "pose")
-}
-"""Makers of trajectories by name: those of the thesis, and three for the user's own."""
 
 
 def options(**values: Any) -> Options:

@@ -19,11 +19,11 @@ import numpy as np
 from redundancy_pin.arrays import require_few, whole
 from redundancy_pin.errors import InputError, RedundancyPinError
 from redundancy_pin.io.files import write_text
+from redundancy_pin.planners.registry import STEPWISE, SWITCH_OFF, WHOLE
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.checks import require_matching
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.case import STEPWISE, SWITCH_OFF, WHOLE
 from redundancy_pin.studies.map_problem import LIMITS, OTHER, PRESETS, Axis, MapProblem, Preset, parse_axis, spaced
 from redundancy_pin.studies.store import Progress, Store, make_folder
 from redundancy_pin.studies.table import csv_text

@@ -11,6 +11,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.crosscheck import CrossCheckReport
+from redundancy_pin.dynamics.backends import RNEA, VIRTUAL_WORK
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
@@ -18,7 +19,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.replay import Replay
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies import cases, future
-from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK, Case, Plans
+from redundancy_pin.studies.case import Case, Plans
 from redundancy_pin.studies.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OFF, TASKS, by_method, without_carriers
 from redundancy_pin.studies.measures import MotionRun, rms_acceleration, window
 from redundancy_pin.studies.table import Record, mode_text

@@ -13,10 +13,11 @@ from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.base_wrench import load_at_rest
 from redundancy_pin.planners.optimal.time_optimal import plan_time_optimal
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.simulation.replay import replay
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.case import Case, Plans, in_groups, options
+from redundancy_pin.studies.case import Case, Plans, options
 from redundancy_pin.studies.cases import Extent
 from redundancy_pin.studies.measures import numbers
 from redundancy_pin.studies.planned import Chapter, Tell

@@ -13,10 +13,12 @@ import numpy as np
 
 from redundancy_pin.arrays import require_few
 from redundancy_pin.errors import InputError, did_you_mean
+from redundancy_pin.io.json_data import json_data
+from redundancy_pin.planners.registry import PLANNERS, STEPWISE, SWITCH_OFF, WHOLE
 from redundancy_pin.robot import Robot
 from redundancy_pin.studies import case
-from redundancy_pin.studies.case import PLANNERS, STEPWISE, SWITCH_OFF, TRAJECTORIES, WHOLE, Case, options_of
-from redundancy_pin.studies.table import json_data
+from redundancy_pin.studies.case import Case, options_of
+from redundancy_pin.trajectory.reference import TRAJECTORIES
 
 Scale = Literal["linear", "log"]
 
@@ -192,7 +194,7 @@ class MapProblem:
     def __post_init__(self) -> None:
         _require([self.trajectory], tuple(TRAJECTORIES), "trajectory")
         _require([self.backend], tuple(case.BACKENDS), "backend")
-        _require((*self.planners, *self.parameters), tuple(PLANNERS), "planner")
+        _require((*self.planners, *self.parameters), (SWITCH_OFF, STEPWISE, WHOLE), "planner")
         if not self.planners or len(set(self.planners)) < len(self.planners):
             named = ", ".join(self.planners) or "none"
             raise InputError(f"The planners are {named}.", remedy="Name each planner once, at least one.")

@@ -9,17 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, runs
+from redundancy_pin.arrays import Array, BoolArray, IntArray, runs
+from redundancy_pin.dynamics.backends import BACKENDS, RNEA, VIRTUAL_WORK
 from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.limits import worst_events
-from redundancy_pin.planners.plan import Plan, effort_reversals
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
 from redundancy_pin.status import SampleStatus
-from redundancy_pin.studies.case import BACKENDS, RNEA, VIRTUAL_WORK, Case
+from redundancy_pin.studies.case import Case
 from redundancy_pin.studies.table import Record
 from redundancy_pin.trajectory import Trajectory
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
@@ -351,12 +352,6 @@ def peak_until_off(plan: Plan) -> float:
 
 
 # --- plans of any kind ---------------------------------------------------------------------------------------------
-
-
-def reversals_beside_singularities(plan: Plan) -> IntArray:
-    """Return (m,) how many of ``Plan.reversals`` are where W is near-singular."""
-    reversals = effort_reversals(plan.tau)
-    return np.array([(plan.margin[samples] < NEAR_SINGULAR_MARGIN).sum() for samples in reversals], dtype=np.intp)
 
 
 def rms_acceleration(plan: Plan) -> float:

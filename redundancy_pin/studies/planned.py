@@ -17,16 +17,7 @@ from redundancy_pin.studies import cases, measures
 from redundancy_pin.studies.case import Case, Mode, Plans
 from redundancy_pin.studies.cases import CORNERS, CROSSINGS, MODE_CASES, NONE, PARKED, Extent
 from redundancy_pin.studies.measures import bounds, numbers, read
-from redundancy_pin.studies.statements import (
-    claim,
-    counted,
-    judge_all,
-    needed,
-    ratios,
-    sensitivity,
-    thesis,
-    verdict,
-)
+from redundancy_pin.studies.statements import claim, counted, judge_all, needed, ratios, sensitivity, thesis, verdict
 from redundancy_pin.studies.table import Record, grouped, mode_text, text
 
 Chapter = dict[str, Any]

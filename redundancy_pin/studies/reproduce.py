@@ -29,6 +29,7 @@ from redundancy_pin.crosscheck import CrossCheckReport
 from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError, OutputError
 from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
+from redundancy_pin.io.json_data import json_data
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.simulation.replay import Drive, Replay, replay
@@ -38,18 +39,7 @@ from redundancy_pin.studies.figures import THESIS, Results, pictures
 from redundancy_pin.studies.measures import CSV_DIGITS, MotionRun, run
 from redundancy_pin.studies.statements import compare_motions, environment, thesis
 from redundancy_pin.studies.store import Progress, versions
-from redundancy_pin.studies.table import (
-    Column,
-    Link,
-    Record,
-    Table,
-    entry,
-    grouped,
-    json_data,
-    mode_text,
-    span,
-    table,
-)
+from redundancy_pin.studies.table import Column, Link, Record, Table, entry, grouped, mode_text, span, table
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
 from redundancy_pin.visualisation.figures.style import require_matplotlib, save
 from redundancy_pin.workers import parallel

@@ -16,13 +16,14 @@ import numpy as np
 import redundancy_pin
 from redundancy_pin.arrays import Array, whole
 from redundancy_pin.errors import InputError
+from redundancy_pin.io.json_data import json_data
 from redundancy_pin.robot.shipped import models_root
 from redundancy_pin.simulation.controllers.by_name import DRIVES, Drive
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders
 from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr, bryson_weights
 from redundancy_pin.studies.store import Progress, Store, versions
-from redundancy_pin.studies.table import NONE, Column, Record, Table, csv_text, json_data, text
+from redundancy_pin.studies.table import NONE, Column, Record, Table, csv_text, text
 from redundancy_pin.studies.trial import (
     ATOL,
     MASSES,

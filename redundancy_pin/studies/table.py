@@ -7,7 +7,6 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -133,19 +132,6 @@ def span(values: Sequence[float], form: str = ".3g") -> str:
         return NONE
     low, high = text(min(known), form), text(max(known), form)
     return low if low == high else f"{low} to {high}"
-
-
-def json_data(value: Any) -> Any:
-    """Return data for JSON: enumerations by value, arrays and tuples as lists, None for numbers that do not exist."""
-    if isinstance(value, Mapping):
-        return {str(key): json_data(entry) for key, entry in value.items()}
-    if isinstance(value, (tuple, list, np.ndarray)):
-        return [json_data(entry) for entry in value]
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, np.generic):
-        return json_data(value.item())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def csv_text(columns: Mapping[str, NDArray[Any]], digits: int | None = None) -> str:

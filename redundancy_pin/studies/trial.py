@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.backends import RNEA
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.loading import load_robot
 from redundancy_pin.planners.reference import MotionReference, plan_reference
@@ -22,7 +23,7 @@ from redundancy_pin.simulation.replay import away_from, rms_over_time
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import closed_state
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.case import RNEA, Case, Planner, load, options
+from redundancy_pin.studies.case import Case, Planner, load, options
 
 MASSES = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}
 """The 2-RPR of the thesis is massless but for its carriers: forces would not determine its motion. kg."""

@@ -11,11 +11,11 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError, SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.io.json_data import json_data
 from redundancy_pin.planners.limits import LIMIT_TOLERANCE
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.map_problem import MapProblem
-from redundancy_pin.studies.table import json_data
 
 UNDECIDED = ("", "seconds", "balance")
 """What an error of a planner names as its constraint where it shows of no limit that it is in the way."""

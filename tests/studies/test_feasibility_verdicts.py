@@ -13,8 +13,9 @@ from small_maps import corner, crossing
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, UnreachablePoseError
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.case import Case, in_groups
+from redundancy_pin.studies.case import Case
 from redundancy_pin.studies.feasibility import (
     STEPWISE,
     SWITCH_OFF,

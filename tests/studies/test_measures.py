@@ -12,12 +12,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.studies.cases import EFFORT, SINGULAR, TURNS, by_method, parked, without_carriers
-from redundancy_pin.studies.measures import (
-    missing_force,
-    numbers,
-    plan_differences,
-    reversals_beside_singularities,
-)
+from redundancy_pin.studies.measures import missing_force, numbers, plan_differences
 
 CIRCLE, LINE, CORNER = SINGULAR[0], SINGULAR[4], TURNS[0]
 T = np.linspace(0.0, 1.0, 1001)
@@ -48,7 +43,7 @@ def test_reversals_count_turns_and_not_ripple() -> None:
 def test_only_turns_beside_singularities_are_told_as_such() -> None:
     swing = np.sin(10.0 * np.pi * T)  # turns at 0.05, 0.15, ... 0.95 s
     plan = replace(with_efforts(swing, swing), margin=np.where(T < 0.2, 0.04, 0.06))  # two of them beside one
-    assert reversals_beside_singularities(plan).tolist() == [2, 2]
+    assert plan.reversals_near_singularities.tolist() == [2, 2]
 
 
 @pytest.mark.long

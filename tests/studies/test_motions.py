@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import quick_results
 
+from redundancy_pin.dynamics.backends import BACKENDS, VIRTUAL_WORK
 from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import CrossCheckError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.status import SampleStatus
-from redundancy_pin.studies.case import BACKENDS, VIRTUAL_WORK
 from redundancy_pin.studies.cases import MOTIONS
 from redundancy_pin.studies.measures import run
 

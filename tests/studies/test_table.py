@@ -10,8 +10,9 @@ import math
 import numpy as np
 from rich.console import Console
 
+from redundancy_pin.io.json_data import json_data
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.table import Column, Link, Table, csv_text, json_data, span, table, text
+from redundancy_pin.studies.table import Column, Link, Table, csv_text, span, table, text
 
 TABLE = Table.of(
     [Column("name"), Column("tau", "|torque|", "N·m", ".2f"), Column("good"),
