@@ -214,14 +214,6 @@ def jobs_option(default: int) -> Callable[[_Command], _Command]:
     )
 
 
-def scheduler_option(command: _Command) -> _Command:
-    """Add the option ``--scheduler``: a cluster that does the work instead of processes of this machine."""
-    text = (
-        "Compute on the workers of this dask scheduler, such as tcp://host:8786, instead of processes of this machine."
-    )
-    return click.option("--scheduler", metavar="ADDRESS", help=text)(command)
-
-
 def parse_setting(text: str) -> tuple[str, float | bool | str]:
     """Return name and value of ``NAME=VALUE``."""
     name, separator, value = text.partition("=")
