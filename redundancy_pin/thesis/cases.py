@@ -382,5 +382,5 @@ QUICK = Extent(
     replayed=(REPLAYED[0], REPLAYED[2], REPLAYED[10]),
     jobs=1,
 )
-"""Coarse, for a look and for tests: one working mode, the ends of the grids; a massless, a missing and a cornering replay;
-figures of the first page alone."""
+"""Coarse, for a look and for tests: one working mode, the ends of the grids, a massless, a missing and a cornering
+replay, and the figures of the first page."""
