@@ -324,13 +324,14 @@ CHAPTERS = ("planned", "beyond", "future", "replay")
 
 @dataclass(frozen=True)
 class Extent:
-    """How much of the reproduction is run; the plans that the thesis shows are always made, with both backends.
+    """How much of the reproduction is run; the plans that the thesis shows are always made.
 
     Attributes:
         motions: run without a planner.
         chapters: of ``CHAPTERS``, besides these motions.
         samples: random states of each robot in the cross-check before the job.
         figures: whether all figures are drawn, or only those on the first page of the report.
+        parity: plans of the thesis that both backends make.
         modes: working modes of the 3-RRR to compare; the first is that of the figures.
         whole_grids: whether to vary what the thesis leaves unstated over whole grids, or only at their ends.
         coarser: factor on the largest step between nodes of every whole-trajectory plan.
@@ -350,6 +351,7 @@ class Extent:
     chapters: tuple[str, ...] = CHAPTERS
     samples: int = 2000
     figures: bool = True
+    parity: tuple[Case, ...] = (*CROSSINGS, *CORNERS)
     modes: tuple[Mode, ...] = ALL_MODES
     whole_grids: bool = True
     coarser: float = 1.0
@@ -369,6 +371,7 @@ FULL = Extent()
 QUICK = Extent(
     samples=100,
     figures=False,
+    parity=(CROSSINGS[0], *CORNERS),
     modes=(FIRST_MODE,),
     whole_grids=False,
     coarser=4.0,

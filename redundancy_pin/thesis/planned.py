@@ -44,14 +44,15 @@ def independent(extent: Extent) -> list[tuple[Case, str]]:
     first = (*needed(extent), *moded, *map(cases.without_carriers, moded))
     shortest = [case.with_options(return_time="shortest") for case in CROSSINGS]
     others = [*shortest, *map(cases.parked, (*CROSSINGS, *moded)), *_squares(extent.modes).values()]
-    both = [(case, backend) for case in (*CROSSINGS, *CORNERS) for backend in case.backends]
-    return both + [(case, case.backends[0]) for case in (*first, *others, cases.HEAVY_CROSSING)]
+    both = [(case, backend) for case in extent.parity for backend in case.backends]
+    alone = (*CROSSINGS, *CORNERS, *first, *others, cases.HEAVY_CROSSING)
+    return both + [(case, case.backends[0]) for case in alone]
 
 
 def run_planned(plans: Plans, extent: Extent, progress: Progress) -> Chapter:
     """Run the chapter, on several processes."""
     plans.prepare(independent(extent), extent.jobs, progress)
-    parity = [plan_parity(plans, case) for case in (*CROSSINGS, *CORNERS)]
+    parity = [plan_parity(plans, case) for case in extent.parity]
     progress("parity")
     judged = judge_all(plans, extent)
     progress("statements")
