@@ -67,7 +67,7 @@ def test_the_track_is_left_where_it_is_left() -> None:
     assert records["circle-0.75-cn5"]["beyond_track_at_exit"] == pytest.approx(0.060, abs=5e-4)
     assert records["circle-0.5-cn20"]["beyond_track"] == 0.0
     assert np.isnan(records["circle-0.5-cn5"]["shortest"])
-    assert "track" in records["circle-0.5-cn5"]["no_shortest"]
+    assert "No return of the carriers" in records["circle-0.5-cn5"]["no_shortest"]
     assert chapter()["heavy_end_effector"]["details"]["amount"] > 0.0
 
 
