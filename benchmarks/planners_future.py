@@ -15,7 +15,7 @@ import path_timing
 
 import redundancy_pin as rp
 from redundancy_pin.planners.optimal.co_design import DesignTask, Search
-from redundancy_pin.studies.case import in_groups
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.trajectory import reference
 
 REPEATS = 3

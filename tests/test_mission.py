@@ -27,7 +27,7 @@ import xacro
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.studies.case import in_groups
+from redundancy_pin.planners.registry import in_groups
 
 ROOT = Path(__file__).parents[1]
 reference = rp.trajectory.reference

@@ -31,8 +31,7 @@ from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.export import PlanTable
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
-from redundancy_pin.studies.table import csv_text
-from redundancy_pin.trajectory.csv_file import read_table
+from redundancy_pin.trajectory.csv_file import csv_rows, read_table
 from redundancy_pin.view import show
 
 HARMLESS = "plain"
@@ -91,7 +90,7 @@ def in_csv(one: Named, folder: Path) -> None:
     column = names.index(f"tau:{one.joints[0]}")
     np.testing.assert_array_equal([row[column] for row in rows], one.table.effort[:, 0])
     assert len(read_table(folder / "plan.csv").columns["t"]) == len(rows)  # it is read as a motion, too
-    (text,) = list(csv.reader(io.StringIO(csv_text({one.name: np.array([one.name])}))))[1]
+    (text,) = list(csv.reader(io.StringIO(csv_rows({one.name: ("", np.array([one.name]))}))))[1]
     assert no_formula(text)
     assert unescape_formula(text) == one.name
 
@@ -271,7 +270,7 @@ def test_a_guard_is_taken_away_again(text: str) -> None:
 
 def test_numbers_and_working_modes_need_no_guard() -> None:
     texts = ["-1.5", "+-+", "1e-05", "-inf", "nan", "=+-", "-x"]
-    lines = csv_text({"=a": np.array(texts)}).splitlines()
+    lines = csv_rows({"=a": ("", np.array(texts))}).splitlines()
     assert lines == ["'=a", "-1.5", "+-+", "1e-05", "-inf", "nan", "'=+-", "'-x"]
 
 

@@ -19,8 +19,8 @@ from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.loading import load_robot
 from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, run_online
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.robot import Robot
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory, reference
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 

@@ -19,11 +19,9 @@ os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 COMMANDS: Mapping[str, str] = {
     "check": "Judge a saved plan anew.",
     "codegen": "Write C for a controller.",
-    "design": "Design a machine for several tasks.",
     "export": "Write a plan for other programs.",
     "info": "Show a robot, or which there are.",
     "inverse-dynamics": "Compute the efforts along a motion.",
-    "map": "What a machine can do: two parameters swept.",
     "new": "Write a robot.yaml for a model file.",
     "online": "Plan a motion as if on line.",
     "plan": "Plan the motion of the carriers.",
@@ -31,14 +29,12 @@ COMMANDS: Mapping[str, str] = {
     "show": "Show a robot in motion.",
     "simulate": "Simulate a machine that is to follow a plan or a motion.",
     "singularities": "Find singularities: a map, instants of a motion.",
-    "study": "Drive imperfect machines through singularities, many times.",
-    "trade": "Draw a Pareto front of plans.",
     "validate": "Check the dynamics on random states.",
     "workspace": "Map where the platform can go.",
 }
 """Commands, each the function of its name in the file of its name (``file_of``), and what the list of commands says."""
 
-_TOGETHER = {"saved_plan": ("check", "export"), "studies": ("design", "reproduce", "study", "trade")}
+_TOGETHER = {"saved_plan": ("check", "export")}
 """Files that hold several of them."""
 
 

@@ -149,7 +149,7 @@ def _motions(coordinates: int, *, is_pose: bool) -> str:
     if is_pose:
         columns = "x0 to x6 (position and unit quaternion x, y, z, w), xd0 to xd5 and xdd0 to xdd5"
         return f"Choose the trajectory pose, or a file with {columns}."
-    from redundancy_pin.studies.case import PATHS, TRAJECTORIES
+    from redundancy_pin.trajectory.reference import PATHS, TRAJECTORIES
 
     fitting = [name for name in PATHS if TRAJECTORIES[name]().dimension == coordinates]
     own = f"points with {coordinates} number{'s' if coordinates > 1 else ''} a row"

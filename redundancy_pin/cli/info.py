@@ -12,10 +12,10 @@ import numpy as np
 from redundancy_pin.cli.options import RobotOptions, json_option, robot_options, untrusted_option
 from redundancy_pin.cli.output import TextTable, report, row
 from redundancy_pin.errors import InputError, ModelFileError
+from redundancy_pin.io.json_data import json_data
 from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.robot import Load, Robot
 from redundancy_pin.robot.shipped import declaration_path, shipped_robots
-from redundancy_pin.studies.table import json_data
 
 _LIMITS = ("speed", "acceleration", "force")
 

@@ -14,6 +14,7 @@ from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.cli.plan_problem import numbers
 from redundancy_pin.dynamics.arguments import OnUnreachable, require_matching_carriers
+from redundancy_pin.dynamics.backends import backend_of
 from redundancy_pin.dynamics.inverse_dynamics import InverseDynamics
 from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics as efforts_along
 from redundancy_pin.errors import InputError, OutputError
@@ -23,7 +24,6 @@ from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.loads import Load
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.case import backend_of
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
 
 STEP = 1e-3  # between samples of a trajectory, s

@@ -14,8 +14,8 @@ from redundancy_pin.cli.plan import BREAKS_LIMITS, EXIT_CODES, NOT_OPTIMAL, summ
 from redundancy_pin.cli.plan_problem import flags_of, number, numbers, parameters_of, planner_options, read_parameters
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, run_online
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.status import UpdateStatus
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.view import show
 from redundancy_pin.visualisation.viewer.page import require_html, require_meshcat
 

@@ -189,15 +189,15 @@ DEFAULT_BACKEND = "compiled; rnea without a C compiler"
 
 def backend_option(text: str = "How to compute.", default: str = DEFAULT_BACKEND) -> Callable[[_Command], _Command]:
     """Return the option ``--backend``, None where the user names none; ``default`` is what the help says of that."""
-    from redundancy_pin.studies.case import BACKENDS
+    from redundancy_pin.dynamics.backends import BACKENDS
 
     return click.option("--backend", type=click.Choice(list(BACKENDS)), show_default=default, help=text)
 
 
 def dynamics_of(robot: Robot, backend: str | None) -> Dynamics:
     """Return the dynamics that ``--backend`` names, the default ones for None; what they warn of goes to stderr."""
+    from redundancy_pin.dynamics.backends import BACKENDS
     from redundancy_pin.dynamics.default import as_dynamics
-    from redundancy_pin.studies.case import BACKENDS
 
     with warnings.catch_warnings(record=True) as notes:
         warnings.simplefilter("always")
@@ -212,14 +212,6 @@ def jobs_option(default: int) -> Callable[[_Command], _Command]:
     return click.option(
         "--jobs", default=default, show_default=True, metavar="N", help="Processes; -1: one for each core."
     )
-
-
-def scheduler_option(command: _Command) -> _Command:
-    """Add the option ``--scheduler``: a cluster that does the work instead of processes of this machine."""
-    text = (
-        "Compute on the workers of this dask scheduler, such as tcp://host:8786, instead of processes of this machine."
-    )
-    return click.option("--scheduler", metavar="ADDRESS", help=text)(command)
 
 
 def parse_setting(text: str) -> tuple[str, float | bool | str]:
@@ -307,7 +299,7 @@ def _capital(text: str) -> str:
 
 
 def _trajectories() -> Mapping[str, Callable[..., Trajectory]]:
-    from redundancy_pin.studies.case import TRAJECTORIES  # `info` shares this file, and has no use for planners
+    from redundancy_pin.trajectory.reference import TRAJECTORIES  # `info` shares this file, and has no use for planners
 
     return TRAJECTORIES
 

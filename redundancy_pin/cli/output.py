@@ -16,11 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from redundancy_pin._startup import INTERRUPTED
 from redundancy_pin.cli.errors import printable
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.io.files import require_writable
-from redundancy_pin.studies.table import json_data
+from redundancy_pin.io.json_data import json_data
 from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib
 
 if TYPE_CHECKING:  # rich is imported where something is printed by it: `--help` and `--json` do without
@@ -251,23 +250,3 @@ class _Lines:
             text = f"{self._title}: {', '.join(filter(None, parts))}"
             with suppress(OSError, ValueError):  # stderr is full, or closed
                 click.echo(printable(" ".join(text.split())), err=True)
-
-
-@contextmanager
-def resumable(title: str, records: str, store: Path) -> Iterator[Advance]:
-    """Show progress while the block runs; after Ctrl-C tell what is kept."""
-    counts = (0, 0)
-    try:
-        with progress(title) as show:
-
-            def advance(done: int, total: int, what: str = "") -> None:
-                nonlocal counts
-                counts = done, total
-                show(done, total, what)
-
-            yield advance
-    except KeyboardInterrupt:
-        # what is finished is in the store: Ctrl-C loses at most the cells under way
-        kept = f"{counts[0]} of {counts[1]} {records} are in {store}; the same command goes on from there."
-        click.echo(f"interrupted: {kept}", err=True)
-        raise click.exceptions.Exit(INTERRUPTED) from None

@@ -12,14 +12,13 @@ import numpy as np
 from redundancy_pin.arrays import stretches
 from redundancy_pin.cli import options, output, plan_problem
 from redundancy_pin.cli.errors import OPTIONS, in_words
+from redundancy_pin.dynamics.backends import COMPILED, RNEA, VIRTUAL_WORK
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.limits import LimitEvent, worst_events
 from redundancy_pin.planners.plan import REVERSAL, Plan
 from redundancy_pin.robot.joint_ranges import beyond_limits
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.case import COMPILED, RNEA, VIRTUAL_WORK
-from redundancy_pin.studies.measures import reversals_beside_singularities
 from redundancy_pin.visualisation.figures.plots import plan as plot_plan
 from redundancy_pin.visualisation.figures.style import save
 
@@ -127,7 +126,7 @@ def _advice(plan: Plan) -> str | None:
     weights = plan.parameters.get("objective")
     if not isinstance(weights, Mapping) or "effort_rate" in weights:
         return None
-    swings = int(reversals_beside_singularities(plan).max(initial=0))
+    swings = int(plan.reversals_near_singularities.max(initial=0))
     if swings <= _MANY_SWINGS:
         return None
     calmer = {**weights, "effort_rate": _CALMING}

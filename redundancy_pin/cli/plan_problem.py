@@ -15,24 +15,21 @@ import numpy as np
 from redundancy_pin.arrays import decimal, frozen
 from redundancy_pin.cli import options
 from redundancy_pin.cli.errors import KEYS
+from redundancy_pin.dynamics.backends import BACKENDS
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, RedundancyPinError, shown
 from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.planners.optimal import OBJECTIVES, plan_time_optimal
+from redundancy_pin.planners.optimal import OBJECTIVES
 from redundancy_pin.planners.options import CALM, FEWEST_STEPS, GROUPS, LARGEST_STEP
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon import RecedingHorizon
+from redundancy_pin.planners.registry import PLANNERS, in_groups
 from redundancy_pin.planners.switch_off.planner import SPACING, plan_switch_off
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.shipped import source_in
-from redundancy_pin.studies.case import BACKENDS, in_groups
-from redundancy_pin.studies.case import PLANNERS as AT_A_SPEED
 from redundancy_pin.trajectory import Trajectory
 from redundancy_pin.trajectory.trajectory import Ends
-
-PLANNERS: Mapping[str, Callable[..., Plan]] = {**AT_A_SPEED, "time-optimal": plan_time_optimal}
-"""Planners by name."""
 
 Reader = Callable[[str, object], Any]
 """From the name of a parameter and the value as written to the value the planner takes; InputError where it is none."""

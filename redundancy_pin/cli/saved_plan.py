@@ -12,10 +12,10 @@ import numpy as np
 from redundancy_pin.cli.errors import FAILED_CHECK, OPTIONS, in_words
 from redundancy_pin.cli.options import backend_option, dynamics_of, json_option, recorded_robot_options
 from redundancy_pin.cli.output import TextTable, number, report, row, same_file
+from redundancy_pin.dynamics.backends import backend_of
 from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.planners.plan import load_plan, load_robot_of
-from redundancy_pin.studies.case import backend_of
 
 WRITERS = {".csv": "to_csv", ".json": "to_json", ".mat": "to_mat", ".yaml": "to_ros", ".yml": "to_ros"}
 """Methods of ``PlanTable`` that write a file, by its suffix."""

@@ -8,9 +8,8 @@ import click
 
 from redundancy_pin import crosscheck
 from redundancy_pin.cli.errors import FAILED_CHECK
-from redundancy_pin.cli.options import jobs_option, json_option, scheduler_option, settings_option, trust_option
+from redundancy_pin.cli.options import jobs_option, json_option, settings_option, trust_option
 from redundancy_pin.cli.output import console, print_json, progress
-from redundancy_pin.workers import cluster
 
 
 @click.command()
@@ -29,7 +28,6 @@ from redundancy_pin.workers import cluster
 @click.option("--samples", default=2000, show_default=True, metavar="N", help="Random states for each robot.")
 @click.option("--seed", default=0, show_default=True, metavar="S", help="Seed of the random states.")
 @jobs_option(1)
-@scheduler_option
 @trust_option
 @json_option
 def validate(
@@ -38,7 +36,6 @@ def validate(
     samples: int,
     seed: int,
     jobs: int,
-    scheduler: str | None,
     trust: bool,
     as_json: bool,
 ) -> int:
@@ -54,7 +51,7 @@ def validate(
     """
     # as joblib counts them: −1 means all cores
     processes = os.cpu_count() or 1 if jobs == -1 else jobs
-    with cluster(scheduler), progress("validate") as advance:
+    with progress("validate") as advance:
         report = crosscheck.run(
             robots or None,
             samples,

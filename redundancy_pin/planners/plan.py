@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from redundancy_pin.arrays import Array, Frozen, IntArray, Side, largest, peak, require_type
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, Frozen, IntArray, Side, largest, peak, require_type
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.archive import read_archive, write_archive
@@ -198,6 +198,12 @@ class Plan(Frozen):
     def reversals(self) -> IntArray:
         """(m,) number of ``effort_reversals`` at the samples."""
         return np.array([len(samples) for samples in effort_reversals(self.tau)], dtype=np.intp)
+
+    @property
+    def reversals_near_singularities(self) -> IntArray:
+        """(m,) number of ``reversals`` at samples with a singularity margin below ``NEAR_SINGULAR_MARGIN``."""
+        near = self.margin < NEAR_SINGULAR_MARGIN
+        return np.array([near[samples].sum() for samples in effort_reversals(self.tau)], dtype=np.intp)
 
     @property
     def least_cost(self) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Literal
 
 import numpy as np
@@ -193,3 +194,18 @@ def polygon(
 def _along(path: Path, speed: float, ramp_time: float, ramp_length: float | None, alpha: float | None) -> Trajectory:
     whole = path if alpha is None else with_constant(path, alpha)
     return Trajectory(whole, SpeedProfile(whole.length, speed, ramp_time, ramp_length))
+
+
+PATHS = ("circle", "line", "corner", "square")
+"""Names of the trajectories of the thesis."""
+
+TRAJECTORIES: Mapping[str, Callable[..., Trajectory]] = {
+    "circle": circle,
+    "line": line,
+    "corner": corner,
+    "square": square,
+    "points": points,
+    "polygon": polygon,
+    "pose": pose,
+}
+"""Constructors of trajectories by name: those of the thesis, and three for other motions."""

@@ -118,12 +118,7 @@ TOO_MANY: tuple[tuple[str, ...], ...] = (
     (*STEPWISE, "--speed", "1e-12"),
     ("validate", "--robot", "2rpr", "--samples", "1000000000000"),
     ("validate", "--robot", "2rpr", "--jobs", "99999"),
-    ("map", "--robot", "2rpr", "--jobs", "99999"),
-    ("map", "--robot", "2rpr", "--refine", "1000000000"),
-    ("map", "--robot", "2rpr", "--x", "speed=0.1:1:1000000000"),
-    ("map", "--robot", "2rpr", "--x", "speed=0.1:1:5000", "--y", "stroke=0.1:1:5000"),
-    ("study", "--draws", "1000000000"),
-    ("study", "--jobs", "99999"),
+    ("reproduce", "--jobs", "99999"),
 )
 
 

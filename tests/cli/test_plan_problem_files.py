@@ -19,8 +19,8 @@ from redundancy_pin.planners.optimal import plan_time_optimal, plan_whole_trajec
 from redundancy_pin.planners.options import GROUPS
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
-from redundancy_pin.studies.case import TRAJECTORIES
 from redundancy_pin.trajectory import reference
+from redundancy_pin.trajectory.reference import TRAJECTORIES
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "problem.yaml"
 

@@ -21,10 +21,10 @@ from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon import run_online
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import range_excess
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, SplinePath, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 

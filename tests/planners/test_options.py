@@ -15,7 +15,7 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.optimal.settings import checked_settings
-from redundancy_pin.studies.case import in_groups
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.trajectory import reference
 
 

@@ -13,7 +13,7 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError, RedundancyPinError, UnsupportedRobotError
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.studies.case import in_groups
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, reference
 
 NAN, INF = np.nan, np.inf

@@ -339,10 +339,7 @@ def commands(dice: random.Random) -> dict[str, list[str]]:
     ``reproduce`` is none of those: any name that a folder may have makes it work for minutes, in processes of its own.
     """
     robot = dice.choice(ROBOTS)
-    line, axes = (
-        ("--robot", "2rpr", "--trajectory", "line"),
-        ("--x", "speed=0.2,0.3", "--y", "stroke=0.5,0.6", "--jobs", "1"),
-    )
+    line = ("--robot", "2rpr", "--trajectory", "line")
     corner = ("--robot", "3rrr", "--mode", "+++", "--trajectory", "corner")
     return {
         "info": ["info", "--robot", robot],
@@ -352,10 +349,8 @@ def commands(dice: random.Random) -> dict[str, list[str]]:
         "stepwise": ["plan", "stepwise", *corner, "--step", "0.02"],
         "whole": ["plan", "whole-trajectory", *line, "--dt", "0.05", "--seconds", "5"],
         "problem": ["plan", "--problem", "p.yaml", "--out", "a.npz"],
-        "map": ["map", "--robot", "2rpr", *axes, "--refine", "0", "--planner", "switch-off", "--out", "map"],
         "show": ["show", "--robot", robot, "--html", "a.html"],
         "plan": ["show", "--plan", "plan.npz", "--html", "a.html"],
-        "study": ["study", "--draws", "0", "--jobs", "1"],
         "validate": ["validate", "--robot", robot, "--samples", "5"],
         "workspace": ["workspace", "--robot", "2rpr", "--bounds", "0:1,1:2", "--resolution", "4", "--out", "w.csv"],
     }  # fmt: skip

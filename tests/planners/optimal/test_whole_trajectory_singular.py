@@ -9,8 +9,8 @@ import zoo
 
 from redundancy_pin import Limits, Mesh, RneaDynamics, VirtualWork, check_plan, distribute, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, rounded_polygon
 from redundancy_pin.trajectory.paths import Line, circle_path
 

@@ -25,8 +25,8 @@ from redundancy_pin.planners.receding_horizon.command import Command, TickPlan
 from redundancy_pin.planners.receding_horizon.preview import SAME
 from redundancy_pin.planners.receding_horizon.programme import Programme, TickProblem, units_of
 from redundancy_pin.planners.receding_horizon.tick import REGULAR
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.status import UpdateStatus
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, through_points
 from redundancy_pin.trajectory.paths import circle_path
 

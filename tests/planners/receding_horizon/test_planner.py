@@ -17,8 +17,8 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import RecedingHorizon
 from redundancy_pin.planners.receding_horizon.tick import begun_with, is_beyond, with_stop
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.status import UpdateStatus
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import RestToRest, SpeedProfile, Trajectory
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line, circle_path

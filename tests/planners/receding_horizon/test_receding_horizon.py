@@ -16,8 +16,8 @@ from redundancy_pin.planners.receding_horizon import OnLineRun, Preview, Recedin
 from redundancy_pin.planners.receding_horizon.ahead import Ahead, Linearised, nodes_from
 from redundancy_pin.planners.receding_horizon.run import pieces_of
 from redundancy_pin.planners.receding_horizon.tick import SHORTEST_STOP
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.status import UpdateStatus
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial

@@ -18,8 +18,8 @@ from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import OnLineRun, Preview, RecedingHorizon, run_online
 from redundancy_pin.planners.receding_horizon.slowing import Slowing
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.status import UpdateStatus
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, through_points
 from redundancy_pin.trajectory.time_scaling import TimeScaling
 

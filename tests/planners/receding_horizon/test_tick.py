@@ -20,8 +20,8 @@ from redundancy_pin.planners.receding_horizon.ahead import Linearised
 from redundancy_pin.planners.receding_horizon.command import Command, extended
 from redundancy_pin.planners.receding_horizon.programme import Programme, TickProblem, units_of
 from redundancy_pin.planners.receding_horizon.tick import TickPlanner, with_stop
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.status import UpdateStatus
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import circle_path

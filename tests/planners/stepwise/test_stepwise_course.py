@@ -11,8 +11,8 @@ from scipy.interpolate import BSpline
 
 from redundancy_pin import CarrierMotion, PlatformMotion, VirtualWork, distribute, load_robot, plan_stepwise
 from redundancy_pin.planners.options import Limits, Mesh, Objective
+from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.case import in_groups
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, boundary_polynomial, reference
 
 
