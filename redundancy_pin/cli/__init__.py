@@ -17,13 +17,11 @@ os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 """No command has plugins of pydantic, which looks for them in all packages that are installed."""
 
 COMMANDS: Mapping[str, str] = {
-    "check": "Judge a saved plan anew.",
+    "check": "Re-validate a saved plan.",
     "codegen": "Write C for a controller.",
-    "design": "Design a machine for several tasks.",
     "export": "Write a plan for other programs.",
     "info": "Show a robot, or which there are.",
     "inverse-dynamics": "Compute the efforts along a motion.",
-    "map": "What a machine can do: two parameters swept.",
     "new": "Write a robot.yaml for a model file.",
     "online": "Plan a motion as if on line.",
     "plan": "Plan the motion of the carriers.",
@@ -31,20 +29,15 @@ COMMANDS: Mapping[str, str] = {
     "show": "Show a robot in motion.",
     "simulate": "Simulate a machine that is to follow a plan or a motion.",
     "singularities": "Find singularities: a map, instants of a motion.",
-    "study": "Drive imperfect machines through singularities, many times.",
-    "trade": "Draw a Pareto front of plans.",
     "validate": "Check the dynamics on random states.",
     "workspace": "Map where the platform can go.",
 }
 """Commands, each the function of its name in the file of its name (``file_of``), and what the list of commands says."""
 
-_TOGETHER = {"saved_plan": ("check", "export"), "studies": ("design", "reproduce", "study", "trade")}
-"""Files that hold several of them."""
-
 
 def file_of(command: str) -> str:
     """Return the name of the module that a command is in."""
-    return next((file for file, names in _TOGETHER.items() if command in names), command.replace("-", "_"))
+    return "saved_plan" if command in ("check", "export") else command.replace("-", "_")
 
 
 class Commands(OneLineErrors):

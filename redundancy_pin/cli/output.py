@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from redundancy_pin._startup import INTERRUPTED
-from redundancy_pin.cli.errors import printable
+from redundancy_pin.cli.errors import print_line, printable
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.io.json_data import json_data
@@ -34,7 +33,7 @@ EVERY = 10.0
 """Time between two lines of progress where there is no terminal, s."""
 
 _ROUNDING = 1e-12  # coordinates and directions below this are shown as zero
-_PIPE_WIDTH = 140  # columns of a table that does not go to a terminal: wide enough that nothing is cut
+_PIPE_WIDTH = 140  # columns of a table that does not go to a terminal: rich would take 80 and cut numbers
 
 
 def console(*, markup: bool = False) -> Console:
@@ -49,10 +48,8 @@ def console(*, markup: bool = False) -> Console:
         def on_broken_pipe(self) -> None:
             raise  # rich handles the error by this, and would end with 1: a reader that has seen enough is no fault
 
-    # a width of its own in a pipe: rich would take 80 columns there and cut numbers
-    if _is_terminal(sys.stdout):
-        return Printer(markup=markup, emoji=False, highlight=False)
-    return Printer(markup=markup, emoji=False, highlight=False, width=_PIPE_WIDTH, color_system=None)
+    plain: dict[str, Any] = {} if _is_terminal(sys.stdout) else {"width": _PIPE_WIDTH, "color_system": None}
+    return Printer(markup=markup, emoji=False, highlight=False, **plain)
 
 
 def _is_terminal(stream: Any) -> bool:
@@ -64,8 +61,8 @@ class TextTable:
     """Rows of text, without a head where there are no headings; columns of ``numbers`` stand to the right."""
 
     title: str
-    headings: Sequence[str]
     rows: Iterable[Sequence[str]]
+    headings: Sequence[str] = ()
     numbers: bool = False
 
     def terminal(self) -> Table:
@@ -86,7 +83,7 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 
 def report(as_json: bool, facts: Mapping[str, Any], *shown: Any) -> None:
-    """Print facts as one JSON document, or what is shown to people: tables (with ``terminal``) and lines.
+    """Print facts as one JSON document, or what is shown to people: lines, and tables with ``terminal``.
 
     Facts with ``ends``, those of a motion through points, get a line.
     """
@@ -105,7 +102,7 @@ def report(as_json: bool, facts: Mapping[str, Any], *shown: Any) -> None:
 
 def warning(text: str) -> None:
     """Print a warning in one line on stderr."""
-    click.echo(f"warning: {printable(' '.join(text.split()))}", err=True)
+    print_line("warning", text)
 
 
 def number(value: float) -> str:
@@ -124,23 +121,9 @@ def listed(texts: Sequence[str], most: int, between: str) -> str:
     return between.join([*texts[:most], *rest])
 
 
-def require_suffix(flag: str, path: str, suffix: str) -> None:
-    """Check that a file to write is named as what it will be: other programs, and people, go by the name."""
-    named = Path(path)
-    if named.suffix.lower() != suffix:
-        # "." and "/" have no name, ".." is none
-        stem = named.parent / named.stem if named.stem.strip(".") else named / "result"
-        fitting = f"{stem}{suffix}"
-        raise OutputError(
-            f"{flag} {path} does not end in {suffix}.", remedy=f"Write {flag} {fitting}.", path=path, suffix=suffix
-        )
-
-
-def require_picture(path: str) -> None:
-    """Check that a picture can be drawn, and written there."""
-    require_matplotlib()
-    picture_format(path)
-    require_writable(path)
+def written(facts: Mapping[str, Any], **names: str) -> list[tuple[str, str]]:
+    """Return rows of a table for the files that a command has written: by key of its facts what they are."""
+    return [(f"{name} written to", facts[key]) for key, name in names.items() if facts[key]]
 
 
 def same_file(first: str | Path, second: str | Path) -> bool:
@@ -151,16 +134,36 @@ def same_file(first: str | Path, second: str | Path) -> bool:
         return False
 
 
-def require_outputs(out: str | None, plot: str | None, inputs: Iterable[str | Path]) -> None:
-    """Check that both files can be written and are none of the inputs, before the work is done."""
+def require_outputs(
+    out: str | None,
+    suffixes: Sequence[str],
+    plot: str | None = None,
+    inputs: Iterable[str | Path | None] = (),
+    flag: str = "--out",
+) -> None:
+    """Check, before the work is done, that files can be written, and are none of the inputs.
+
+    ``out`` ends in one of the suffixes: other programs, and people, go by the name.
+    """
+    if out and Path(out).suffix.lower() not in suffixes:
+        named = Path(out)
+        # "." and "/" have no name, ".." is none
+        stem = named.parent / named.stem if named.stem.strip(".") else named / "result"
+        raise OutputError(
+            f"{flag} {out} does not end in {' or '.join(suffixes)}.",
+            remedy=f"Write {flag} {stem}{suffixes[0]}.",
+            path=out,
+        )
     if out:
         require_writable(out)
     if plot:
-        require_picture(plot)
-    given = tuple(inputs)
-    for flag, path in (("--out", out), ("--plot", plot)):
+        require_matplotlib()
+        picture_format(plot)
+        require_writable(plot)
+    given = [one for one in inputs if one]
+    for name, path in ((flag, out), ("--plot", plot)):
         if path and any(same_file(path, one) for one in given):
-            raise OutputError(f"{flag} is the file {path} to read from.", remedy="Give it another name.", path=path)
+            raise OutputError(f"{name} is the file {path} to read from.", remedy="Give it another name.", path=path)
 
 
 def drawn(path: str | None, draw: Callable[[str], object]) -> RedundancyPinError | None:
@@ -175,11 +178,8 @@ def drawn(path: str | None, draw: Callable[[str], object]) -> RedundancyPinError
     except RedundancyPinError as error:
         return error
     except Exception as error:  # whatever a drawing library raises: the results are there
-        return OutputError(
-            f"{path} cannot be drawn: {type(error).__name__}: {error}",
-            remedy="The results are complete without it. Please report this error.",
-            path=path,
-        )
+        message = f"{path} cannot be drawn: {type(error).__name__}: {error}"
+        return OutputError(message, remedy="The results are complete without it. Please report this error.", path=path)
     return None
 
 
@@ -204,16 +204,14 @@ def progress(title: str) -> Iterator[Advance]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    bar = Progress(
+    columns = (
         SpinnerColumn(),
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
-        console=Console(stderr=True, emoji=False),
-        transient=True,
     )
-    with bar:
+    with Progress(*columns, console=Console(stderr=True, emoji=False), transient=True) as bar:
         task = bar.add_task(title, total=None)
 
         def advance(done: int, total: int, what: str = "") -> None:
@@ -248,26 +246,5 @@ class _Lines:
             done, total, what = self._state
             steps = f"{done} of {total}" if total else ""
             parts = what, steps, f"{timedelta(seconds=int(now - self._start))} elapsed"
-            text = f"{self._title}: {', '.join(filter(None, parts))}"
-            with suppress(OSError, ValueError):  # stderr is full, or closed
-                click.echo(printable(" ".join(text.split())), err=True)
-
-
-@contextmanager
-def resumable(title: str, records: str, store: Path) -> Iterator[Advance]:
-    """Show progress while the block runs; after Ctrl-C tell what is kept."""
-    counts = (0, 0)
-    try:
-        with progress(title) as show:
-
-            def advance(done: int, total: int, what: str = "") -> None:
-                nonlocal counts
-                counts = done, total
-                show(done, total, what)
-
-            yield advance
-    except KeyboardInterrupt:
-        # what is finished is in the store: Ctrl-C loses at most the cells under way
-        kept = f"{counts[0]} of {counts[1]} {records} are in {store}; the same command goes on from there."
-        click.echo(f"interrupted: {kept}", err=True)
-        raise click.exceptions.Exit(INTERRUPTED) from None
+            with suppress(ValueError):  # stderr is closed
+                print_line(self._title, ", ".join(filter(None, parts)))

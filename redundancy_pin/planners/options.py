@@ -140,7 +140,7 @@ class Objective(ByValue):
             efforts (N, m), N or N·m, at the samples of the motion.
         base_point: (3,) point about which the moment on the base is taken, m; the world origin when left out.
         calm: fraction of the least cost, at the nodes, that may be spent on fewer reversals of the efforts; 0 for none,
-            ``CALM`` when left out.
+            0.01 when left out.
     """
 
     weights: str | Mapping[str, float] | None = None
@@ -185,9 +185,9 @@ class Mesh:
     """The nodes of a plan, or its samples.
 
     Attributes:
-        dt: largest step between nodes in time, s; when left out ``LARGEST_STEP``, or what the planner says.
+        dt: largest step between nodes in time, or between samples, s; when left out 0.005, or what the planner says.
         refinements: how often the mesh may be refined where efforts between the nodes exceed those at the nodes.
-        steps: least number of steps along a path whose timing is planned; ``FEWEST_STEPS`` when left out.
+        steps: least number of steps along a path whose timing is planned; 100 when left out.
     """
 
     dt: float | None = None
@@ -262,6 +262,7 @@ def takes_groups(
                 raise InputError(f"{planner.__name__} has no keyword {shown(name)}.", remedy=remedy, name=name)
             return planner(*args, **keywords)
 
+        call.__dict__["refused"] = refused  # for who lists the options of a planner
         return call
 
     return decorate

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,8 @@ from redundancy_pin.errors import (
     did_you_mean,
     shown,
 )
-from redundancy_pin.kinematics.coordinates import all_working_modes
+from redundancy_pin.io.files import write_text
+from redundancy_pin.kinematics.coordinates import all_working_modes, mode_name
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.grid import (
@@ -44,6 +46,7 @@ from redundancy_pin.singularities.grid import (
     slice_through,
     solve_grid,
 )
+from redundancy_pin.trajectory.csv_file import coordinate_names, csv_rows, unit_of
 
 _RESOLUTION = {1: 400, 2: 100, 3: 25}
 """Nodes along each axis, by the number of axes."""
@@ -97,6 +100,47 @@ class Workspace(Frozen):
         """Length, area or volume of these nodes' cells, m, m² or m³."""
         cell = float(np.prod([axis[1] - axis[0] for axis in self.axes]))
         return cell * int(self.in_range.any(axis=0).sum())
+
+    def summary(self) -> dict[str, Any]:
+        """Return what is worth knowing of it as plain data: bounds, nodes, size, and counts of nodes by mode."""
+        parts = zip(self.modes, self.reachable, self.in_range, self.island, strict=True)
+        return {
+            "robot": self.robot.name,
+            "bounds": {name: [axis[0], axis[-1]] for name, axis in zip(self.names, self.axes, strict=True)},
+            "nodes": int(self.reachable[0].size),
+            "size": self.size,
+            "modes": {
+                mode_name(mode) if mode else "": {
+                    "reachable": int(reachable.sum()),
+                    "in_range": int(in_range.sum()),
+                    "islands": int(island.max(initial=0)),
+                }
+                for mode, reachable, in_range, island in parts
+            },
+        }
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write a row for each node and working mode to a CSV file.
+
+        Columns: ``mode``; the coordinates with their unit (of a pose the origin); ``reachable`` and ``in_range``, 0 or
+        1; ``margin``, ``serial_margin``, NaN where not reachable; ``island``.
+
+        Raises:
+            OutputError: the file cannot be written; an earlier one is as it was.
+        """
+        x = self.x[:, :3, 3] if self.x.ndim == 3 else self.x
+        names = coordinate_names(self.robot)[: x.shape[1]]
+        places = {name: (unit_of(self.robot, name), np.tile(x[:, k], len(self.modes))) for k, name in enumerate(names)}
+        columns: dict[str, tuple[str, NDArray[Any]]] = {
+            "mode": ("", np.repeat([mode_name(mode) if mode else "" for mode in self.modes], len(x))),
+            **places,
+            "reachable": ("", self.reachable.astype(int).ravel()),
+            "in_range": ("", self.in_range.astype(int).ravel()),
+            "margin": ("", self.margin.ravel()),
+            "serial_margin": ("", self.serial_margin.ravel()),
+            "island": ("", self.island.ravel()),
+        }
+        write_text(path, csv_rows(columns))
 
 
 def workspace(
