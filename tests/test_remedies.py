@@ -183,7 +183,7 @@ def test_a_robot_that_moved(own: Path, tmp_path: Path, monkeypatch: pytest.Monke
     (tmp_path / "here").rename(tmp_path / "there")
     for command in COMMANDS:
         line = refused(*command)
-        assert line.endswith("Name its robot.yaml where it is now: --robot robot.yaml.")
+        assert line.endswith("On the command line: --robot robot.yaml.")
         assert call(*command, "--robot", "there/robot.yaml").exit_code in (0, 3)
     monkeypatch.chdir(tmp_path / "there")
     plan = rp.load_plan("../plan.npz")

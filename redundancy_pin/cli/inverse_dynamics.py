@@ -8,6 +8,7 @@ from typing import Any
 import click
 import numpy as np
 
+from redundancy_pin.arrays import Array, each
 from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import EXIT_CODES
 from redundancy_pin.dynamics.arguments import require_matching_carriers
@@ -68,14 +69,11 @@ def inverse_dynamics(
     """
     output.require_outputs(out, (".csv",), inputs=(motion.file,))
     given = {name: value for name, value in keywords.items() if value is not None}
-    if "upper" in given and "lower" not in given:
-        if not (np.asarray(given["upper"]) >= 0.0).all():
-            message = f"upper is {np.min(given['upper']):g}, and bounds both signs."
-            raise InputError(message, remedy="Pass numbers that are not negative, or --lower as well.", name="upper")
-        given["lower"] = -given["upper"]
     with output.progress("inverse dynamics") as advance:
         loaded = robot.load()
         loaded = loaded.loaded(*loads) if loads else loaded
+        if "upper" in given and "lower" not in given:
+            given["lower"] = -_size(given["upper"], loaded.m)
         dynamics = options.dynamics_of(loaded, backend)
         advance(0, 1, "reading")
         followed = motion.follow("Inverse dynamics", loaded, dt=dt)
@@ -102,3 +100,12 @@ def inverse_dynamics(
     ]
     output.report(as_json, facts, output.TextTable(f"{loaded.name}, {used}: {len(samples)} samples", rows))
     return EXIT_CODES[result.status]
+
+
+def _size(upper: Any, motors: int) -> Array:
+    """Return (m,) an upper bound that counts for both signs."""
+    size = each(upper, "upper", (motors,))
+    if not (size >= 0.0).all():
+        message = f"upper is {np.min(size):g}, and bounds both signs."
+        raise InputError(message, remedy="Pass numbers that are not negative, or --lower as well.", name="upper")
+    return size

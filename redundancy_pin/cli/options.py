@@ -13,7 +13,7 @@ import typing
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Literal, TypeGuard, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import click
 import numpy as np
@@ -202,7 +202,12 @@ def _keyword(name: str, hint: Any, default: object, texts: Mapping[str, str]) ->
         (True, word, "WORD"),
     )
     read, metavar = next((read, metavar) for fits, read, metavar in forms if fits)
-    return Keyword(name, read, metavar, default, texts.get(name, ""))
+    text = texts.get(name, "")
+    if read is weights:
+        from redundancy_pin.planners.optimal import OBJECTIVES
+
+        text = f"{text} Names: {', '.join(OBJECTIVES)}."
+    return Keyword(name, read, metavar, default, text)
 
 
 def documented(function: Any) -> dict[str, str]:

@@ -12,12 +12,10 @@ import numpy as np
 import pytest
 from command_line import call
 from plan_cases import LINE
-from test_map_command import CORNER, computed  # noqa: F401  the fixture that fills maps at once
 
 import redundancy_pin as rp
 from redundancy_pin.errors import OutputError
 from redundancy_pin.simulation import load_simulation
-from redundancy_pin.studies.table import Column, Table
 
 pytest.importorskip("matplotlib")
 
@@ -95,29 +93,6 @@ def test_singularities(fails: Fails, motion_file: Path, tmp_path: Path) -> None:
     assert facts["robot"] == "2rpr"
     assert facts["crossings"] == []
     assert facts["plot"] is None
-
-
-def test_map(fails: Fails, tmp_path: Path, computed: object) -> None:  # noqa: F811
-    fails("studies.feasibility", "draw", tmp_path / "map" / "map.csv", tmp_path / "map" / "map.json")
-    facts = lost_nothing(*CORNER, "--out", tmp_path / "map")
-    assert {path.name for path in (tmp_path / "map").iterdir()} == {"store.sqlite", "map.csv", "map.json"}
-    assert len(facts["files"]) == 2
-
-
-def test_trade(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Front:
-        x, y, points = "energy", "peak", ({"x": 1.0},)
-
-        def table(self) -> Table:
-            return Table.of([Column("x")], list(self.points))
-
-        def draw(self) -> NoReturn:
-            raise ValueError("Expected end of text, found '$'")
-
-    monkeypatch.setattr(importlib.import_module("redundancy_pin.cli.studies"), "trade_off", lambda *_, **__: Front())
-    facts = lost_nothing("trade", "--robot", "3rrr", "--trajectory", "corner", "--out", tmp_path / "front")
-    assert facts["points"] == [{"x": 1.0}]
-    assert {path.name for path in (tmp_path / "front").iterdir()} == {"trade.md", "trade.csv", "trade.json"}
 
 
 @pytest.mark.long

@@ -111,19 +111,13 @@ TOO_MANY: tuple[tuple[str, ...], ...] = (
     (*WHOLE, "--starts", "100000"),
     (*WHOLE, "--refinements", "1000000000"),
     (*WHOLE, "--dt", "1e-9"),
-    (*WHOLE, "--speed", "1e-9"),
+    (*WHOLE[:-1], "line:speed=1e-9"),
     (*OFF, "--dt", "1e-9"),
     (*OFF, "--dt", "1e-90"),
-    (*STEPWISE, "--step", "1e-9"),
-    (*STEPWISE, "--speed", "1e-12"),
+    (*STEPWISE, "--dt", "1e-9"),
+    (*STEPWISE[:-1], "corner:speed=1e-12"),
     ("validate", "--robot", "2rpr", "--samples", "1000000000000"),
     ("validate", "--robot", "2rpr", "--jobs", "99999"),
-    ("map", "--robot", "2rpr", "--jobs", "99999"),
-    ("map", "--robot", "2rpr", "--refine", "1000000000"),
-    ("map", "--robot", "2rpr", "--x", "speed=0.1:1:1000000000"),
-    ("map", "--robot", "2rpr", "--x", "speed=0.1:1:5000", "--y", "stroke=0.1:1:5000"),
-    ("study", "--draws", "1000000000"),
-    ("study", "--jobs", "99999"),
 )
 
 

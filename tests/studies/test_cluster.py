@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
-import signal
 import socket
 import sqlite3
 import subprocess
@@ -251,28 +249,3 @@ def test_real_cells_trials_and_checks_are_those_of_one_machine(machines: Machine
     with cluster(machines.address):
         there = done("there")
     assert there == done("here")
-
-
-@pytest.mark.long
-@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize("where", ["cluster", "here"])
-def test_ctrl_c_ends_the_command_with_its_code_and_says_what_is_kept(where: str, tmp_path: Path) -> None:
-    command = [sys.executable, "-W", "ignore", "-c", "from redundancy_pin.cli import main; main()"]
-    command += ["map", "--robot", "3rrr", "--out", "map", "--refine", "0", "--jobs", "2"]
-    with contextlib.ExitStack() as stack:
-        if where == "cluster":
-            machines = Machines(tmp_path)
-            stack.callback(lambda: machines.end(*machines.processes))
-            machines.work(1)
-            command += ["--scheduler", machines.address]
-        running = stack.enter_context(
-            subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, start_new_session=True, text=True)
-        )
-        store = tmp_path / "map" / "store.sqlite"
-        while running.poll() is None and not (store.exists() and store.stat().st_size > 16384):
-            time.sleep(0.1)
-        os.killpg(running.pid, signal.SIGINT)
-        _, errors = running.communicate(timeout=60)
-    assert running.returncode == 130
-    assert re.search(r"interrupted: \d+ of 180 cells are in map.store.sqlite; the same command goes on", errors), errors
-    assert stored(store) > 0
