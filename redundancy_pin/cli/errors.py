@@ -12,23 +12,12 @@ import click
 
 from redundancy_pin._startup import INTERRUPTED
 from redundancy_pin.errors import CrossCheckError, RedundancyPinError
-from redundancy_pin.status import ResultStatus
 
 FAILED_CHECK = 1
 """Exit code where the command ran and what it checked does not hold."""
 
 BAD_INPUT = 2
 """Exit code where the command could not run on what it was given."""
-
-EXIT_CODES = {
-    ResultStatus.OK: 0,
-    ResultStatus.LIMIT_VIOLATED: 3,
-    ResultStatus.UNBOUNDED: 3,
-    ResultStatus.STOPPED: 3,
-    ResultStatus.NOT_CONVERGED: 4,
-    ResultStatus.UNRESOLVED: 4,
-}
-"""Exit codes by the status of a result."""
 
 
 class OneLineErrors(click.Group):

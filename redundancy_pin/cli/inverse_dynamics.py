@@ -10,7 +10,6 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, each
 from redundancy_pin.cli import options, output
-from redundancy_pin.cli.errors import EXIT_CODES
 from redundancy_pin.dynamics.arguments import require_matching_carriers
 from redundancy_pin.dynamics.backends import backend_of
 from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics as efforts_along
@@ -99,7 +98,7 @@ def inverse_dynamics(
         ("written to", out),
     ]
     output.report(as_json, facts, output.TextTable(f"{loaded.name}, {used}: {len(samples)} samples", rows))
-    return EXIT_CODES[result.status]
+    return output.EXIT_CODES[result.status]
 
 
 def _size(upper: Any, motors: int) -> Array:

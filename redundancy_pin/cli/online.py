@@ -8,7 +8,6 @@ import click
 import numpy as np
 
 from redundancy_pin.cli import options, output
-from redundancy_pin.cli.errors import EXIT_CODES
 from redundancy_pin.dynamics.backends import backend_of
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, run_online
@@ -99,4 +98,4 @@ def online(
         output.warning(f"{left} of {len(run.commands)} ticks had no plan within every limit.")
     if failed:
         raise failed
-    return EXIT_CODES[plan.status] or (4 if left else 0)
+    return output.EXIT_CODES[plan.status] or (4 if left else 0)

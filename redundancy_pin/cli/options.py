@@ -341,7 +341,11 @@ untrusted_option = click.option(
     help="Let xacro and MuJoCo read the robot's files in a process with limits of time and memory.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout instead of text.")
-jobs_option = click.option("--jobs", default=1, show_default=True, metavar="N", help="Processes; -1: one per core.")
+
+
+def jobs_option(default: int) -> Callable[[_Command], _Command]:
+    """Return the option ``--jobs``: how many processes share the work."""
+    return click.option("--jobs", default=default, show_default=True, metavar="N", help="Processes; -1: one per core.")
 
 
 def robot_options(*, required: bool = True) -> Callable[[_Command], Callable[..., Any]]:

@@ -20,6 +20,7 @@ from redundancy_pin.cli.errors import print_line, printable
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.io.json_data import json_data
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib
 
 if TYPE_CHECKING:  # rich is imported where something is printed by it: `--help` and `--json` do without
@@ -31,6 +32,16 @@ Advance = Callable[[int, int, str], None]
 
 EVERY = 10.0
 """Time between two lines of progress where there is no terminal, s."""
+
+EXIT_CODES = {
+    ResultStatus.OK: 0,
+    ResultStatus.LIMIT_VIOLATED: 3,
+    ResultStatus.UNBOUNDED: 3,
+    ResultStatus.STOPPED: 3,
+    ResultStatus.NOT_CONVERGED: 4,
+    ResultStatus.UNRESOLVED: 4,
+}
+"""Exit codes by the status of a result."""
 
 _ROUNDING = 1e-12  # coordinates and directions below this are shown as zero
 _PIPE_WIDTH = 140  # columns of a table that does not go to a terminal: rich would take 80 and cut numbers

@@ -11,7 +11,6 @@ import click
 import numpy as np
 
 from redundancy_pin.cli import options, output
-from redundancy_pin.cli.errors import EXIT_CODES
 from redundancy_pin.cli.problem import PlanProblem, read_problem
 from redundancy_pin.dynamics.backends import backend_of
 from redundancy_pin.errors import InputError
@@ -149,7 +148,7 @@ def _run(read: Callable[[], PlanProblem], source: str | None, out: str | None, p
         output.warning(text)
     if failed:
         raise failed
-    return EXIT_CODES[result.status]
+    return output.EXIT_CODES[result.status]
 
 
 def _table(plan: Plan, facts: Mapping[str, Any]) -> output.TextTable:

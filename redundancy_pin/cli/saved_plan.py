@@ -8,9 +8,9 @@ from typing import Any
 import click
 import numpy as np
 
-from redundancy_pin.cli.errors import EXIT_CODES, FAILED_CHECK, print_line
+from redundancy_pin.cli.errors import FAILED_CHECK, print_line
 from redundancy_pin.cli.options import backend_option, dynamics_of, json_option, recorded_robot_options
-from redundancy_pin.cli.output import TextTable, number, report, require_outputs, row
+from redundancy_pin.cli.output import EXIT_CODES, TextTable, number, report, require_outputs, row
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import load_plan, load_robot_of
 

@@ -9,7 +9,6 @@ import click
 import numpy as np
 
 from redundancy_pin.cli import options, output
-from redundancy_pin.cli.errors import EXIT_CODES
 from redundancy_pin.cli.show import VIDEO
 from redundancy_pin.errors import InputError
 from redundancy_pin.loading import load_with
@@ -143,7 +142,7 @@ def simulate(
         output.warning(f"could not go on at t = {run.t[-1]:.6g} s: {run.reason}")
     for error in filter(None, (undrawn, unfilmed)):
         raise error
-    return EXIT_CODES[run.status]
+    return output.EXIT_CODES[run.status]
 
 
 def _sampling(given: Mapping[str, Any]) -> Sampling | None:

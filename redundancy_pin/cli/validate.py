@@ -19,7 +19,7 @@ from redundancy_pin.cli.output import console, print_json, progress
 @settings_option("--set", "settings", "Parameter of the robots, which are then taken as they are. May be repeated.")
 @click.option("--samples", default=2000, show_default=True, metavar="N", help="Random states for each robot.")
 @click.option("--seed", default=0, show_default=True, metavar="S", help="Seed of the random states.")
-@jobs_option
+@jobs_option(1)
 @trust_option
 @json_option
 def validate(robots: tuple[str, ...], samples: int, seed: int, jobs: int, as_json: bool, **given: Any) -> int:

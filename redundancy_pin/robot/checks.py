@@ -47,8 +47,8 @@ def require_matching(robot: Robot, motion: PlatformMotion) -> None:
         form = "(N, 4, 4) poses" if wants_pose else f"(N, {robot.n})"
         raise InputError(
             f"The motion has {given}, x of shape {motion.x.shape}, but {robot.name} moves {moves}.",
-            remedy=f"Choose a trajectory in these; x is {form}, xd and xdd are (N, {robot.n}); a file has the columns "
-            f"{columns}, xd0 to xd{robot.n - 1} and xdd0 to xdd{robot.n - 1}.",
+            remedy=f"Choose another motion: in Python x as {form} and xd, xdd as (N, {robot.n}), in a file the "
+            f"columns {columns}, xd0 to xd{robot.n - 1} and xdd0 to xdd{robot.n - 1}.",
             robot=robot.name,
             axes=tuple(names),
             poses=wants_pose,

@@ -7,10 +7,12 @@ import shutil
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from command_line import call, refused
 
 import redundancy_pin
 from redundancy_pin import load_robot
+from redundancy_pin.cli import main
 from redundancy_pin.io import limited
 from redundancy_pin.robot.shipped import shipped_robots
 
@@ -97,6 +99,18 @@ def test_help_has_an_example(command: str) -> None:
     assert result.exit_code == 0
     assert "Example" in result.stdout
     assert f"redundancy-pin {command} " in result.stdout
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_script_for_completion_is_produced(shell: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("_REDUNDANCY_PIN_COMPLETE", f"{shell}_source")
+    monkeypatch.setattr("click.shell_completion.BashComplete._check_version", lambda *_: None)
+    result = CliRunner().invoke(main, [], prog_name="redundancy-pin")
+    assert "_REDUNDANCY_PIN_COMPLETE" in result.stdout
+    monkeypatch.setenv("_REDUNDANCY_PIN_COMPLETE", f"{shell}_complete")
+    monkeypatch.setenv("COMP_WORDS", "redundancy-pin plan switch-off --ramp")
+    monkeypatch.setenv("COMP_CWORD", "3" if shell != "fish" else "--ramp")
+    assert "--ramp-down" in CliRunner().invoke(main, [], prog_name="redundancy-pin").stdout
 
 
 def test_version() -> None:
