@@ -25,7 +25,7 @@ STEP = 1e-3
 @click.command("inverse-dynamics")
 @options.robot_options()
 @options.backend_option()
-@options.motion_options("Motion to follow", "Trajectory to follow instead, carriers parked")
+@options.motion_options("to follow")
 @click.option("--dt", type=float, metavar="SECONDS", help=f"Between samples of the trajectory.  [default: {STEP:g}]")
 @click.option("--out", required=True, metavar="CSV", help="Where the efforts go.")
 @options.keyword_options(efforts_along, only=("unreachable", "upper", "lower", "preferred"))

@@ -214,7 +214,8 @@ def documented(function: Any) -> dict[str, str]:
     """Return what the docstring of a function or a class says of each argument or attribute: the first sentence."""
     entries = re.findall(r"^    (\w+): (.+(?:\n {8}.+)*)", inspect.getdoc(function) or "", flags=re.MULTILINE)
     texts = {name: " ".join(text.replace("``", "").split()) for name, text in entries}
-    return {name: f"{text[:1].upper()}{re.split(r'[.:](?: |$)', text)[0][1:]}." for name, text in texts.items()}
+    sentences = {name: re.split(r"[.:](?: |$)", text)[0] for name, text in texts.items()}
+    return {name: f"{one[:1].upper() if one[:1].isascii() else one[:1]}{one[1:]}." for name, one in sentences.items()}
 
 
 def keyword_options(*functions: Callable[..., Any], only: Sequence[str] = ()) -> Callable[[_Command], _Command]:
@@ -525,27 +526,23 @@ class MotionOptions:
         return carriers_from_csv(str(self.file), robot, check_rates=self.check_rates) if self.is_sampled else None
 
 
-def motion_options(text: str, trajectory: str | None = None) -> Callable[[_Command], Callable[..., Any]]:
+def motion_options(what: str) -> Callable[[_Command], Callable[..., Any]]:
     """Add the options of a motion to a command that takes them as one ``MotionOptions``, its argument ``motion``.
 
-    ``text`` is the help of ``--motion``, ``trajectory`` the beginning of that of ``--trajectory``, which is left out
-    without.
+    ``what`` says in their help what the motion is for, such as "to follow".
     """
+    from redundancy_pin.trajectory.reference import TRAJECTORIES
 
     def decorate(command: _Command) -> Callable[..., Any]:
         @functools.wraps(command)
-        def called(*args: Any, motion_path: Any, check_rates: bool, trajectory: Any = None, **given: Any) -> Any:
+        def called(*args: Any, motion_path: Any, check_rates: bool, trajectory: Any, **given: Any) -> Any:
             return command(*args, motion=MotionOptions(motion_path, check_rates, trajectory), **given)
 
         rates = "Refuse a motion whose rates are not those of its positions; poses to stand still in need --no-."
         called = click.option("--check-rates/--no-check-rates", default=True, show_default=True, help=rates)(called)
-        called = click.option("--motion", "motion_path", metavar="CSV", help=f"{text}: {MOTION_CSV}")(called)
-        if trajectory is None:
-            return called
-        from redundancy_pin.trajectory.reference import TRAJECTORIES
-
+        called = click.option("--motion", "motion_path", metavar="CSV", help=f"Motion {what}: {MOTION_CSV}")(called)
         words = (
-            f"{trajectory}: {', '.join(TRAJECTORIES)}, with keys as circle:speed=0.5 or "
+            f"Trajectory {what}: {', '.join(TRAJECTORIES)}, with keys as circle:speed=0.5 or "
             "'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'; or a CSV or JSON file of points, such as "
             "way.csv:speed=0.1 (columns t,x,y; ends=rest: at rest at both ends). A CSV with rates is a motion."
         )

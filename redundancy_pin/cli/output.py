@@ -202,12 +202,21 @@ def progress(title: str) -> Iterator[Advance]:
     for shorter work.
     """
     if not (_is_terminal(sys.stderr) and _is_terminal(sys.stdout)):
-        lines, ended = _Lines(title), threading.Event()
-        # a step may take minutes
-        watch = threading.Thread(target=lines.print_until, args=(ended,), daemon=True)
+        state, ended, start = ["", ""], threading.Event(), time.monotonic()
+
+        def note(done: int, total: int, what: str = "") -> None:
+            state[:] = what, f"{done} of {total}" if total else ""
+
+        def print_lines() -> None:
+            while not ended.wait(EVERY):
+                elapsed = f"{timedelta(seconds=int(time.monotonic() - start))} elapsed"
+                with suppress(ValueError):  # stderr is closed
+                    print_line(title, ", ".join(filter(None, (*state, elapsed))))
+
+        watch = threading.Thread(target=print_lines, daemon=True)  # a step may take minutes
         watch.start()
         try:
-            yield lines.advance
+            yield note
         finally:
             ended.set()
             watch.join()
@@ -229,33 +238,3 @@ def progress(title: str) -> Iterator[Advance]:
             bar.update(task, completed=done, total=total, description=f"{title}: {what}" if what else title)
 
         yield advance
-
-
-class _Lines:
-    """Progress of a command as lines of a log."""
-
-    def __init__(self, title: str) -> None:
-        self._title, self._state, self._lock = title, (0, 0, ""), threading.Lock()
-        self._start = self._last = time.monotonic()
-
-    def advance(self, done: int, total: int, what: str = "") -> None:
-        """Note how far the command is; print it if a line is due."""
-        self._state = done, total, what
-        self._print_if_due()
-
-    def print_until(self, ended: threading.Event) -> None:
-        """Print a line whenever one is due, until the event."""
-        while not ended.wait(max(0.0, self._last + EVERY - time.monotonic())):
-            self._print_if_due()
-
-    def _print_if_due(self) -> None:
-        with self._lock:
-            now = time.monotonic()
-            if now - self._last < EVERY:
-                return
-            self._last = now
-            done, total, what = self._state
-            steps = f"{done} of {total}" if total else ""
-            parts = what, steps, f"{timedelta(seconds=int(now - self._start))} elapsed"
-            with suppress(ValueError):  # stderr is closed
-                print_line(self._title, ", ".join(filter(None, parts)))

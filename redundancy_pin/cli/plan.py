@@ -27,13 +27,13 @@ _LISTED_PHASES = 10  # a stepwise plan may change its phase at every step
 
 _EXAMPLES = {
     SWITCH_OFF: r"""--robot 2rpr --trajectory circle:speed=0.6 \
-          --threshold 7 --return-time shortest --out plan.npz --plot plan.png""",
+      --threshold 7 --return-time shortest --out plan.npz --plot plan.png""",
     STEPWISE: r"""--robot 3rrr --working-mode +++ --trajectory corner:radius=0.025 \
-          --lam 0.5 --baseline carriers=false --out plan.npz""",
+      --lam 0.5 --baseline carriers=false --out plan.npz""",
     WHOLE: r"""--robot 2rpr --trajectory circle:speed=0.5 \
-          --objective effort --objective peak=2 --out plan.npz --plot plan.png""",
+      --objective effort --objective peak=2 --out plan.npz --plot plan.png""",
     TIME_OPTIMAL: r"""--robot 3rrr --working-mode +++ --trajectory corner --effort 3 \
-          --begin rest --end rest --out plan.npz""",
+      --begin rest --end rest --out plan.npz""",
 }
 
 
@@ -83,7 +83,7 @@ def _command(name: str, planner: Callable[..., Plan]) -> None:
     @plan.command(name, help=f"{text}\n\n{example}")
     @options.robot_options()
     @options.backend_option()
-    @options.motion_options("Motion to follow instead", "Trajectory to follow")
+    @options.motion_options("to follow")
     @_output_options
     @options.keyword_options(planner)
     @options.baseline_option(planner)

@@ -23,7 +23,7 @@ VIDEO = "Write a video, drawn without a display; an MP4 needs ffmpeg or the extr
 @robot_options(required=False)
 @click.option("--plan", "plan_path", metavar="NPZ", help="Plan to show, as `plan --out` writes it.")
 @click.option("--run", "run_path", metavar="NPZ", help="Simulation to show, as `simulate --out` writes it.")
-@motion_options("Motion to show")
+@motion_options("to show")
 @click.option("--html", "out", metavar="HTML", help="Write one file that plays offline, instead of a live viewer.")
 @click.option("--video", metavar="GIF|MP4", help=VIDEO)
 @click.option("--forces/--no-forces", default=True, show_default=True, help="Whether arrows are shown at first.")
@@ -83,7 +83,7 @@ def show(out: str | None, video: str | None, open_browser: bool, as_json: bool, 
 def _view(
     robot: RobotOptions, plan_path: str | None, run_path: str | None, motion: MotionOptions, **settings: Any
 ) -> View:
-    named = [flag for flag, path in (("--plan", plan_path), ("--run", run_path), ("--motion", motion.path)) if path]
+    named = [flag for flag, path in (("--plan", plan_path), ("--run", run_path), ("a motion", motion.given)) if path]
     if len(named) > 1:
         message = f"{' and '.join(named)} are both given."
         raise InputError(message, remedy="Give one of them: a plan and a simulation have their motion.")
@@ -93,6 +93,6 @@ def _view(
     if not robot.source:
         raise InputError("There is nothing to show.", remedy="Add --robot NAME or --plan NPZ.")
     loaded = robot.load()
-    if not motion.path:
+    if not motion.given:
         return view(loaded, **settings)
     return view(loaded, motion.sampled("A picture", loaded), motion.carriers(loaded), **settings)

@@ -50,7 +50,7 @@ _LISTED = 8  # events that the table lists; the rest is counted
 @click.command()
 @options.robot_options(required=False)
 @click.option("--plan", "plan_path", metavar="NPZ", help="Plan to follow, as `plan --out` writes it.")
-@options.motion_options("Motion to follow instead", "Trajectory to follow")
+@options.motion_options("to follow")
 @options.settings_option("--machine", "machine", "Parameter in which the machine is not as planned, such as "
                          "carrier_mass=2.1. May be repeated.")  # fmt: skip
 @click.option("--controller", type=click.Choice(list(CONTROLLERS)), default="open-loop", show_default=True,

@@ -24,7 +24,7 @@ _FACTS = ("t", "until", "x", "crosses", "tangential", "leg", "uncontrolled_twist
 
 @click.command()
 @options.robot_options()
-@options.motion_options("Motion to search", "Trajectory to search instead")
+@options.motion_options("to search")
 @click.option("--plot", metavar="PICTURE", help="Draw the singularities over the workspace (.png, .svg or .pdf).")
 @options.json_option
 def singularities(robot: options.RobotOptions, motion: options.MotionOptions, plot: str | None, as_json: bool) -> None:

@@ -25,7 +25,7 @@ from redundancy_pin.trajectory.csv_file import checked_poses
 @click.option(
     "--bounds", metavar="LOW:HIGH,...", help="Of each free coordinate, m or rad.  [default: the whole workspace]"
 )
-@click.option("--resolution", type=int, metavar="N", help="Nodes along each axis.  [default: 400, 100 or 25]")
+@options.keyword_options(reached, only=("resolution",))
 @click.option("--all-modes", is_flag=True, help="All working modes, not the robot's own alone.")
 @click.option("--out", metavar="CSV", help="Where the nodes go.")
 @click.option("--plot", metavar="PICTURE", help="Draw it (.png, .svg or .pdf).")

@@ -59,9 +59,9 @@ class Limits(ByValue):
 
     Attributes:
         track: (2,) or (k, 2) track ends of the carriers, m.
-        speed: scalar or (k,) largest |ṡ|, m/s.
-        acceleration: scalar or (k,) largest |s̈|, m/s².
-        jerk: scalar or (k,) largest |s⃛|, m/s³; with it s̈ cannot jump. No robot declares any.
+        speed: scalar or (k,) largest speed |ṡ| of the carriers, m/s.
+        acceleration: scalar or (k,) largest acceleration |s̈| of the carriers, m/s².
+        jerk: scalar or (k,) largest jerk |s⃛| of the carriers, m/s³; with it s̈ cannot jump. No robot declares any.
         carrier_force: scalar or (k,) largest force of the carriers' actuators, N.
         effort: scalar or (m,) largest |τ| of the main actuators, N or N·m.
         actuator_speed: scalar or (m,) largest rate of the main actuators, m/s or rad/s.
@@ -133,7 +133,7 @@ class Objective(ByValue):
         >>> rp.plan_whole_trajectory(robot, motion, objective=rp.Objective("peak", calm=0.0))
 
     Attributes:
-        weights: name of an objective (``OBJECTIVES``), or weights of several, each in its own unit. When left out:
+        weights: what to minimise: a name of ``OBJECTIVES``, or weights of several, each in its own unit. When left out:
             "tracking" with ``lam`` or ``baseline``, else "effort".
         lam: λ of "tracking", 0 to 1.
         baseline: the robot whose efforts are τ̂, or its name or path; or a backend of it. For the stepwise planner also

@@ -210,7 +210,7 @@ MISTAKES = (
     ("simulate --robot 2rpr --trajectory circle", "The motion has no finite efforts at t = 0.519414238 s"),
     ("simulate --robot gough --trajectory circle", "The motion has 2 coordinates"),
     ("show --html x.html", "There is nothing to show"),
-    ("show --plan plan.npz --motion in.csv --html x.html", "--plan and --motion are both given"),
+    ("show --plan plan.npz --motion in.csv --html x.html", "--plan and a motion are both given"),
     ("show --plan plan.npz --working-mode ++ --html x.html", "--set"),
     ("show --plan plan.npz --robot 2rpr --html x.html", "is not the one the plan was made for"),
     ("show --robot 3rrr --html none/x.html", "no folder"),

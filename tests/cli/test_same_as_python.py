@@ -201,7 +201,7 @@ def test_help_of_a_planner_is_that_of_its_function() -> None:
         lines = [line.strip() for line in text.splitlines()]
         assert any(line.startswith(f"redundancy-pin plan {name}") and line.endswith("\\") for line in lines)
     text = " ".join(call("plan", "whole-trajectory", "--help").stdout.split())
-    assert "largest |ṡ|, m/s" in text
+    assert "largest speed |ṡ| of the carriers, m/s" in text
     assert "free|rest|datum|periodic" in text
     assert "[default: 60.0]" in text
     assert all(name in text for name in OBJECTIVES)
