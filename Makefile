@@ -10,7 +10,6 @@ PYTHON  ?=
 VENV    ?= .venv
 OUT     ?= results
 SAMPLES ?= 100000
-DRAWS   ?= 200
 ROOMS   ?= kinematics singularities dynamics
 SEED    ?= 0
 JOBS    ?= $(shell getconf _NPROCESSORS_ONLN)
@@ -34,12 +33,12 @@ HAS_VENV := import ensurepip, venv
 # ... and where the stubs of its newest numpy keep dtypes through arithmetic (numpy 2.2 is the last one for Python 3.10)
 TYPED    := import sys; sys.exit(sys.version_info < (3, 11))
 
-.PHONY: help test reproduce validate long mutants study bench engines pictures docs clean
+.PHONY: help test reproduce validate long mutants bench engines pictures docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/\1 \2/p' Makefile | while read -r name text; do printf '  make %-10s %s\n' "$$name" "$$text"; done
 	@echo
-	@echo "Variables: PYTHON (interpreter for a new environment), VENV, OUT (of reproduce), SAMPLES and JOBS (of validate), DRAWS (of study), ROOMS and SEED (of mutants)."
+	@echo "Variables: PYTHON (interpreter for a new environment), VENV, OUT (of reproduce), SAMPLES and JOBS (of validate), ROOMS and SEED (of mutants)."
 
 test: $(STAMP) ## lint, types, import contracts, tests (five minutes on two cores)
 	$(BIN)/ruff check .
@@ -65,9 +64,6 @@ long: $(STAMP) ## long lists of random cases, ten times as many examples, counts
 
 mutants: $(STAMP) ## change ROOMS at random places, by SEED, and print the changes that no test notices
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/mutation.py $(ROOMS) --seed $(SEED)
-
-study: $(STAMP) ## DRAWS imperfect machines through singularities, into study/ (goes on where it was interrupted)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/redundancy-pin study --draws $(DRAWS) --out study
 
 bench: $(STAMP) ## time the backends and planners; published problems into docs/published_problems.md
 	$(BIN)/python benchmarks/run.py

@@ -24,6 +24,7 @@ from itertools import islice, product
 from pathlib import Path
 
 import numpy as np
+from imperfect import MASSES, Imperfections, draw
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, SingularPoseError, UnreachablePoseError, WorkingModeError
@@ -31,7 +32,6 @@ from redundancy_pin.planners.receding_horizon import Preview, RecedingHorizon, r
 from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.simulation.controllers import Encoders, NoisyAmplifier, OnlinePlanning, Sampling, joint_friction
 from redundancy_pin.simulation.state import closed_state
-from redundancy_pin.studies.trial import MASSES, Imperfections, draw
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.paths import circle_path
 from redundancy_pin.trajectory.waypoints import through_points

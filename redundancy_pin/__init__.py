@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
     from redundancy_pin.loading import load_robot, robot_from_model, with_limits, with_parameters
     from redundancy_pin.motion import CarrierMotion, PlatformMotion
+    from redundancy_pin.parallel import sweep
     from redundancy_pin.planners.check import check_plan
     from redundancy_pin.planners.optimal.co_design import co_design
     from redundancy_pin.planners.optimal.time_optimal import plan_time_optimal
@@ -64,6 +65,7 @@ _PLACES = {
         "kinematics.inverse_kinematics": "inverse_kinematics",
         "loading": "load_robot robot_from_model with_limits with_parameters",
         "motion": "CarrierMotion PlatformMotion",
+        "parallel": "sweep",
         "planners.check": "check_plan",
         "planners.options": "Limits Mesh Objective Solver",
         "planners.plan": "Plan load_plan load_robot_of",
@@ -135,6 +137,7 @@ __all__ = [
     "simulate",
     "simulation",
     "singular_locus",
+    "sweep",
     "symbolic",
     "trajectory",
     "with_limits",

@@ -79,7 +79,7 @@ class ResultStatus(Enum):
     LIMIT_VIOLATED = "limit_violated"
     """A limit is exceeded somewhere on the continuous motion, or the range of a joint is left."""
     INFEASIBLE = "infeasible"
-    """The planner reports that no plan keeps every limit: an ``InfeasiblePlanError``, where studies record it as data.
+    """The planner reports that no plan keeps every limit: an ``InfeasiblePlanError``, where sweeps record it as data.
     For a cell of a feasibility map also: its plan violates a limit or has no finite efforts."""
     UNBOUNDED = "unbounded"
     """No finite efforts, or none within given bounds, exist at some sample or at a singularity between two."""

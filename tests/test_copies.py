@@ -33,8 +33,6 @@ from redundancy_pin.planners.receding_horizon.run import OnLineRun
 from redundancy_pin.planners.singular_instant import SingularInstant
 from redundancy_pin.simulation import ForwardDynamics, closed_state, inverse_derivatives, linearise
 from redundancy_pin.status import UpdateStatus
-from redundancy_pin.studies.cases import SINGULAR
-from redundancy_pin.studies.trade import TradeOff
 from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.time_scaling import ScaledMotion, TimeScaling
@@ -89,7 +87,6 @@ def objects() -> dict[str, Any]:
             (stepwise := rp.plan_stepwise(dynamics, trajectory)),
             (Command(0.0, UpdateStatus.OK, "", *[polynomial] * 3, 0.0, 0.0, three, 0.1, 0.0, 0.0),),
         ),
-        "trade-off": TradeOff(SINGULAR[0], "effort", "energy", ()),
         "symbolic": rp.symbolic(small),
         "legs": three_rrr.inverse_displacement(three_rrr.ThreeRrrGeometry.from_parameters(robot.parameters), motion.x),
         "two legs": two_rpr.inverse_displacement(small.parameters["base_distance"], circle.sample(dt=0.1).x),

@@ -57,7 +57,7 @@ def test_wheel_holds_the_package_and_nothing_else(contents: set[str]) -> None:
     assert {top for top in tops if not top.endswith(".dist-info")} == {"redundancy_pin"}
 
 
-def test_installed_wheel_loads_its_own_models(wheel: Path, tmp_path: Path) -> None:
+def test_installed_wheel_loads_its_own_models_and_reports_of_them(wheel: Path, tmp_path: Path) -> None:
     target, empty = tmp_path / "site", tmp_path / "empty"
     empty.mkdir()
     with zipfile.ZipFile(wheel) as archive:  # a wheel of Python files is installed by unpacking it
@@ -66,7 +66,12 @@ def test_installed_wheel_loads_its_own_models(wheel: Path, tmp_path: Path) -> No
         assert b"Root-Is-Purelib: true" in archive.read(metadata)
     # one of the robots: the files of the others are there as well, by the test above
     program = (
+        "from dataclasses import replace\n"
         "import redundancy_pin, redundancy_pin.robot.shipped as files\n"
+        "from redundancy_pin.thesis.cases import BY_NAME, QUICK\n"
+        "from redundancy_pin.thesis.reproduce import reproduce\n"
+        "motion = replace(BY_NAME['corner-r0.025-baseline'], dt=0.02)\n"
+        "reproduce('results', replace(QUICK, motions=(motion,), chapters=(), samples=1))\n"
         "redundancy_pin.load_robot('2rpr')\n"
         "print(redundancy_pin.__file__, files.models_root(), *files.shipped_robots(), sep='\\n')\n"
     )
@@ -80,6 +85,7 @@ def test_installed_wheel_loads_its_own_models(wheel: Path, tmp_path: Path) -> No
         check=False,
     )
     assert done.returncode == 0, done.stderr
+    assert (empty / "results" / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     package, models, *robots = done.stdout.splitlines()
     # resolved: a temporary folder may be reached through a symbolic link
     assert Path(package).resolve().is_relative_to(target.resolve())

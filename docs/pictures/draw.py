@@ -18,8 +18,8 @@ from PIL import Image
 import redundancy_pin as rp
 from redundancy_pin.io.files import replacing_file
 from redundancy_pin.planners.receding_horizon import run_online
+from redundancy_pin.thesis.figures import side_by_side
 from redundancy_pin.trajectory.waypoints import through_points
-from redundancy_pin.visualisation.figures.comparisons import plot_side_by_side
 from redundancy_pin.visualisation.figures.paths import draw_frame, draw_path, label_plane
 from redundancy_pin.visualisation.figures.style import figure
 from redundancy_pin.visualisation.viewer.scene import Scene
@@ -161,7 +161,7 @@ def on_line() -> Figure:
         "on line, half a second ahead": run_online(rp.RecedingHorizon(dynamics), motion).plan,
     }
     instants = plans["off line, least peak"].findings.singular_instants
-    return plot_side_by_side("The 2-RPR over its singular line", plans, "N", instants=instants)
+    return side_by_side("The 2-RPR over its singular line", plans, "N", instants=instants)
 
 
 def draw_machine(

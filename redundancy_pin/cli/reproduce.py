@@ -1,13 +1,17 @@
-"""``redundancy-pin reproduce``: the experiments of the thesis, as tables, pictures and a report."""
+"""``redundancy-pin reproduce``: the experiments of the thesis, and a folder of results."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import click
 
-from redundancy_pin.cli.options import json_option
+from redundancy_pin.cli import options
 from redundancy_pin.cli.output import progress, report
-from redundancy_pin.studies.reproduce import reproduce as run_job
-from redundancy_pin.studies.reproduce import tables
+from redundancy_pin.parallel import require_jobs
+from redundancy_pin.thesis.cases import FULL, QUICK
+from redundancy_pin.thesis.reproduce import reproduce as run_job
+from redundancy_pin.thesis.reproduce import tables
 
 _SHOWN = {
     "motions": ("name", "samples", "parity", "smallest_margin", "statement"),
@@ -15,15 +19,16 @@ _SHOWN = {
     "judged": ("source", "quantity", "stated", "ours", "verdict"),
     "conclusions": ("claim", "stands", "here"),
     "findings": ("claim", "stands", "here"),
-    "study": ("scenario", "drive", "success", "largest", "worst", "statuses"),
 }
-"""By table, the columns that fit a terminal side by side; the files have all of them."""
+"""Columns by table that fit a terminal side by side; the files have all of them."""
 
 
 @click.command()
 @click.option("--out", default="results", show_default=True, metavar="FOLDER", help="Where the results go.")
-@json_option
-def reproduce(out: str, as_json: bool) -> None:
+@click.option("--quick", is_flag=True, help="A few motions, plans and figures, in less than a minute.")
+@options.jobs_option(-1)
+@options.json_option
+def reproduce(out: str, quick: bool, jobs: int, as_json: bool) -> None:
     r"""Run the experiments of the thesis.
 
     Both backends compute every case; CSV, figures, summary.json, report.md and
@@ -33,14 +38,14 @@ def reproduce(out: str, as_json: bool) -> None:
     when everything is done. One of earlier results is replaced; one that holds anything else is left alone.
 
     \b
-    Example:
+    Examples:
       redundancy-pin reproduce --out results
+      redundancy-pin reproduce --quick --jobs 2
     """
     with progress("reproduce") as advance:
-        done = run_job(out, progress=advance)
+        done = run_job(out, extent=replace(QUICK if quick else FULL, jobs=require_jobs(jobs)), progress=advance)
     made = tables(done.results)
-    shown = [made[name].only(*columns) for name, columns in _SHOWN.items() if name in made]
+    shown_tables = [made[name].only(*columns) for name, columns in _SHOWN.items() if name in made]
     passed = f"cross-check passed: {len(done.results.check.rows)} checks"
-    report(
-        as_json, done.summary, *shown, f"{passed}. Results are in {done.folder} (start with report.html or report.md)."
-    )
+    end = f"{passed}. Results are in {done.folder} (start with report.html or report.md)."
+    report(as_json, done.summary, *shown_tables, end)

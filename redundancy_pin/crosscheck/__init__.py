@@ -27,8 +27,8 @@ from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import InputError
 from redundancy_pin.loading import load_robot
+from redundancy_pin.parallel import parallel, require_jobs
 from redundancy_pin.robot.shipped import shipped_robots
-from redundancy_pin.workers import parallel, require_jobs
 
 MOST_STATES = 100_000_000  # of each robot: weeks
 

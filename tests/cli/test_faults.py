@@ -118,6 +118,7 @@ TOO_MANY: tuple[tuple[str, ...], ...] = (
     (*STEPWISE[:-1], "corner:speed=1e-12"),
     ("validate", "--robot", "2rpr", "--samples", "1000000000000"),
     ("validate", "--robot", "2rpr", "--jobs", "99999"),
+    ("reproduce", "--jobs", "99999"),
 )
 
 

@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 from command_line import call, refused
 
+from redundancy_pin.cli import reproduce as command
 from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
-from redundancy_pin.studies import reproduce as job
-from redundancy_pin.studies.cases import BY_NAME, FULL
-from redundancy_pin.studies.figures import Picture
+from redundancy_pin.thesis import reproduce as job
+from redundancy_pin.thesis.cases import BY_NAME, FULL
+from redundancy_pin.thesis.figures import Picture
 
 
 @pytest.fixture(autouse=True)
@@ -23,14 +24,14 @@ def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = (CheckRow("2rpr", "power balance", 10, 1e-15, 1e-10, True),)
     monkeypatch.setattr(job.crosscheck, "run", lambda *_: CrossCheckReport(rows, 0))
     small = tuple(replace(BY_NAME[name], dt=0.02) for name in ("circle-0.5-parked", "corner-r0.025-baseline"))
-    monkeypatch.setattr(job.reproduce, "__defaults__", (small,))
-    monkeypatch.setitem(job.reproduce.__kwdefaults__, "extent", replace(FULL, chapters=(), jobs=1))
+    for name in ("FULL", "QUICK"):
+        monkeypatch.setattr(command, name, replace(FULL, motions=small, chapters=()))
     monkeypatch.setattr(Picture, "draw", lambda *_: None)
     monkeypatch.setattr(job, "save", lambda _, *paths: [path.write_bytes(b"") for path in paths])
 
 
 def test_tables(tmp_path: Path) -> None:
-    result = call("reproduce", "--out", str(tmp_path / "results"))
+    result = call("reproduce", "--jobs", "1", "--out", str(tmp_path / "results"))
     assert result.exit_code == 0
     assert result.stderr == ""
     assert "unbounded at t = 0.5194 s" in result.stdout
@@ -40,12 +41,12 @@ def test_tables(tmp_path: Path) -> None:
 
 
 def test_json_is_the_summary(tmp_path: Path) -> None:
-    result = call("reproduce", "--out", str(tmp_path / "results"), "--json")
+    result = call("reproduce", "--jobs", "1", "--out", str(tmp_path / "results"), "--json")
     assert json.loads(result.stdout) == json.loads((tmp_path / "results" / "summary.json").read_text())
 
 
 def test_a_log_shows_how_far_it_is(tmp_path: Path) -> None:
-    result = call("reproduce", "--out", str(tmp_path / "results"), "--json", every=0.05)
+    result = call("reproduce", "--jobs", "1", "--out", str(tmp_path / "results"), "--json", every=0.05)
     assert json.loads(result.stdout)["cross_check"]["passed"]
     lines = result.stderr.splitlines()
     assert any(re.fullmatch(r"reproduce: .+, \d+ of \d+, 0:00:\d\d elapsed", line) for line in lines)

@@ -58,7 +58,7 @@ def test_what_yaml_writes_is_read_as_its_own_reader_does(value: Any) -> None:
 
 def test_the_shipped_files_are_read_as_yaml_does() -> None:
     top = Path(__file__).resolve().parents[2]
-    files = [*top.glob("models/*/robot.yaml"), *top.glob("docs/*.yaml"), *top.glob("redundancy_pin/studies/*.yaml")]
+    files = [*top.glob("models/*/robot.yaml"), *top.glob("docs/*.yaml"), *top.glob("redundancy_pin/thesis/*.yaml")]
     assert len(files) > 8
     for file in files:
         assert read_yaml(file, InputError).data == yaml.safe_load(file.read_text(encoding="utf-8")), file

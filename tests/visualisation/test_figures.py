@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+import redundancy_pin as rp
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.visualisation.figures.comparisons import plot_efforts
 from redundancy_pin.visualisation.figures.curves import Curves
 from redundancy_pin.visualisation.figures.page import Page, RepeatableLayout
 from redundancy_pin.visualisation.figures.paths import plot_path
@@ -43,10 +43,7 @@ def _efforts(*, singular: bool = True, carriers: int = 2) -> Figure:
         regular=margin > 0.05,
         instants=(0.5,) if singular else (),
     )
-    missing = (np.sqrt(2.0),) if singular else ()
-    return plot_efforts(
-        curves, tau * (1.0 + 1e-15), backends=("first", "second"), scale=np.ones(2), missing_force=missing
-    )
+    return rp.plot.efforts(curves)
 
 
 def _path(*, singular: bool = True) -> Figure:
@@ -80,13 +77,6 @@ def test_efforts_inside_the_window_are_not_drawn_and_do_not_scale_the_axis() -> 
     inside = (T > 0.455) & (T < 0.545)
     assert np.isnan(np.asarray(line.get_ydata())[inside]).all()
     assert [text.get_text() for text in drawn.legends[0].get_texts()] == ["near-singular", "singular instant"]
-
-
-def test_the_bounded_product_meets_the_missing_force() -> None:
-    axes = _efforts().axes[1]
-    product, mark = axes.get_lines()[0], axes.get_lines()[2]
-    np.testing.assert_allclose(np.delete(np.asarray(product.get_ydata()), SINGULAR), np.sqrt(2.0), rtol=1e-12)
-    np.testing.assert_allclose(mark.get_ydata(), [np.sqrt(2.0)])
 
 
 def test_strokes_differ_without_colour() -> None:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from functools import cache
 from itertools import combinations
 
-import numpy as np
 import pytest
 import zoo
 from matplotlib.figure import Figure
@@ -15,17 +14,8 @@ from matplotlib.transforms import Bbox
 
 import redundancy_pin as rp
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.cases import SINGULAR, TASKS, TURNS
+from redundancy_pin.thesis.cases import SINGULAR
 from redundancy_pin.trajectory import reference
-from redundancy_pin.visualisation.figures.comparisons import (
-    TradeCurve,
-    plot_bars,
-    plot_side_by_side,
-    plot_speed_border,
-    plot_trade_off,
-)
-from redundancy_pin.visualisation.figures.feasibility_map import Tile, plot_feasibility
 
 EDGE = 1.5
 """Pixels by which the box of a text may be larger than what is seen of it: ascenders and descenders it has not."""
@@ -39,39 +29,6 @@ def crossing() -> Plan:
 @cache
 def corner() -> Plan:
     return rp.plan_stepwise(rp.VirtualWork(zoo.robot_of("3rrr")), reference.corner())
-
-
-def _map() -> Figure:
-    kinds = (ResultStatus.OK, ResultStatus.NOT_CONVERGED, ResultStatus.INFEASIBLE, ResultStatus.UNRESOLVED)
-    tiles = tuple(
-        Tile(i, i + 1, j, j + 1, kinds[(i + j) % 4], 1.0 + i, "T" if (i + j) % 4 == 2 else "")  # type: ignore[arg-type]
-        for i in range(4)
-        for j in range(4)
-    )
-    return plot_feasibility(
-        "2rpr, circle: what the machine can do",
-        {"switch off: threshold 5, 10, 20": tiles, "whole trajectory: least effort": tiles},
-        x="speed of the platform [m/s]",
-        y="stroke of the carriers [m]",
-        value="peak main effort [N]",
-        marks={"T": "track"},
-    )
-
-
-def _trade() -> Figure:
-    points = np.array([[1.0, 5.0], [2.0, 3.0]])
-    longest = sorted((task.title for task in TASKS), key=len)[-2:]
-    marks = {"no carriers": (0.5, 5.0), "stepwise λ = 0": (3.0, 4.0), "switching off": (2.0, 4.0)}
-    return plot_trade_off("Main effort", [TradeCurve(title, "N", points, marks) for title in longest])
-
-
-def _bars() -> Figure:
-    values = np.linspace(2.0, 30.0, 8)
-    series = dict.fromkeys(
-        ("no carriers", "stepwise λ = 0", "whole trajectory: effort", "whole trajectory: peak"), values
-    )
-    modes = [f"({a},{b},{c})" for a in "+-" for b in "+-" for c in "+-"]
-    return plot_bars("3-RRR: largest torque in every working mode", modes, "working mode", "largest |τ| [N·m]", series)
 
 
 BOX = [(-0.6, 1.1), (-1.0, 1.0)]
@@ -90,15 +47,6 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "ellipsoids": lambda: rp.plot.ellipsoids(rp.performance("five_bar", rp.load_robot("five_bar").q_reference)),
     "workspace": lambda: rp.plot.workspace(rp.workspace("five_bar", bounds=BOX, resolution=8, modes="all")),
     "locus of one coordinate": lambda: rp.plot.locus(rp.singular_locus(zoo.robot_of("four_bar"))),
-    "side by side": lambda: plot_side_by_side(SINGULAR[0].title, dict.fromkeys(
-        ("switching off", "whole trajectory: effort", "whole trajectory: smooth effort"), crossing()), "N",
-        instants=[0.5]),
-    "one alone": lambda: plot_side_by_side(TURNS[0].title, {"stepwise λ = 0": corner()}, "N·m"),
-    "map": _map,
-    "trade-off": _trade,
-    "bars": _bars,
-    "speeds": lambda: plot_speed_border("2-RPR: largest main force over speed", [
-        (task.title, np.array([[0.5, 0.2], [1.0, 1.4]]), np.array([1.2, 1.3])) for task in SINGULAR]),
 }  # fmt: skip
 
 
@@ -119,8 +67,6 @@ def _said(drawn: Figure) -> dict[str, Bbox]:
     "path of a crossing",
     "snapshots of a crossing",
     "plan of a crossing",
-    "one alone",
-    "side by side",
     "path of a corner",
     "snapshots of a corner",
     "workspace",
@@ -129,8 +75,6 @@ def _said(drawn: Figure) -> dict[str, Bbox]:
     "carriers",
     "locus of one coordinate",
     "comparison",
-    "bars",
-    "speeds",
 )
 @pytest.mark.parametrize("name", FIGURES)
 def test_titles_labels_and_legends_are_whole_and_apart(name: str) -> None:

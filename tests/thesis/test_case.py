@@ -1,0 +1,58 @@
+"""Cases: variations, what is planned, and the memo that plans once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.thesis.case import Plans
+from redundancy_pin.thesis.cases import (
+    CORNERS,
+    HEAVY_CROSSING,
+    MOTIONS,
+    SINGULAR,
+    at_speed,
+    motion_name,
+    parked,
+    thresholds,
+    without_carriers,
+)
+
+
+def test_every_motion_of_the_thesis_is_there_once() -> None:
+    names = [case.name for case in MOTIONS]
+    assert len(set(names)) == len(names)
+    assert {motion_name(case) for case in MOTIONS} == {
+        "circle-0.5", "circle-0.75", "line-0.1", "line-0.2", "corner-r0.025", "corner-r0.013", "square",
+    }  # fmt: skip
+    assert max(case.dt for case in MOTIONS) <= 1e-3
+    assert thresholds(MOTIONS[0]) == (5.0, 10.0, 20.0)
+
+
+def test_at_another_speed_the_ramps_last_as_long() -> None:
+    slow, fast = SINGULAR[0], at_speed(SINGULAR[0], 0.8)
+    assert fast.option("ramp_length") == pytest.approx(0.5 * 0.8 * 0.2)  # v T / 2
+    ramps = [motion.duration - motion.path.length / speed for motion, speed in
+             ((slow.trajectory(), 0.5), (fast.trajectory(), 0.8))]  # fmt: skip
+    assert ramps == pytest.approx([0.2, 0.2])  # two of T, each T / 2 longer than at full speed
+
+
+def test_prepared_plans_are_those_that_are_made_alone() -> None:
+    case, missing = CORNERS[0], HEAVY_CROSSING
+    told: list[str] = []
+    prepared = Plans()
+    prepared.prepare([(one, one.backends[0]) for one in (case, missing, case)], 1, told.append)
+    assert len(told) == 3
+    np.testing.assert_array_equal(prepared.plan(case).tau, case.plan().tau)
+    assert isinstance(prepared.outcome(missing), InfeasiblePlanError)
+    assert [one.name for one, _ in prepared.existing([case, missing])] == [case.name]
+
+
+def test_the_machine_without_carriers_and_with_parked_ones_stand_at_the_same_samples() -> None:
+    plans, case = Plans(), CORNERS[0]
+    moving, none, still = (plans.plan(one) for one in (case, without_carriers(case), parked(case)))
+    assert none.carriers.s.shape[1] == 0
+    assert not still.carriers.s.any()
+    np.testing.assert_array_equal(none.t, still.t)
+    np.testing.assert_array_equal(moving.t[: len(none.t)], none.t)

@@ -1,0 +1,172 @@
+"""The chapter on the thesis's planners on a small scale: its numbers against rebuilds, its verdicts against numbers."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import quick_results
+
+from redundancy_pin.errors import CrossCheckError
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.thesis import planned
+from redundancy_pin.thesis.case import Case, Plans
+from redundancy_pin.thesis.cases import CORNERS, CROSSINGS, NONE, PARKED, parked, without_carriers
+from redundancy_pin.thesis.planned import MOVING, conclusions, plan_parity
+from redundancy_pin.thesis.statements import thesis
+
+chapter = functools.partial(quick_results.chapter, "planned")
+
+# verdicts of claims in words, where the answer is known from plans made without this study
+KNOWN = {
+    "no_limit": {(1, 1, 1): False, (-1, -1, -1): True},
+    "cured_by_acceleration": {(1, 1, 1): False, (-1, -1, -1): True},
+    "sharp_exceeds": {(1, 1, 1): True, (-1, -1, -1): True},
+    "wide_half": {(1, 1, 1): False, (-1, -1, -1): True},
+}
+
+
+@pytest.mark.long
+def test_every_statement_has_a_verdict() -> None:
+    records = chapter()["against_thesis"]
+    assert {record["row"] for record in records} == set(thesis()["rows"])
+    assert len(records) == sum(len(thesis()[key]) for key in ("planned", "jointly", "claims"))
+    for record in records:
+        assert record["stated"]
+        assert record["ours"]
+        assert record["reason"] or record["verdict"] == "reproduced", record
+    assert {record["verdict"] for record in records} == {"reproduced", "differs"}
+
+
+@pytest.mark.long
+def test_backends_plan_the_same() -> None:
+    worst = [record["worst"] for record in chapter()["parity"]]
+    assert max(worst) < 1e-8
+    assert max(worst) > 0.0  # not one backend twice
+
+
+def test_plans_that_differ_stop_the_chapter() -> None:
+    class Off(Plans):
+        def outcome(self, case: Case, backend: str | None = None) -> Any:
+            plan = super().outcome(case, "virtual-work")
+            return replace(plan, tau=plan.tau * (1.0 + 1e-6)) if backend == "rnea" and isinstance(plan, Plan) else plan
+
+    with pytest.raises(CrossCheckError, match="differ by 1e-06"):
+        plan_parity(Off(), CORNERS[0])
+
+
+@pytest.mark.long
+def test_the_track_is_left_where_it_is_left() -> None:
+    """Rebuilt elsewhere: carrier 1 is at 0.247 m (0.5 m/s) and 0.260 m (0.75 m/s) as actuators are switched on."""
+    records = {record["case"]: record for record in chapter()["crossings"]}
+    assert records["circle-0.5-cn5"]["status"] == "limit_violated"
+    assert records["circle-0.5-cn5"]["beyond_track_at_exit"] == pytest.approx(0.047, abs=5e-4)
+    assert records["circle-0.75-cn5"]["beyond_track_at_exit"] == pytest.approx(0.060, abs=5e-4)
+    assert records["circle-0.5-cn20"]["beyond_track"] == 0.0
+    assert np.isnan(records["circle-0.5-cn5"]["shortest"])
+    assert "track" in records["circle-0.5-cn5"]["no_shortest"]
+    assert chapter()["heavy_end_effector"]["details"]["amount"] > 0.0
+
+
+@pytest.mark.long
+def test_ranges_contain_the_run_they_vary() -> None:
+    records = chapter()["sensitivity"]
+    for record in records:
+        assert record["low"] <= record["high"] or np.isnan(record["low"])
+    by_mode = [record for record in records if record["parameter"] == "working mode" and not np.isnan(record["ours"])]
+    assert by_mode
+    for record in by_mode:  # the run's own mode is on the grid
+        assert record["low"] - 1e-12 <= record["ours"] <= record["high"] + 1e-12
+
+
+@pytest.mark.long
+def test_actuators_do_at_least_the_work_that_the_platform_gains_and_loses() -> None:
+    """Without gravity ∫ Σ |power| dt is no less than the total variation of the kinetic energy."""
+    plans = quick_results.reproduction("planned").results.plans
+    for record in chapter()["fair_comparison"]:
+        if record["motion"].startswith("corner") and not record["what"].startswith(MOVING):
+            case = next(case for case in CORNERS if case.name.startswith(record["motion"]))
+            case = (without_carriers if record["what"] == NONE else parked)(replace(case, working_mode=record["mode"]))
+            energy = case.dynamics("rnea").along(plans.plan(case).motion).energy()
+            assert record["energy"] >= np.abs(np.diff(energy)).sum() * (1.0 - 1e-3)  # trapezoids of 5 ms
+
+
+@pytest.mark.parametrize("mode", [(1, 1, 1), pytest.param((-1, -1, -1), marks=pytest.mark.long)])
+def test_known_answers_in_a_working_mode(mode: tuple[int, ...]) -> None:
+    runs = planned.runs_of(Plans(), mode)
+    for name, answers in KNOWN.items():
+        holds, number = getattr(planned, name)(runs)
+        assert holds == answers[mode], (name, number)
+    for run in runs.values():
+        np.testing.assert_array_equal(run.plan.t[: len(run.baseline.t)], run.baseline.t)
+        assert run.accelerating.sum() > 20
+        assert (run.decided <= run.accelerating).all()
+
+
+# --- conclusions follow the numbers --------------------------------------------------------------------------------
+
+MODES = ((1, 1, 1), (-1, -1, -1))
+KEY = f"{MOVING}, λ = 0"
+CROSSING = {
+    "case": "circle-0.5-cn5", "status": "limit_violated", "beyond_track_at_exit": 0.047, "shortest": float("nan"),
+    "no_shortest": "none", "jump": (1e-12, 1e-12),
+}  # fmt: skip
+SOUND = {**CROSSING, "status": "ok", "beyond_track_at_exit": 0.0, "no_shortest": "", "shortest": 0.4}
+HEAVY = {"what": "end-effector of 0.5 kg", "message": "no", "details": {"amount": 0.25}}
+
+
+def made(
+    moving: float = 1.0, crossing: Any = CROSSING, heavy: Any = HEAVY, holds: bool = False
+) -> dict[str, dict[str, Any]]:
+    """Conclusions of every motion in two modes: 3 N·m without carriers, 12 parked, and a given peak moving."""
+    records = []
+    for motion in ("corner-r0.025", "corner-r0.013", "square"):
+        for mode in MODES:
+            for what, peak, energy in ((NONE, 3.0, 0.4), (PARKED, 12.0, 1.4), (KEY, moving, 0.1 * moving)):
+                carriers = 5.0 if what == KEY else 0.0
+                records.append({"motion": motion, "mode": mode, "what": what, "peak": peak, "rms": peak / 2.0,
+                             "carrier_force": 20.0, "main_energy": energy, "energy": energy + carriers,
+                             "status": "ok"})  # fmt: skip
+    claims = [{"modes": {"+": {"holds": True}, "-": {"holds": holds}}}]
+    chapter = {"crossings": [crossing], "fair_comparison": records, "heavy_end_effector": heavy, "claims": claims}
+    return {record["name"]: record for record in conclusions(chapter)}
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "stands"),
+    [
+        ("crossing", {}, "does not stand"),
+        ("crossing", {"crossing": SOUND}, "stands with conditions"),
+        ("crossing", {"crossing": SOUND, "heavy": None}, "stands"),
+        ("limits", {}, "does not stand"),
+        ("limits", {"crossing": SOUND}, "stands"),
+        ("exit_forces", {}, "does not stand"),
+        ("exit_forces", {"crossing": {**CROSSING, "jump": (0.2, 0.2)}}, "stands"),
+        ("wide_corner", {}, "stands"),
+        ("wide_corner", {"moving": 9.0}, "does not stand"),
+        ("sharp_corner", {}, "does not stand"),  # there the thesis says that torques exceed the baseline
+        ("sharp_corner", {"moving": 9.0}, "stands"),
+        ("square", {}, "stands"),
+        ("square", {"moving": 9.0}, "does not stand"),
+        ("shared", {}, "stands"),
+        ("shared", {"moving": 9.0}, "does not stand"),
+        ("agreement", {}, "stands with conditions"),
+        ("agreement", {"holds": True}, "stands"),
+    ],
+)
+def test_conclusions_follow_the_numbers(name: str, changes: dict[str, Any], stands: str) -> None:
+    record = made(**changes)[name]
+    assert record["stands"] == stands
+    assert record["claim"]
+    assert "{" not in record["here"]
+
+
+@pytest.mark.long
+def test_conclusions_of_the_run_show_its_numbers() -> None:
+    shown = {record["name"]: record["here"] for record in chapter()["conclusions"]}
+    assert f"{len(CROSSINGS)} crossings" in shown["crossing"]
+    assert "0.047 m beyond its track" in shown["limits"]
+    assert made()["shared"]["numbers"]["energy"][0] == pytest.approx(5.1 / 0.4)  # both sets of actuators count
