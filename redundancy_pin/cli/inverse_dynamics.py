@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from typing import Any
 
 import click
@@ -16,10 +16,31 @@ from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics as efforts
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.robot_record import robot_record
-from redundancy_pin.robot.loads import Load
+from redundancy_pin.robot.loads import Load, Payload, Wrench
 
 STEP = 1e-3
 """Default time between samples of a trajectory, s."""
+
+
+def _loads(make: Callable[[str, list[float]], Load], sizes: tuple[int, int]) -> Callable[..., tuple[Load, ...]]:
+    """Return a callback of click for ``LINK=NUMBER,...``, with one of two counts of numbers."""
+
+    def read(option: click.Option, text: str) -> Load:
+        link, _, values = text.rpartition("=")
+        parts = np.atleast_1d(options.numbers(f"{option.name} of {link}", values)).tolist() if link else []
+        if len(parts) not in sizes:
+            raise options.refusal(str(option.name), text, f"not {option.metavar}", f"--{option.name} {option.metavar}")
+        return make(link.strip(), parts)
+
+    return lambda _context, option, texts: tuple(read(option, text) for text in texts)
+
+
+def _payload(link: str, given: list[float]) -> Payload:
+    return Payload(link, given[0], given[1:] or (0.0, 0.0, 0.0))
+
+
+def _wrench(link: str, given: list[float]) -> Wrench:
+    return Wrench(link, [*given, *[0.0] * (6 - len(given))])
 
 
 @click.command("inverse-dynamics")
@@ -29,7 +50,10 @@ STEP = 1e-3
 @click.option("--dt", type=float, metavar="SECONDS", help=f"Between samples of the trajectory.  [default: {STEP:g}]")
 @click.option("--out", required=True, metavar="CSV", help="Where the efforts go.")
 @options.keyword_options(efforts_along, only=("unreachable", "upper", "lower", "preferred"))
-@options.load_options
+@click.option("--payload", multiple=True, metavar="LINK=MASS[,X,Y,Z]", callback=_loads(_payload, (1, 4)),
+              help="Mass, kg, that a link carries, and where in its frame, m. May be repeated.")  # fmt: skip
+@click.option("--wrench", multiple=True, metavar="LINK=FX,FY,FZ[,MX,MY,MZ]", callback=_loads(_wrench, (3, 6)),
+              help="Force, N, and moment, N·m, on a link, in axes of the world. May be repeated.")  # fmt: skip
 @options.json_option
 def inverse_dynamics(
     robot: options.RobotOptions,
@@ -37,7 +61,8 @@ def inverse_dynamics(
     motion: options.MotionOptions,
     dt: float | None,
     out: str,
-    loads: Sequence[Load],
+    payload: tuple[Load, ...],
+    wrench: tuple[Load, ...],
     as_json: bool,
     **keywords: Any,
 ) -> int:
@@ -70,7 +95,7 @@ def inverse_dynamics(
     given = {name: value for name, value in keywords.items() if value is not None}
     with output.progress("inverse dynamics") as advance:
         loaded = robot.load()
-        loaded = loaded.loaded(*loads) if loads else loaded
+        loaded = loaded.loaded(*payload, *wrench) if payload or wrench else loaded
         if "upper" in given and "lower" not in given:
             given["lower"] = -_size(given["upper"], loaded.m)
         dynamics = options.dynamics_of(loaded, backend)

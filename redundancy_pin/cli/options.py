@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from redundancy_pin.motion import CarrierMotion, PlatformMotion
     from redundancy_pin.planners.plan import Plan
     from redundancy_pin.robot import Robot
-    from redundancy_pin.robot.loads import Load
     from redundancy_pin.simulation import Simulation
     from redundancy_pin.trajectory import Trajectory
 
@@ -376,43 +375,6 @@ def recorded_robot_options(command: _Command) -> _Command:
     """Add ``--robot`` (argument ``source``) and ``--trust`` to a command that reads a saved plan."""
     text = "The plan's robot, where it is neither shipped nor in its folder."
     return click.option("--robot", "source", metavar="NAME|PATH", help=text)(trust_option(command))
-
-
-def load_options(command: _Command) -> Callable[..., Any]:
-    """Add ``--payload`` and ``--wrench``; the command gets both as its argument ``loads``."""
-
-    @functools.wraps(command)
-    def called(*args: Any, payload: Sequence[Load], wrench: Sequence[Load], **given: Any) -> Any:
-        return command(*args, loads=(*payload, *wrench), **given)
-
-    for name, form, text in (
-        ("--wrench", "FX,FY,FZ[,MX,MY,MZ]", "Force, N, and moment, N·m, on a link, in axes of the world."),
-        ("--payload", "MASS[,X,Y,Z]", "Mass, kg, that a link carries, and where in its frame, m."),
-    ):
-        called = click.option(
-            name,
-            multiple=True,
-            metavar=f"LINK={form}",
-            help=f"{text} May be repeated.",
-            callback=lambda _context, option, texts: [_load(option.name, each, option.metavar) for each in texts],
-        )(called)
-    return called
-
-
-def _load(kind: str, text: str, form: str) -> Load:
-    """Return the load of ``LINK=NUMBER,...``."""
-    from redundancy_pin.robot.loads import Payload, Wrench
-
-    link, _, values = text.rpartition("=")
-    try:
-        given = [decimal(value) for value in values.split(",")]
-    except ValueError:
-        given = []
-    if not link.strip() or len(given) not in ((3, 6) if kind == "wrench" else (1, 4)):
-        raise refusal(kind, text, f"not {form}", f"--{kind} {form}")
-    if kind == "wrench":
-        return Wrench(link.strip(), [*given, *[0.0] * (6 - len(given))])
-    return Payload(link.strip(), given[0], given[1:] or (0.0, 0.0, 0.0))
 
 
 def backend_option(text: str = "How to compute.") -> Callable[[_Command], _Command]:

@@ -127,7 +127,7 @@ MISTAKES = (
         "The model has no link 'end_effector'",
     ),
     ("{EFFORTS} --payload end_effector", "payload is 'end_effector'"),
-    ("{EFFORTS} --wrench end_effector=1,2,x", "wrench is 'end_effector=1,2,x'"),
+    ("{EFFORTS} --wrench end_effector=1,2,x", "wrench of end_effector is 'x'"),
     ("{EFFORTS} --payload end_efector=1", "The model has no link 'end_efector'"),
     ("{EFFORTS} --lower 3 --upper 1", "lower is above upper for actuator 0 (first at sample 0)"),
     ("{EFFORTS} --upper -1", "upper is -1"),
