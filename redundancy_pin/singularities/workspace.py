@@ -46,7 +46,7 @@ from redundancy_pin.singularities.grid import (
     slice_through,
     solve_grid,
 )
-from redundancy_pin.trajectory.csv_file import coordinate_names, csv_rows, unit_of
+from redundancy_pin.trajectory.csv_file import checked_poses, coordinate_names, csv_rows, unit_of
 
 _RESOLUTION = {1: 400, 2: 100, 3: 25}
 """Nodes along each axis, by the number of axes."""
@@ -158,8 +158,8 @@ def workspace(
         robot: the robot, or its name or path.
         free: one, two or three of the platform's translations, such as ("x", "z"); all of them when left out. Of a
             robot without a platform one or two of its independent joints.
-        at: (n,) coordinates or a pose (4, 4) that the slice goes through; the reference when left out. What is not free
-            stays as it is there.
+        at: (n,) coordinates that the slice goes through, or a pose, (4, 4) or (7,) position, m, and unit quaternion x,
+            y, z, w; the reference when left out. What is not free stays as it is there.
         bounds: (lower, upper) for each free coordinate; the whole workspace when left out, or four characteristic
             lengths to each side where it has no end within eight.
         resolution: nodes along each axis; 400, 100 or 25 by the number of axes.
@@ -230,7 +230,11 @@ def _slices(
         RedundancyPinError: it cannot be there in its own mode, if that is wanted, or in none of the modes.
     """
     home = slice_through(robot, names).x
-    x = home if at is None else checked(at, "at", home.shape)
+    x = home
+    if at is not None and home.ndim == 2 and np.ndim(at) == 1:
+        x = checked_poses(checked(at, "at", (7,))[None], "at")[0]
+    elif at is not None:
+        x = checked(at, "at", home.shape)
     slices = []
     for mode in modes:
         own = mode == robot.working_mode
