@@ -369,7 +369,7 @@ FULL = Extent()
 QUICK = Extent(
     samples=100,
     figures=False,
-    modes=((1, 1, 1), (-1, -1, -1)),
+    modes=(FIRST_MODE,),
     whole_grids=False,
     coarser=4.0,
     tolerance=0.1,
@@ -382,5 +382,5 @@ QUICK = Extent(
     replayed=(REPLAYED[0], REPLAYED[2], REPLAYED[10]),
     jobs=1,
 )
-"""Coarse, for a look and for tests: two working modes, the ends of the grids; a massless, a missing and a cornering
-replay; figures of the first page alone."""
+"""Coarse, for a look and for tests: one working mode, the ends of the grids, a massless, a missing and a cornering
+replay, and the figures of the first page."""

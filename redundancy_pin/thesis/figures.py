@@ -105,9 +105,10 @@ def motion_pictures(runs: Sequence[MotionRun]) -> list[Picture]:
 
 
 def effort_figure(_: Results, run: MotionRun, title: str) -> Figure:
-    """Draw the efforts of a run; tables have the difference of the backends, and the missing force."""
+    """Draw the efforts of a run at regular samples; tables have differences and missing forces."""
     drawn = plots.curves(run.robot, run.reduced[RNEA], run.distribution, title=title)
-    return plots.efforts(replace(drawn, instants=tuple(instant.t for instant in run.instants)))
+    shown, instants = np.where(drawn.regular[:, None], drawn.tau, np.nan), tuple(one.t for one in run.instants)
+    return plots.efforts(replace(drawn, tau=shown, instants=instants))
 
 
 def path_figure(_: Results, run: MotionRun, title: str) -> Figure:

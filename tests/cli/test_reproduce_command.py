@@ -24,8 +24,8 @@ def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = (CheckRow("2rpr", "power balance", 10, 1e-15, 1e-10, True),)
     monkeypatch.setattr(job.crosscheck, "run", lambda *_: CrossCheckReport(rows, 0))
     small = tuple(replace(BY_NAME[name], dt=0.02) for name in ("circle-0.5-parked", "corner-r0.025-baseline"))
-    for name in ("FULL", "QUICK"):
-        monkeypatch.setattr(command, name, replace(FULL, motions=small, chapters=()))
+    monkeypatch.setattr(command, "FULL", replace(FULL, motions=small, chapters=()))
+    monkeypatch.setattr(command, "QUICK", replace(FULL, motions=small[1:], chapters=()))
     monkeypatch.setattr(Picture, "draw", lambda *_: None)
     monkeypatch.setattr(job, "save", lambda _, *paths: [path.write_bytes(b"") for path in paths])
 
@@ -43,6 +43,11 @@ def test_tables(tmp_path: Path) -> None:
 def test_json_is_the_summary(tmp_path: Path) -> None:
     result = call("reproduce", "--jobs", "1", "--out", str(tmp_path / "results"), "--json")
     assert json.loads(result.stdout) == json.loads((tmp_path / "results" / "summary.json").read_text())
+
+
+def test_quick_runs_the_quick_extent(tmp_path: Path) -> None:
+    result = call("reproduce", "--quick", "--jobs", "1", "--out", str(tmp_path / "results"), "--json")
+    assert list(json.loads(result.stdout)["experiments"]) == ["corner-r0.025-baseline"]
 
 
 def test_a_log_shows_how_far_it_is(tmp_path: Path) -> None:

@@ -1,0 +1,41 @@
+"""Figures of the report show what was run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import quick_results
+
+from redundancy_pin.thesis.cases import SINGULAR
+from redundancy_pin.thesis.figures import effort_figure, path_figure, side_by_side
+
+RESULTS: Any = None
+"""Figures of a run, and of plans that are given, need no other results."""
+
+
+def test_efforts_are_drawn_at_regular_samples() -> None:
+    run = quick_results.motion_run("circle-0.5-parked")
+    axes = effort_figure(RESULTS, run, "title").axes[0]
+    shown = np.asarray(axes.lines[0].get_ydata())
+    regular = run.distribution.status == 0
+    np.testing.assert_array_equal(shown[regular], run.distribution.tau[regular, 0])
+    assert np.isnan(shown[~regular]).all()
+    assert "[N]" in axes.get_ylabel()
+
+
+def test_the_path_is_that_of_the_run() -> None:
+    run = quick_results.motion_run("circle-0.5-parked")
+    drawn = path_figure(RESULTS, run, "title").axes[0]
+    paths = [line for line in drawn.lines if len(line.get_xdata()) == len(run.t)]
+    np.testing.assert_array_equal(paths[0].get_xydata(), run.motion.x)
+
+
+def test_plans_side_by_side_name_peak_and_status() -> None:
+    plan = SINGULAR[0].plan()
+    drawn = side_by_side("title", {"one": plan, "two": plan}, "N", instants=[0.5])
+    titles = [axes.get_title() for axes in drawn.axes if axes.get_title()]
+    assert len(titles) == 2
+    assert all(
+        f"{plan.peak_effort.max():.3g} N" in title and plan.status.value.split("_")[0] in title for title in titles
+    )
