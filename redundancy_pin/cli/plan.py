@@ -25,6 +25,14 @@ from redundancy_pin.visualisation.figures.style import save
 _LISTED = 6  # limits that a table lists; the rest is counted
 _LISTED_PHASES = 10  # a stepwise plan may change its phase at every step
 
+_TITLES = {
+    SWITCH_OFF: "Cross singularities with the actuators off.",
+    STEPWISE: "Least torque around corners, step by step.",
+    WHOLE: "Least effort over the whole motion.",
+    TIME_OPTIMAL: "Least time along the path of a trajectory.",
+}
+"""What the list of planners says."""
+
 _EXAMPLES = {
     SWITCH_OFF: r"""--robot 2rpr --trajectory circle:speed=0.6 \
       --threshold 7 --return-time shortest --out plan.npz --plot plan.png""",
@@ -44,7 +52,7 @@ def _output_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @click.group(invoke_without_command=True)
-@click.option("--problem", metavar="YAML", help="PlanProblem file; docs/problem.yaml explains its keys.")
+@click.option("--problem", metavar="YAML", help="Problem file; docs/problem.yaml explains its keys.")
 @options.trust_option
 @_output_options
 @click.pass_context
@@ -80,7 +88,7 @@ def _command(name: str, planner: Callable[..., Plan]) -> None:
     text = "\n\n".join((inspect.getdoc(planner) or "").split("\n\n")[:2]).replace("``", "")
     example = f"\b\nExample:\n  redundancy-pin plan {name} {_EXAMPLES[name]}"
 
-    @plan.command(name, help=f"{text}\n\n{example}")
+    @plan.command(name, help=f"{text}\n\n{example}", short_help=_TITLES[name])
     @options.robot_options()
     @options.backend_option()
     @options.motion_options("to follow")
