@@ -358,6 +358,17 @@ def positive(value: float, name: str, unit: str) -> float:
     return number
 
 
+def not_negative(value: float, name: str) -> float:
+    """Return a number as a float after checking that it is finite and not negative."""
+    try:
+        number = real(value)
+    except (TypeError, ValueError, OverflowError):
+        number = np.nan
+    if not 0.0 <= number < np.inf:
+        raise InputError(f"{name} is {shown(value)}, expected a number that is not negative.", name=name, value=value)
+    return number
+
+
 def fraction(value: float, name: str) -> float:
     """Return a number after checking that it is from 0 to 1."""
     try:

@@ -28,7 +28,7 @@ from doc_blocks import Block, blocks_of
 
 import redundancy_pin as rp
 from redundancy_pin.cli import main
-from redundancy_pin.cli.plan_problem import read_problem
+from redundancy_pin.cli.problem import read_problem
 
 ROOT = Path(__file__).resolve().parents[1]
 MADE = ("docs/reference/api/names.md",)

@@ -164,7 +164,7 @@ def test_a_plan_outside_its_robots_folder(
 ) -> None:
     """All four said ``source=``; the flag that they take comes with the path that it needs."""
     monkeypatch.chdir(tmp_path)
-    planned = call("plan", "stepwise", "--robot", own, "--trajectory", "corner", "--step", "0.2", "--lam", "0",
+    planned = call("plan", "stepwise", "--robot", own, "--trajectory", "corner", "--dt", "0.2", "--lam", "0",
                    "--out", "plan.npz")  # fmt: skip
     assert planned.exit_code in (0, 3), planned.stderr
     line = refused(*command)
@@ -183,7 +183,7 @@ def test_a_robot_that_moved(own: Path, tmp_path: Path, monkeypatch: pytest.Monke
     (tmp_path / "here").rename(tmp_path / "there")
     for command in COMMANDS:
         line = refused(*command)
-        assert line.endswith("Name its robot.yaml where it is now: --robot robot.yaml.")
+        assert line.endswith("On the command line: --robot robot.yaml.")
         assert call(*command, "--robot", "there/robot.yaml").exit_code in (0, 3)
     monkeypatch.chdir(tmp_path / "there")
     plan = rp.load_plan("../plan.npz")

@@ -92,7 +92,7 @@ def test_the_list_of_commands_says_what_they_say_of_themselves() -> None:
         assert command.get_short_help_str(100) == text
     assert main.get_command(context, "no-such-command") is None  # type: ignore[attr-defined]
     here = Path(sys.modules["redundancy_pin.cli"].__file__ or "").parent
-    helpers = {"__init__", "errors", "options", "output", "plan_problem"}
+    helpers = {"__init__", "errors", "options", "output", "problem"}
     assert {path.stem for path in here.glob("*.py") if path.stem not in helpers} == set(map(file_of, COMMANDS))
 
 

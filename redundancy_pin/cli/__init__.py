@@ -17,7 +17,7 @@ os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 """No command has plugins of pydantic, which looks for them in all packages that are installed."""
 
 COMMANDS: Mapping[str, str] = {
-    "check": "Judge a saved plan anew.",
+    "check": "Re-validate a saved plan.",
     "codegen": "Write C for a controller.",
     "export": "Write a plan for other programs.",
     "info": "Show a robot, or which there are.",
@@ -34,13 +34,10 @@ COMMANDS: Mapping[str, str] = {
 }
 """Commands, each the function of its name in the file of its name (``file_of``), and what the list of commands says."""
 
-_TOGETHER = {"saved_plan": ("check", "export")}
-"""Files that hold several of them."""
-
 
 def file_of(command: str) -> str:
     """Return the name of the module that a command is in."""
-    return next((file for file, names in _TOGETHER.items() if command in names), command.replace("-", "_"))
+    return "saved_plan" if command in ("check", "export") else command.replace("-", "_")
 
 
 class Commands(OneLineErrors):

@@ -1,30 +1,242 @@
-"""Options that several commands share, and how they become a robot and a trajectory."""
+"""Options that commands share: the robot, its motion, loads, and the keywords of a function of the package as flags.
+
+A keyword has one spelling: ``ramp_down`` in Python and in a problem file is ``--ramp-down`` here. The form of its
+values, its default and its help are those of the signature and of the docstring.
+"""
 
 from __future__ import annotations
 
 import functools
 import inspect
 import re
+import typing
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import click
+import numpy as np
+from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import LARGEST, checked, decimal
-from redundancy_pin.cli import output
-from redundancy_pin.cli.errors import OPTIONS, in_words
+from redundancy_pin.arrays import LARGEST, decimal, frozen
+from redundancy_pin.cli.errors import print_line
 from redundancy_pin.errors import InputError, did_you_mean, shown
 
 if TYPE_CHECKING:
     from redundancy_pin.dynamics.base import Dynamics
     from redundancy_pin.motion import CarrierMotion, PlatformMotion
+    from redundancy_pin.planners.plan import Plan
     from redundancy_pin.robot import Robot
-    from redundancy_pin.robot.loads import Load
+    from redundancy_pin.simulation import Simulation
     from redundancy_pin.trajectory import Trajectory
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
+Reader = Callable[[str, Any], Any]
+"""From a name and a value as flags and files write it to the value that a function takes; InputError for others."""
+
+
+# --- values ----------------------------------------------------------------------------------------------------------
+
+
+def refusal(name: str, value: object, expected: str, example: str) -> InputError:
+    """Return the error for a value that is not what is expected."""
+    return InputError(f"{name} is {shown(value)}, {expected}.", remedy=f"Write {example}.", name=name)
+
+
+def number(name: str, value: object) -> float:
+    """Return a number; text with one is accepted (YAML reads ``1e-3`` as text)."""
+    try:
+        if not isinstance(value, bool) and isinstance(value, (int, float, str)):
+            return decimal(value) if isinstance(value, str) else float(value)
+    except (ValueError, OverflowError):
+        pass
+    raise refusal(name, value, "not a number", "a number, such as 0.5 (SI units)")
+
+
+def numbers(name: str, value: object) -> Any:
+    """Return a number, or an array of the numbers of nested lists or of text such as ``0.1,-0.1``."""
+    if isinstance(value, str) and "," in value:
+        value = [part.strip() for part in value.split(",")]
+    if not isinstance(value, list):
+        return number(name, value)
+    rows = [numbers(name, entry) for entry in value]
+    if len({np.shape(row) for row in rows}) != 1:
+        raise refusal(name, value, "not a row of numbers", "[0.1, -0.1]")
+    return frozen(rows)
+
+
+def whole(name: str, value: object) -> int:
+    """Return a whole number."""
+    result = number(name, value)
+    if not result.is_integer():
+        raise refusal(name, value, "not a whole number", "a number such as 4")
+    return int(result)
+
+
+def word(name: str, value: object) -> str:
+    """Return a word as it stands: the function that takes it knows which there are."""
+    if not isinstance(value, str):
+        raise refusal(name, value, "not a word", "text")
+    return value
+
+
+def number_or_word(name: str, value: object) -> float | str:
+    """Return a number, or else a word."""
+    try:
+        return number(name, value)
+    except InputError:
+        return word(name, value)
+
+
+def truth(name: str, value: object) -> bool:
+    """Return a truth value."""
+    if not isinstance(value, bool):
+        raise refusal(name, value, "neither true nor false", "true or false")
+    return value
+
+
+def weights(name: str, value: object) -> str | dict[str, float]:
+    """Return one word, or the weights of several: from a mapping, or from words such as ``effort`` and ``peak=2``."""
+    if isinstance(value, Mapping):
+        return {str(key): number(f"the weight of {key}", weight) for key, weight in value.items()}
+    words = [value] if isinstance(value, str) else value
+    if not isinstance(words, Sequence) or not all(isinstance(entry, str) for entry in words):
+        raise refusal(name, value, "neither a word nor weights", "effort, or {effort: 1, peak: 2}")
+    if len(words) == 1 and "=" not in words[0]:
+        return str(words[0])
+    result: dict[str, float] = {}
+    for entry in words:
+        key, separator, weight = (part.strip() for part in entry.partition("="))
+        if key in result:
+            raise InputError(f"{name} has {shown(key)} twice.", remedy="Leave one of them out.", name=name)
+        result[key] = number(f"the weight of {key}", weight) if separator else 1.0
+    return result
+
+
+def require_known(given: Mapping[str, object], known: Sequence[str], where: str) -> None:
+    """Check that every key is known to what takes them, such as "the circle"."""
+    for key in given:
+        if key not in known:
+            takes = f"It takes {', '.join(known)}." if known else "It takes none."
+            message = f"{where[:1].upper()}{where[1:]} has no key {shown(str(key))}."
+            raise InputError(message, remedy=f"{did_you_mean(key, known)}{takes}", key=str(key))
+
+
+def require_choice(value: object, known: Sequence[str], where: str) -> str:
+    """Return a value that must be one of a few words."""
+    if isinstance(value, str) and value in known:
+        return value
+    remedy = f"{did_you_mean(value, known)}Choose one of {', '.join(known)}."
+    raise InputError(f"{where[:1].upper()}{where[1:]} is {shown(value)}.", remedy=remedy, value=value)
+
+
+# --- keywords of a function as flags ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Keyword:
+    """A keyword of a function: how its value is read and written, its default, and what its docstring says of it."""
+
+    name: str
+    read: Reader
+    metavar: str
+    default: object
+    text: str
+
+    def option(self, command: _Command) -> _Command:
+        """Add its flag to a command, which gets None where the flag is left out."""
+        flag = f"--{self.name.replace('_', '-')}"
+        if self.read is truth:
+            off = f"--no-{flag[2:]}"
+            text = f"{self.text}  [default: {flag if self.default else off}]"
+            return click.option(f"{flag}/{off}", default=None, help=text)(command)
+        default = "" if self.default in (None, inspect.Parameter.empty) else f"  [default: {self.default}]"
+        return click.option(
+            flag,
+            metavar=self.metavar,
+            multiple=self.read is weights,
+            help=f"{self.text}{' May be repeated.' if self.read is weights else ''}{default}",
+            callback=lambda _context, _option, value: None if value in (None, ()) else self.read(self.name, value),
+        )(command)
+
+
+_NOT_WRITTEN = ("progress", "baseline", "interpret")
+"""Keywords that take functions or robots: a command has the baseline as parameters of the robot."""
+
+
+def keywords_of(function: Callable[..., Any]) -> dict[str, Keyword]:
+    """Return the keywords of a function by name; of a group of options its fields, except refused ones."""
+    from redundancy_pin.planners.options import GROUPS
+
+    call = function.__init__ if isinstance(function, type) else inspect.unwrap(function)  # type: ignore[misc]
+    hints, texts, refused = typing.get_type_hints(call), documented(function), getattr(function, "refused", ())
+    result: dict[str, Keyword] = {}
+    for each in inspect.signature(function).parameters.values():
+        group = GROUPS.get(each.name)
+        if each.kind is not each.KEYWORD_ONLY:
+            continue
+        if group is None or not {group, group | None} & {hints[each.name], *typing.get_args(hints[each.name])}:
+            result[each.name] = _keyword(each.name, hints[each.name], each.default, texts)
+            continue
+        inner, notes = typing.get_type_hints(group), documented(group)
+        for one in fields(group):
+            notes[each.name] = notes.get("weights", "")
+            name = each.name if one.name == "weights" else one.name
+            result[name] = _keyword(name, inner[one.name], one.default, notes)
+    return {name: one for name, one in result.items() if name not in (*_NOT_WRITTEN, *refused)}
+
+
+def _keyword(name: str, hint: Any, default: object, texts: Mapping[str, str]) -> Keyword:
+    kinds = {kind for kind in typing.get_args(hint) or (hint,) if kind is not type(None)}
+    literals = [kind for kind in (hint, *kinds) if typing.get_origin(kind) is Literal]
+    words = "|".join(str(each) for literal in literals for each in typing.get_args(literal))
+    forms: tuple[tuple[bool, Reader, str], ...] = (
+        (any(typing.get_origin(kind) is Mapping for kind in (hint, *kinds)), weights, "NAME[=NUMBER]"),
+        (set(typing.get_args(ArrayLike)) <= kinds, numbers, "NUMBER[,NUMBER...]"),
+        (bool(words), number_or_word if float in kinds else word, f"{words}|NUMBER" if float in kinds else words),
+        (kinds == {bool}, truth, ""),
+        (kinds == {int}, whole, "N"),
+        (kinds == {float}, number, "NUMBER"),
+        (True, word, "WORD"),
+    )
+    read, metavar = next((read, metavar) for fits, read, metavar in forms if fits)
+    text = texts.get(name, "")
+    if read is weights:
+        from redundancy_pin.planners.optimal import OBJECTIVES
+
+        text = f"{text} Names: {', '.join(OBJECTIVES)}."
+    return Keyword(name, read, metavar, default, text)
+
+
+def documented(function: Any) -> dict[str, str]:
+    """Return what the docstring of a function or a class says of each argument or attribute: the first sentence."""
+    entries = re.findall(r"^    (\w+): (.+(?:\n {8}.+)*)", inspect.getdoc(function) or "", flags=re.MULTILINE)
+    texts = {name: " ".join(text.replace("``", "").split()) for name, text in entries}
+    sentences = {name: re.split(r"[.:](?: |$)", text)[0] for name, text in texts.items()}
+    return {name: f"{one[:1].upper() if one[:1].isascii() else one[:1]}{one[1:]}." for name, one in sentences.items()}
+
+
+def keyword_options(*functions: Callable[..., Any], only: Sequence[str] = ()) -> Callable[[_Command], _Command]:
+    """Add the keywords of functions as flags to a command, or ``only`` some of them."""
+
+    def decorate(command: _Command) -> _Command:
+        known = {name: one for function in functions for name, one in keywords_of(function).items()}
+        for name in reversed(only or tuple(known)):  # the last one that is added is listed first
+            command = known[name].option(command)
+        return command
+
+    return decorate
+
+
+def read_keywords(function: Callable[..., Any], given: Mapping[str, object], who: str) -> dict[str, Any]:
+    """Return the values of keywords of a function, as a file writes them, as it takes them."""
+    known = keywords_of(function)
+    require_known(given, tuple(known), who)
+    return {name: known[name].read(name, value) for name, value in given.items() if value is not None}
+
+
+# --- the robot -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -33,7 +245,7 @@ class RobotOptions:
 
     source: str
     settings: Mapping[str, float | bool | str] = field(default_factory=dict)
-    mode: tuple[int, ...] | None = None
+    working_mode: tuple[int, ...] | None = None
     gravity: tuple[float, ...] | None = None
     trust: bool = False
     untrusted: bool = False
@@ -43,47 +255,97 @@ class RobotOptions:
         from redundancy_pin.loading import idle_gravity, load_with
         from redundancy_pin.robot.checks import too_few_motors
 
-        gravity, files = self.gravity, {"trust": self.trust, "untrusted": self.untrusted}
-        robot = load_with(self.source, self.settings, gravity=gravity, working_mode=self.mode, **files)
-        for note in filter(None, (idle_gravity(robot, gravity), too_few_motors(robot))):
-            click.echo(f"warning: {note}", err=True)
+        robot = load_with(
+            self.source,
+            self.settings,
+            gravity=self.gravity,
+            working_mode=self.working_mode,
+            trust=self.trust,
+            untrusted=self.untrusted,
+        )
+        for note in filter(None, (idle_gravity(robot, self.gravity), too_few_motors(robot))):
+            print_line("warning", note)
         return robot
+
+    def recorded(self, subject: Plan | Simulation) -> Robot:
+        """Return the robot of a plan or a simulation; ``source`` says where its files are now."""
+        from redundancy_pin.planners.robot_record import load_recorded
+
+        if not self.is_robot_only:
+            message = (
+                f"--set, --working-mode and --gravity cannot change the robot of a {type(subject).__name__.lower()}."
+            )
+            raise InputError(message, remedy="Leave them out, or plan again.")
+        return load_recorded(subject.robot, self.source or None, trust=self.trust)
 
     @property
     def is_robot_only(self) -> bool:
         """Whether nothing but the robot itself was given."""
-        return not self.settings and self.mode is None and self.gravity is None
+        return not self.settings and self.working_mode is None and self.gravity is None
 
 
-def _by(parse: Callable[[str], Any]) -> Callable[..., Any]:
-    """Return a callback of click that parses what is given, so that commands get values and no text."""
-    return lambda _context, _option, text: None if text is None else parse(text)
+def parse_setting(text: str) -> tuple[str, float | bool | str]:
+    """Return name and value of ``NAME=VALUE``."""
+    name, separator, value = (part.strip() for part in text.partition("="))
+    if not (separator and name and value):
+        raise InputError(f"{shown(text)} is not NAME=VALUE.", remedy="Write carrier_mass=2.0.", value=text)
+    instead = {"gravity": "gravity", "working_mode": "working_mode", "source": "robot"}.get(name)
+    if instead:
+        remedy = f"It has a flag, --{instead.replace('_', '-')}, and a key, {instead}."
+        raise InputError(f"{name} is no parameter of the robot.", remedy=remedy, value=text)
+    if value.lower() in ("true", "false"):
+        return name, value.lower() == "true"  # before numbers: xacro tells a truth value from 1
+    try:
+        return name, decimal(value)
+    except ValueError:
+        return name, value
 
 
-def robot_flags(command: _Command, *, required: bool = True) -> _Command:
-    """Add ``--robot``, ``--set``, ``--mode``, ``--gravity`` and ``--trust`` to a command."""
-    # decorators apply from the inside out: the help lists the last one first
-    for option in (
-        trust_option,
-        click.option(
-            "--gravity",
-            metavar="X,Y,Z",
-            callback=_by(parse_vector),
-            help="Acceleration of gravity, m/s², such as 0,-9.81,0.",
-        ),
-        click.option(
-            "--mode", metavar="SIGNS", callback=_by(parse_mode), help="Working mode, one sign a leg, such as +-+."
-        ),
-        settings_option("--set", "settings", "Parameter of the robot, such as carrier_mass=2.0; may be repeated."),
-        click.option(
-            "--robot",
-            required=required,
-            metavar="NAME|PATH",
-            help="Shipped robot (see `info`), robot.yaml, its folder, or a model file (URDF, xacro, MJCF, SDF).",
-        ),
-    ):
-        command = option(command)
-    return command
+def parse_mode(_: str, text: str) -> tuple[int, ...]:
+    """Return the working mode that a row of signs stands for, ±1 a leg."""
+    signs = {"+": 1, "-": -1}
+    if not text or not set(text) <= set(signs):
+        raise refusal("working_mode", text, "not a row of + and -", "+-+, one sign per leg")
+    return tuple(signs[sign] for sign in text)
+
+
+def parse_vector(_: str, given: Any) -> tuple[float, ...]:
+    """Return gravity, m/s², from ``X,Y,Z`` or a list."""
+    try:
+        parts = given.split(",") if isinstance(given, str) else given
+        vector = tuple(number("gravity", part) for part in parts)
+    except (TypeError, InputError):
+        vector = ()
+    if len(vector) != 3 or not all(abs(part) <= LARGEST for part in vector):
+        raise refusal("gravity", given, "not three numbers", "0,-9.81,0 (m/s²)")
+    return vector
+
+
+def by(read: Reader) -> Callable[..., Any]:
+    """Return a callback of click: a command gets the value that is read, None where its flag is left out."""
+    return lambda _context, option, text: None if text is None else read(option.name, text)
+
+
+def settings_option(flag: str, name: str, text: str) -> Callable[[_Command], _Command]:
+    """Return an option of ``NAME=VALUE`` pairs, which the command gets as a mapping."""
+    parse = by(lambda _, texts: dict(map(parse_setting, texts)))
+    return click.option(flag, name, multiple=True, metavar="NAME=VALUE", help=text, callback=parse)
+
+
+trust_option = click.option(
+    "--trust", is_flag=True, help="Let the robot's xacro run any Python, with your rights: for files you trust."
+)
+untrusted_option = click.option(
+    "--untrusted",
+    is_flag=True,
+    help="Let xacro and MuJoCo read the robot's files in a process with limits of time and memory.",
+)
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout instead of text.")
+
+
+def jobs_option(default: int) -> Callable[[_Command], _Command]:
+    """Return the option ``--jobs``: how many processes share the work."""
+    return click.option("--jobs", default=default, show_default=True, metavar="N", help="Processes; -1: one per core.")
 
 
 def robot_options(*, required: bool = True) -> Callable[[_Command], Callable[..., Any]]:
@@ -91,24 +353,22 @@ def robot_options(*, required: bool = True) -> Callable[[_Command], Callable[...
 
     def decorate(command: _Command) -> Callable[..., Any]:
         @functools.wraps(command)
-        def called(robot: str | None, settings: Any, mode: Any, gravity: Any, trust: bool, **given: Any) -> Any:
-            return command(robot=RobotOptions(robot or "", settings, mode, gravity, trust), **given)
+        def called(robot: str | None, settings: Any, working_mode: Any, gravity: Any, trust: bool, **given: Any) -> Any:
+            return command(robot=RobotOptions(robot or "", settings, working_mode, gravity, trust), **given)
 
-        return robot_flags(called, required=required)
+        text = "Shipped robot (see `info`), robot.yaml, its folder, or a model file (URDF, xacro, MJCF, SDF)."
+        mode = "Working mode, one sign per leg, such as +-+."
+        for option in (
+            trust_option,
+            click.option("--gravity", metavar="X,Y,Z", callback=by(parse_vector), help="Gravity, m/s²."),
+            click.option("--working-mode", metavar="SIGNS", callback=by(parse_mode), help=mode),
+            settings_option("--set", "settings", "Parameter of the robot, such as carrier_mass=2.0. May be repeated."),
+            click.option("--robot", required=required, metavar="NAME|PATH", help=text),
+        ):
+            called = option(called)
+        return called
 
     return decorate
-
-
-def trust_option(command: _Command) -> _Command:
-    """Add ``--trust`` to a command; no file can say it."""
-    text = "Let the robot's xacro run any Python, with your rights: for files whose author you trust."
-    return click.option("--trust", is_flag=True, help=text)(command)
-
-
-def untrusted_option(command: _Command) -> _Command:
-    """Add ``--untrusted`` to a command."""
-    text = "Let xacro and MuJoCo read the robot's files in a process with limits of time and memory."
-    return click.option("--untrusted", is_flag=True, help=text)(command)
 
 
 def recorded_robot_options(command: _Command) -> _Command:
@@ -117,80 +377,11 @@ def recorded_robot_options(command: _Command) -> _Command:
     return click.option("--robot", "source", metavar="NAME|PATH", help=text)(trust_option(command))
 
 
-def settings_option(flag: str, name: str, text: str) -> Callable[[_Command], _Command]:
-    """Return an option of ``NAME=VALUE`` pairs, which the command gets as a mapping."""
-    return click.option(
-        flag,
-        name,
-        multiple=True,
-        metavar="NAME=VALUE",
-        help=text,
-        callback=lambda _context, _option, texts: dict(parse_setting(each) for each in texts),
-    )
-
-
-def load_options(command: _Command) -> Callable[..., Any]:
-    """Add ``--payload`` and ``--wrench``; the command gets both as its argument ``loads``."""
-
-    @functools.wraps(command)
-    def called(*args: Any, payload: Sequence[Load], wrench: Sequence[Load], **given: Any) -> Any:
-        return command(*args, loads=(*payload, *wrench), **given)
-
-    for name, make, numbers, text in (
-        ("--wrench", _wrench, "FX,FY,FZ[,MX,MY,MZ]", "Force, N, and moment, N·m, on a link, in axes of the world"),
-        ("--payload", _payload, "MASS[,X,Y,Z]", "Mass, kg, that a link carries, and where in its frame, m"),
-    ):
-        called = click.option(
-            name,
-            multiple=True,
-            metavar=f"LINK={numbers}",
-            help=f"{text}; may be repeated.",
-            callback=lambda _context, option, texts, make=make: [
-                make(*_link_and_numbers(f"--{option.name}", each, option.metavar)) for each in texts
-            ],
-        )(called)
-    return called
-
-
-def _link_and_numbers(name: str, text: str, form: str) -> tuple[str, list[float]]:
-    """Return link and numbers of ``LINK=NUMBER,...``."""
-    link, _, values = text.rpartition("=")
-    allowed = {values.count(",") + 1 for values in (form.replace("[", "").replace("]", ""), form.partition("[")[0])}
-    try:
-        given = [decimal(value) for value in values.split(",")]
-    except ValueError:
-        given = []
-    if not link.strip() or len(given) not in allowed:
-        raise InputError(f"{name} {shown(text)} is not {form}.", remedy=f"Write {name} {form}.", value=text)
-    return link.strip(), given
-
-
-def _payload(link: str, values: list[float]) -> Load:
-    from redundancy_pin.robot.loads import Payload
-
-    return Payload(link, values[0], values[1:] or (0.0, 0.0, 0.0))
-
-
-def _wrench(link: str, values: list[float]) -> Load:
-    from redundancy_pin.robot.loads import Wrench
-
-    return Wrench(link, [*values, *[0.0] * (6 - len(values))])
-
-
-def json_option(command: _Command) -> _Command:
-    """Add ``--json`` to a command (argument ``as_json``)."""
-    option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout instead of text.")
-    return option(command)
-
-
-DEFAULT_BACKEND = "compiled; rnea without a C compiler"
-"""What the default of ``--backend`` is; see ``dynamics.default``."""
-
-
-def backend_option(text: str = "How to compute.", default: str = DEFAULT_BACKEND) -> Callable[[_Command], _Command]:
-    """Return the option ``--backend``, None where the user names none; ``default`` is what the help says of that."""
+def backend_option(text: str = "How to compute.") -> Callable[[_Command], _Command]:
+    """Return the option ``--backend``, None where the user names none."""
     from redundancy_pin.dynamics.backends import BACKENDS
 
+    default = "compiled; rnea without a C compiler"
     return click.option("--backend", type=click.Choice(list(BACKENDS)), show_default=default, help=text)
 
 
@@ -203,53 +394,18 @@ def dynamics_of(robot: Robot, backend: str | None) -> Dynamics:
         warnings.simplefilter("always")
         dynamics = as_dynamics(robot) if backend is None else BACKENDS[backend](robot)
     for note in notes:
-        output.warning(str(note.message))
+        print_line("warning", str(note.message))
     return dynamics
 
 
-def jobs_option(default: int) -> Callable[[_Command], _Command]:
-    """Return the option ``--jobs``: how many processes share the work."""
-    return click.option(
-        "--jobs", default=default, show_default=True, metavar="N", help="Processes; -1: one for each core."
-    )
+def baseline_option(planner: Callable[..., Any]) -> Callable[[_Command], _Command]:
+    """Return the option ``--baseline`` of a planner that can aim at a fraction of the efforts of another robot."""
+    text = "Parameters that make the robot its own baseline: carriers=false. May be repeated."
+    option = settings_option("--baseline", "baseline", text)
+    return option if "objective" in inspect.signature(planner).parameters else lambda command: command
 
 
-def parse_setting(text: str) -> tuple[str, float | bool | str]:
-    """Return name and value of ``NAME=VALUE``."""
-    name, separator, value = text.partition("=")
-    name, value = name.strip(), value.strip()
-    if not (separator and name and value):
-        raise InputError(f"--set {shown(text)} is not NAME=VALUE.", remedy="Write --set carrier_mass=2.0.", value=text)
-    if name in ("gravity", "working_mode", "source"):
-        instead = {"gravity": "--gravity", "working_mode": "--mode", "source": "--robot"}[name]
-        raise InputError(f"--set cannot change {name}.", remedy=f"Use {instead}.", value=text)
-    if value.lower() in ("true", "false"):
-        return name, value.lower() == "true"  # before numbers: xacro tells a truth value from 1
-    try:
-        return name, decimal(value)
-    except ValueError:
-        return name, value
-
-
-def parse_mode(text: str) -> tuple[int, ...]:
-    """Return the working mode that a row of signs stands for, ±1 a leg."""
-    signs = {"+": 1, "-": -1}
-    if not text or not set(text) <= set(signs):
-        raise InputError(f"--mode {shown(text)} is not a row of + and -.", remedy="Write --mode +-+, one sign a leg.")
-    return tuple(signs[sign] for sign in text)
-
-
-def parse_vector(given: Any) -> tuple[float, ...]:
-    """Return gravity, m/s², from ``X,Y,Z`` or a list."""
-    try:
-        text = isinstance(given, str)
-        numbers = tuple(map(decimal, given.split(","))) if text else tuple(float(part) for part in given)
-    except (TypeError, ValueError, OverflowError):
-        numbers = ()
-    if len(numbers) != 3 or not all(abs(number) <= LARGEST for number in numbers):
-        raise InputError(f"gravity is {shown(given)}, not three numbers.", remedy="Write 0,-9.81,0 (m/s²).")
-    return numbers
-
+# --- the motion ------------------------------------------------------------------------------------------------------
 
 STEP = 5e-3
 """Default time between samples of a trajectory, s."""
@@ -257,122 +413,38 @@ STEP = 5e-3
 MOTION_CSV = "a CSV of samples (t,x,y,xd,yd,xdd,ydd) or of points (t,x,y)."
 """What ``--motion`` takes, for help."""
 
-FLAGS = {
-    "speed": "Cruising speed of the trajectory, m/s.",
-    "radius": "Corner radius, m.",
-    "ramp_time": "Duration of each speed ramp, s.",
-    "ramp_length": "Arc length of the ramp, m.",
-    "straight": "Length of each straight of the corner, m.",
-    "side": "Side of the square, m.",
-    "alpha": "Constant orientation of the platform, rad.",
-}
-"""Keys of trajectories that are flags of their own; the rest can be written as ``name:key=value``."""
-
-
-def flag(name: str) -> str:
-    """Return the flag of a parameter: ``--ramp-time``."""
-    return f"--{name.replace('_', '-')}"
-
-
-def require_known(given: Iterable[object], known: Sequence[str], where: str) -> None:
-    """Check that every key is known to what takes them, such as "the circle"."""
-    for key in given:
-        if key not in known:
-            takes = f"It takes {', '.join(known)}." if known else "It takes none."
-            raise InputError(
-                f"{_capital(where)} has no key {shown(str(key))}.",
-                remedy=f"{did_you_mean(key, known)}{takes}",
-                key=str(key),
-            )
-
-
-def require_choice(value: object, known: Sequence[str], where: str) -> str:
-    """Return a value that must be one of a few words."""
-    if isinstance(value, str) and value in known:
-        return value
-    remedy = f"{did_you_mean(value, known)}Choose one of {', '.join(known)}."
-    raise InputError(f"{_capital(where)} is {shown(value)}.", remedy=remedy, value=value)
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
-def _trajectories() -> Mapping[str, Callable[..., Trajectory]]:
-    from redundancy_pin.trajectory.reference import TRAJECTORIES  # `info` shares this file, and has no use for planners
-
-    return TRAJECTORIES
-
-
-def _maker(name: object, robot: Robot | None = None) -> Callable[..., Trajectory] | None:
-    """Return what makes the trajectory of a name or of a file of points; None where there is no such name."""
-    if is_points_file(name):
-        from redundancy_pin.trajectory import from_points
-
-        return functools.partial(from_points, name, robot=robot)
-    return _trajectories().get(name) if isinstance(name, str) else None  # a file may say anything
-
-
-def is_points_file(name: object) -> TypeGuard[str]:
-    """Return whether the name of a trajectory is that of a file of points."""
-    return isinstance(name, str) and name.lower().endswith((".csv", ".json"))
-
-
-def make_trajectory(name: str, options: Mapping[str, Any], robot: Robot | None = None) -> Trajectory:
-    """Return a trajectory by name, or through the points of a file, whose columns are those of the robot."""
-    # the maker's signature is the schema: a new trajectory needs no table of its keys here
-    make = _maker(name, robot) or _trajectories()[require_choice(name, tuple(_trajectories()), "the trajectory")]
-    parameters = {key: one for key, one in inspect.signature(make).parameters.items() if key != "robot"}
-    where = f"the trajectory {name}"
-    require_known(options, tuple(parameters), where)
-    for key, parameter in parameters.items():
-        if parameter.default is inspect.Parameter.empty and key not in options:
-            raise InputError(f"The trajectory {name} lacks the key {key!r}.", remedy=f"Add {key}.", key=key)
-    return make(**{key: _value(key, value, where) for key, value in options.items()})
-
-
-def parse_trajectory(text: str, flags: Mapping[str, float | str | None], robot: Robot | None = None) -> Trajectory:
-    """Return the trajectory that ``name`` or ``name:key=value,...`` and flags describe together."""
-    name, texts = split_trajectory(text)
-    options = trajectory_values(name, texts)
-    given = {key: value for key, value in flags.items() if value is not None}
-    maker = _maker(name)
-    known = inspect.signature(maker).parameters if maker else given
-    for key in given:
-        if key in options:
-            remedy = f"Leave {flag(key)} or {key}= out."
-            raise InputError(f"{key} of the {name} is given twice.", remedy=remedy, key=key)
-        if key not in known:
-            remedy = f"It takes {', '.join(known)}."
-            raise InputError(f"The trajectory {name} takes no {flag(key)}.", remedy=remedy, key=key)
-    with in_words(OPTIONS.knowing({key: flag(key) for key in given})):
-        return make_trajectory(name, {**options, **given}, robot)
-
 
 @dataclass(frozen=True)
 class MotionOptions:
-    """Which motion: a trajectory with its flags, or a file, of points or of samples with rates.
+    """Which motion: a trajectory, or a file, of points or of samples with rates.
 
     Both options take both kinds of files: what is in a file decides.
     """
 
     path: str | None
-    check_rates: bool
+    check_rates: bool = True
     trajectory: str | None = None
-    flags: Mapping[str, float | str | None] = field(default_factory=dict)
+    keys: Mapping[str, object] | None = None
+    """Of the trajectory, by a problem file; else they are written behind its name."""
 
     @property
     def given(self) -> str | None:
         """What either option was given."""
         return self.path if self.trajectory is None else self.trajectory
 
+    @functools.cached_property
+    def _parts(self) -> tuple[str, Mapping[str, object]]:
+        from redundancy_pin.trajectory.by_name import split_trajectory
+
+        return split_trajectory(self.given or "") if self.keys is None else (self.given or "", self.keys)
+
     @property
     def file(self) -> str | None:
         """The file that the motion is read from; None for a trajectory by name."""
-        if self.trajectory is None:
-            return self.path
-        name = split_trajectory(self.trajectory)[0]
-        return name if is_points_file(name) else None
+        from redundancy_pin.trajectory.by_name import is_points_file
+
+        name = self._parts[0]
+        return name if is_points_file(name) or (self.path is not None and self.trajectory is None) else None
 
     @functools.cached_property
     def is_sampled(self) -> bool:
@@ -389,27 +461,25 @@ class MotionOptions:
         return f"{'samples' if self.is_sampled else 'a trajectory through the points'} of {self.given}"
 
     def follow(self, who: str, robot: Robot, **settings: float | None) -> PlatformMotion | Trajectory:
-        """Return the motion of a robot; ``who`` needs it, such as "A plan". Samples take neither flags nor settings."""
+        """Return the motion of a robot; ``who`` needs it, such as "A plan". Samples take neither keys nor settings."""
         if (self.trajectory is None) == (self.path is None):
-            raise InputError(f"{who} needs either --trajectory or --motion.", remedy="Give one of them.")
-        if not self.is_sampled:
-            return parse_trajectory(str(self.given), self.flags, robot)
+            raise InputError(f"{who} needs either a trajectory or a motion.", remedy="Give one of them.")
         from redundancy_pin.trajectory import from_csv
+        from redundancy_pin.trajectory.by_name import trajectory_by_name
 
-        # refused rather than ignored: --speed beside samples would seem to have an effect
-        own = {} if self.trajectory is None else split_trajectory(self.trajectory)[1]
-        for name, value in {**self.flags, **settings, **own}.items():
-            if value is not None:
-                raise InputError(
-                    f"{flag(name)} does not apply to a motion from a file that has rates.",
-                    remedy="Leave it out, or the rates.",
-                )
+        name, values = self._parts
+        if not self.is_sampled:
+            return trajectory_by_name(name, values, robot)
+
+        for key in (*values, *(key for key, value in settings.items() if value is not None)):
+            message = f"{key} does not apply to a motion from a file that has rates."
+            raise InputError(message, remedy="Leave it out, or the rates.", key=key)
         return from_csv(str(self.file), robot, check_rates=self.check_rates)
 
-    def sampled(self, who: str, robot: Robot) -> PlatformMotion:
-        """Return the motion as ``follow``, a trajectory sampled every ``STEP``, s."""
+    def sampled(self, who: str, robot: Robot, dt: float = STEP) -> PlatformMotion:
+        """Return the motion as ``follow``, a trajectory sampled every ``dt``, s."""
         motion = self.follow(who, robot)
-        return motion.sample(STEP) if hasattr(motion, "sample") else motion
+        return motion.sample(dt) if hasattr(motion, "sample") else motion
 
     def carriers(self, robot: Robot) -> CarrierMotion | None:
         """Return the motion of the carriers that the file has; None without, or without a file."""
@@ -418,130 +488,26 @@ class MotionOptions:
         return carriers_from_csv(str(self.file), robot, check_rates=self.check_rates) if self.is_sampled else None
 
 
-def split_trajectory(text: str) -> tuple[str, dict[str, str]]:
-    """Return the name, or the file, and the options, as text, of ``name:key=value,...``."""
-    file = re.match(r"(.*?\.(?:csv|json))(?::(.*))?$", text, re.IGNORECASE)
-    name, rest = (file[1], file[2] or "") if file else text.partition(":")[::2]
-    options: dict[str, str] = {}
-    for pair in filter(None, rest.split(",")):
-        key, separator, value = pair.partition("=")
-        if not separator:
-            raise InputError(f"{shown(pair)} of the trajectory is not KEY=VALUE.", remedy="Write circle:speed=0.5.")
-        options[key.strip()] = value.strip()
-    return name, options
-
-
-def trajectory_values(name: str, texts: Mapping[str, str]) -> dict[str, Any]:
-    """Return the values of the keys of a trajectory; as ``trajectory_value``."""
-    return {key: trajectory_value(key, text, f"the trajectory {name}") for key, text in texts.items()}
-
-
-def trajectory_value(key: str, text: str, where: str) -> Any:
-    """Return the value of a key: a number, true or false, a row as ``1.0 0.4``, or rows between ``;``, or words."""
-    if text in ("true", "false"):
-        return text == "true"
-    if key == "ends":
-        words = text.split()
-        return words[0] if len(words) == 1 else words
-    if (key, text) in (("times", "time-optimal"), ("shape", "3-4-5"), ("shape", "4-5-6-7")):
-        return text
-    try:
-        # commas part the pairs of a trajectory already: rows have blanks and semicolons
-        if ";" in text:
-            return [[float(number) for number in row.split()] for row in text.split(";") if row.strip()]
-        row = [float(number) for number in text.split()]
-    except ValueError:
-        row = []
-    if not row:
-        wanted = "Write a number, a row such as 1.0 0.4, or rows such as 1.0 0.4;1.0 0.5."
-        raise InputError(f"{key} of {where} is {shown(text)}, neither a number nor rows.", remedy=wanted, key=key)
-    return row[0] if len(row) == 1 else row
-
-
-def trajectory_option(what: str) -> Callable[[_Command], _Command]:
-    """Return the option ``--trajectory``; its help says what the trajectory is for."""
-    return click.option(
-        "--trajectory",
-        metavar="NAME|FILE[:KEY=VALUE,...]",
-        help=f"{what}: {', '.join(_trajectories())}; such as circle:speed=0.5, or "
-        "'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'. Or through the points of a CSV or JSON file: "
-        "way.csv (columns t,x,y), way.csv:speed=0.1, way.csv:times=time-optimal,max_speed=0.5,max_acceleration=2. "
-        "A CSV with rates is a motion, as of --motion.",
-    )
-
-
-def motion_options(
-    text: str, trajectory: str | None = None, *, flags: Mapping[str, str] = {}
-) -> Callable[[_Command], Callable[..., Any]]:
+def motion_options(what: str) -> Callable[[_Command], Callable[..., Any]]:
     """Add the options of a motion to a command that takes them as one ``MotionOptions``, its argument ``motion``.
 
-    ``text`` is the help of ``--motion``, ``trajectory`` the beginning of that of ``--trajectory``, which is left out
-    without; ``flags`` are keys of trajectories that have options of their own, with their help.
+    ``what`` says in their help what the motion is for, such as "to follow".
     """
+    from redundancy_pin.trajectory.reference import TRAJECTORIES
 
     def decorate(command: _Command) -> Callable[..., Any]:
         @functools.wraps(command)
-        def called(*args: Any, motion_path: Any, check_rates: Any, trajectory: Any = None, **given: Any) -> Any:
-            own = {key: given.pop(key) for key in (*flags, *(["ends"] if "ends" in given else []))}
-            return command(*args, motion=MotionOptions(motion_path, check_rates, trajectory, own), **given)
+        def called(*args: Any, motion_path: Any, check_rates: bool, trajectory: Any, **given: Any) -> Any:
+            return command(*args, motion=MotionOptions(motion_path, check_rates, trajectory), **given)
 
-        added = number_options({flag(name): help_text for name, help_text in flags.items()})(called)
-        added = click.option(
-            "--check-rates/--no-check-rates",
-            default=True,
-            show_default=True,
-            help="Refuse a motion whose rates are not those of its positions; poses to stand still in need --no-.",
-        )(added)
-        added = click.option("--motion", "motion_path", metavar="CSV", help=text)(added)
-        return trajectory_option(trajectory)(_ends_option(added)) if trajectory else added
-
-    return decorate
-
-
-def _ends(text: str | None, words: Sequence[str]) -> str | list[str] | None:
-    """Return the word, or the pair of words, of ``--ends``."""
-    if text is None:
-        return None
-    given = re.split(r"[,\s]+", text.strip())
-    for word in given:
-        require_choice(word, tuple(words), "--ends")
-    return given[0] if len(given) == 1 else given
-
-
-def _ends_option(command: _Command) -> _Command:
-    """Return the option ``--ends``, the argument of ``from_points``."""
-    from redundancy_pin.trajectory.waypoints import ENDS  # as ``_trajectories``
-
-    return click.option(
-        "--ends",
-        callback=lambda _, __, text: _ends(text, ENDS),
-        metavar="|".join(ENDS),
-        help="Of points with times: start and end at rest, or with the rates of the samples; auto: as the points show; "
-        "a pair such as rest,samples for start and end.",
-    )(command)
-
-
-def trajectory_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--trajectory``, ``--motion`` and all flags of trajectories to a command."""
-    text = f"Motion to follow instead: {MOTION_CSV}"
-    return motion_options(text, "Trajectory to follow", flags=FLAGS)(command)
-
-
-def number_options(texts: Mapping[str, str]) -> Callable[[_Command], _Command]:
-    """Return options that take a number each, with their help."""
-
-    def decorate(command: _Command) -> _Command:
-        for name, text in reversed(list(texts.items())):  # the last one that is added is listed first
-            command = click.option(name, type=float, metavar="NUMBER", help=text)(command)
-        return command
+        rates = "Refuse a motion whose rates are not those of its positions; poses to stand still in need --no-."
+        called = click.option("--check-rates/--no-check-rates", default=True, show_default=True, help=rates)(called)
+        called = click.option("--motion", "motion_path", metavar="CSV", help=f"Motion {what}: {MOTION_CSV}")(called)
+        words = (
+            f"Trajectory {what}: {', '.join(TRAJECTORIES)}, with keys as circle:speed=0.5 or "
+            "'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'; or a CSV or JSON file of points, such as "
+            "way.csv:speed=0.1 (columns t,x,y; ends=rest: at rest at both ends). A CSV with rates is a motion."
+        )
+        return click.option("--trajectory", metavar="NAME|FILE[:KEY=VALUE,...]", help=words)(called)
 
     return decorate
-
-
-def _value(key: str, value: object, where: str) -> Any:
-    """Return a value as a number, a truth value or rows of numbers."""
-    if isinstance(value, (bool, list)) or value is None:
-        return value
-    if isinstance(value, str):
-        return trajectory_value(key, value, where)
-    return float(checked(value, f"{key} of {where}", ()))  # type: ignore[arg-type]

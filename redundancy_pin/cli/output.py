@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from redundancy_pin.cli.errors import printable
+from redundancy_pin.cli.errors import print_line, printable
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.io.json_data import json_data
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib
 
 if TYPE_CHECKING:  # rich is imported where something is printed by it: `--help` and `--json` do without
@@ -32,8 +33,18 @@ Advance = Callable[[int, int, str], None]
 EVERY = 10.0
 """Time between two lines of progress where there is no terminal, s."""
 
+EXIT_CODES = {
+    ResultStatus.OK: 0,
+    ResultStatus.LIMIT_VIOLATED: 3,
+    ResultStatus.UNBOUNDED: 3,
+    ResultStatus.STOPPED: 3,
+    ResultStatus.NOT_CONVERGED: 4,
+    ResultStatus.UNRESOLVED: 4,
+}
+"""Exit codes by the status of a result."""
+
 _ROUNDING = 1e-12  # coordinates and directions below this are shown as zero
-_PIPE_WIDTH = 140  # columns of a table that does not go to a terminal: wide enough that nothing is cut
+_PIPE_WIDTH = 140  # columns of a table that does not go to a terminal: rich would take 80 and cut numbers
 
 
 def console(*, markup: bool = False) -> Console:
@@ -48,10 +59,8 @@ def console(*, markup: bool = False) -> Console:
         def on_broken_pipe(self) -> None:
             raise  # rich handles the error by this, and would end with 1: a reader that has seen enough is no fault
 
-    # a width of its own in a pipe: rich would take 80 columns there and cut numbers
-    if _is_terminal(sys.stdout):
-        return Printer(markup=markup, emoji=False, highlight=False)
-    return Printer(markup=markup, emoji=False, highlight=False, width=_PIPE_WIDTH, color_system=None)
+    plain: dict[str, Any] = {} if _is_terminal(sys.stdout) else {"width": _PIPE_WIDTH, "color_system": None}
+    return Printer(markup=markup, emoji=False, highlight=False, **plain)
 
 
 def _is_terminal(stream: Any) -> bool:
@@ -63,8 +72,8 @@ class TextTable:
     """Rows of text, without a head where there are no headings; columns of ``numbers`` stand to the right."""
 
     title: str
-    headings: Sequence[str]
     rows: Iterable[Sequence[str]]
+    headings: Sequence[str] = ()
     numbers: bool = False
 
     def terminal(self) -> Table:
@@ -85,7 +94,7 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 
 def report(as_json: bool, facts: Mapping[str, Any], *shown: Any) -> None:
-    """Print facts as one JSON document, or what is shown to people: tables (with ``terminal``) and lines.
+    """Print facts as one JSON document, or what is shown to people: lines, and tables with ``terminal``.
 
     Facts with ``ends``, those of a motion through points, get a line.
     """
@@ -104,7 +113,7 @@ def report(as_json: bool, facts: Mapping[str, Any], *shown: Any) -> None:
 
 def warning(text: str) -> None:
     """Print a warning in one line on stderr."""
-    click.echo(f"warning: {printable(' '.join(text.split()))}", err=True)
+    print_line("warning", text)
 
 
 def number(value: float) -> str:
@@ -123,23 +132,9 @@ def listed(texts: Sequence[str], most: int, between: str) -> str:
     return between.join([*texts[:most], *rest])
 
 
-def require_suffix(flag: str, path: str, suffix: str) -> None:
-    """Check that a file to write is named as what it will be: other programs, and people, go by the name."""
-    named = Path(path)
-    if named.suffix.lower() != suffix:
-        # "." and "/" have no name, ".." is none
-        stem = named.parent / named.stem if named.stem.strip(".") else named / "result"
-        fitting = f"{stem}{suffix}"
-        raise OutputError(
-            f"{flag} {path} does not end in {suffix}.", remedy=f"Write {flag} {fitting}.", path=path, suffix=suffix
-        )
-
-
-def require_picture(path: str) -> None:
-    """Check that a picture can be drawn, and written there."""
-    require_matplotlib()
-    picture_format(path)
-    require_writable(path)
+def written(facts: Mapping[str, Any], **names: str) -> list[tuple[str, str]]:
+    """Return rows of a table for the files that a command has written: by key of its facts what they are."""
+    return [(f"{name} written to", facts[key]) for key, name in names.items() if facts[key]]
 
 
 def same_file(first: str | Path, second: str | Path) -> bool:
@@ -150,16 +145,36 @@ def same_file(first: str | Path, second: str | Path) -> bool:
         return False
 
 
-def require_outputs(out: str | None, plot: str | None, inputs: Iterable[str | Path]) -> None:
-    """Check that both files can be written and are none of the inputs, before the work is done."""
+def require_outputs(
+    out: str | None,
+    suffixes: Sequence[str],
+    plot: str | None = None,
+    inputs: Iterable[str | Path | None] = (),
+    flag: str = "--out",
+) -> None:
+    """Check, before the work is done, that files can be written, and are none of the inputs.
+
+    ``out`` ends in one of the suffixes: other programs, and people, go by the name.
+    """
+    if out and Path(out).suffix.lower() not in suffixes:
+        named = Path(out)
+        # "." and "/" have no name, ".." is none
+        stem = named.parent / named.stem if named.stem.strip(".") else named / "result"
+        raise OutputError(
+            f"{flag} {out} does not end in {' or '.join(suffixes)}.",
+            remedy=f"Write {flag} {stem}{suffixes[0]}.",
+            path=out,
+        )
     if out:
         require_writable(out)
     if plot:
-        require_picture(plot)
-    given = tuple(inputs)
-    for flag, path in (("--out", out), ("--plot", plot)):
+        require_matplotlib()
+        picture_format(plot)
+        require_writable(plot)
+    given = [one for one in inputs if one]
+    for name, path in ((flag, out), ("--plot", plot)):
         if path and any(same_file(path, one) for one in given):
-            raise OutputError(f"{flag} is the file {path} to read from.", remedy="Give it another name.", path=path)
+            raise OutputError(f"{name} is the file {path} to read from.", remedy="Give it another name.", path=path)
 
 
 def drawn(path: str | None, draw: Callable[[str], object]) -> RedundancyPinError | None:
@@ -174,11 +189,8 @@ def drawn(path: str | None, draw: Callable[[str], object]) -> RedundancyPinError
     except RedundancyPinError as error:
         return error
     except Exception as error:  # whatever a drawing library raises: the results are there
-        return OutputError(
-            f"{path} cannot be drawn: {type(error).__name__}: {error}",
-            remedy="The results are complete without it. Please report this error.",
-            path=path,
-        )
+        message = f"{path} cannot be drawn: {type(error).__name__}: {error}"
+        return OutputError(message, remedy="The results are complete without it. Please report this error.", path=path)
     return None
 
 
@@ -190,12 +202,21 @@ def progress(title: str) -> Iterator[Advance]:
     for shorter work.
     """
     if not (_is_terminal(sys.stderr) and _is_terminal(sys.stdout)):
-        lines, ended = _Lines(title), threading.Event()
-        # a step may take minutes
-        watch = threading.Thread(target=lines.print_until, args=(ended,), daemon=True)
+        state, ended, start = ["", ""], threading.Event(), time.monotonic()
+
+        def note(done: int, total: int, what: str = "") -> None:
+            state[:] = what, f"{done} of {total}" if total else ""
+
+        def print_lines() -> None:
+            while not ended.wait(EVERY):
+                elapsed = f"{timedelta(seconds=int(time.monotonic() - start))} elapsed"
+                with suppress(ValueError):  # stderr is closed
+                    print_line(title, ", ".join(filter(None, (*state, elapsed))))
+
+        watch = threading.Thread(target=print_lines, daemon=True)  # a step may take minutes
         watch.start()
         try:
-            yield lines.advance
+            yield note
         finally:
             ended.set()
             watch.join()
@@ -203,50 +224,17 @@ def progress(title: str) -> Iterator[Advance]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    bar = Progress(
+    columns = (
         SpinnerColumn(),
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
-        console=Console(stderr=True, emoji=False),
-        transient=True,
     )
-    with bar:
+    with Progress(*columns, console=Console(stderr=True, emoji=False), transient=True) as bar:
         task = bar.add_task(title, total=None)
 
         def advance(done: int, total: int, what: str = "") -> None:
             bar.update(task, completed=done, total=total, description=f"{title}: {what}" if what else title)
 
         yield advance
-
-
-class _Lines:
-    """Progress of a command as lines of a log."""
-
-    def __init__(self, title: str) -> None:
-        self._title, self._state, self._lock = title, (0, 0, ""), threading.Lock()
-        self._start = self._last = time.monotonic()
-
-    def advance(self, done: int, total: int, what: str = "") -> None:
-        """Note how far the command is; print it if a line is due."""
-        self._state = done, total, what
-        self._print_if_due()
-
-    def print_until(self, ended: threading.Event) -> None:
-        """Print a line whenever one is due, until the event."""
-        while not ended.wait(max(0.0, self._last + EVERY - time.monotonic())):
-            self._print_if_due()
-
-    def _print_if_due(self) -> None:
-        with self._lock:
-            now = time.monotonic()
-            if now - self._last < EVERY:
-                return
-            self._last = now
-            done, total, what = self._state
-            steps = f"{done} of {total}" if total else ""
-            parts = what, steps, f"{timedelta(seconds=int(now - self._start))} elapsed"
-            text = f"{self._title}: {', '.join(filter(None, parts))}"
-            with suppress(OSError, ValueError):  # stderr is full, or closed
-                click.echo(printable(" ".join(text.split())), err=True)

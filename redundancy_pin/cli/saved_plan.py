@@ -1,20 +1,17 @@
-"""``redundancy-pin check``, ``export``: a saved plan judged anew by its robot's dynamics, or written for others."""
+"""``redundancy-pin check``, ``export``: a saved plan validated by its robot's dynamics, or written for others."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
-from redundancy_pin.cli.errors import FAILED_CHECK, OPTIONS, in_words
+from redundancy_pin.cli.errors import FAILED_CHECK, print_line
 from redundancy_pin.cli.options import backend_option, dynamics_of, json_option, recorded_robot_options
-from redundancy_pin.cli.output import TextTable, number, report, row, same_file
-from redundancy_pin.dynamics.backends import backend_of
-from redundancy_pin.errors import InputError, OutputError
-from redundancy_pin.io.files import require_writable
+from redundancy_pin.cli.output import EXIT_CODES, TextTable, number, report, require_outputs, row
+from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import load_plan, load_robot_of
 
 WRITERS = {".csv": "to_csv", ".json": "to_json", ".mat": "to_mat", ".yaml": "to_ros", ".yml": "to_ros"}
@@ -27,7 +24,7 @@ WRITERS = {".csv": "to_csv", ".json": "to_json", ".mat": "to_mat", ".yaml": "to_
 @recorded_robot_options
 @json_option
 def check(path: str, source: str | None, backend: str | None, trust: bool, as_json: bool) -> int:
-    r"""Judge a saved plan anew.
+    r"""Re-validate a saved plan.
 
     Its motion goes through the dynamics of its robot again: W τ = f at the samples, limits, efforts between the
     samples, and the status that follows, against what the plan says. Exit codes: 0 the plan is what it says, and within
@@ -39,16 +36,15 @@ def check(path: str, source: str | None, backend: str | None, trust: bool, as_js
       redundancy-pin check plan.npz --backend virtual-work
     """
     # what plans and judges takes as long to import as an export takes
-    from redundancy_pin.cli.plan import BREAKS_LIMITS, EXIT_CODES
+    from redundancy_pin.dynamics.backends import backend_of
     from redundancy_pin.planners.check import check_plan
 
     plan = load_plan(path)
     dynamics = dynamics_of(load_robot_of(plan, source, trust=trust), backend)
     result = check_plan(plan, dynamics)
-    used = backend_of(dynamics)
-    facts = {
+    facts: dict[str, Any] = {
         "plan": path,
-        "backend": used,
+        "backend": backend_of(dynamics),
         "passed": result.passed,
         "status": result.status.value,
         "saved_status": plan.status.value,
@@ -64,18 +60,16 @@ def check(path: str, source: str | None, backend: str | None, trust: bool, as_js
         ("limits broken", str(len(result.violated)) if result.violated else "none"),
         *(("deviation", deviation.message) for deviation in result.deviations),
         *(("wider limit", note) for note in result.wider_limits),
-        *(("closures lose rank", _where(loss)) for loss in result.closure_rank),
     ]
-    title = f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, by {used}"
-    report(as_json, facts, TextTable(title, (), rows))
+    losses: Any = result.closure_rank
+    for loss in losses:
+        where = f"at t = {loss['time']:.6g} s, x = {row(np.ravel(loss['x']))}"
+        rows.append(("closures lose rank", f"{where}: solution branches meet there"))
+    title = f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, by {facts['backend']}"
+    report(as_json, facts, TextTable(title, rows))
     for deviation in result.deviations:
-        click.echo(f"error: {deviation.message}", err=True)
-    return EXIT_CODES.get(result.status, BREAKS_LIMITS) if result.passed else FAILED_CHECK
-
-
-def _where(loss: Mapping[str, Any]) -> str:
-    pose = ", ".join(number(float(value)) for value in np.ravel(loss["x"]))
-    return f"at t = {loss['time']:.6g} s, x = {pose}: branches of the kinematics meet there"
+        print_line("error", deviation.message)
+    return EXIT_CODES[result.status] if result.passed else FAILED_CHECK
 
 
 @click.command()
@@ -102,24 +96,14 @@ def export(
       redundancy-pin export plan.npz --to trajectory.yaml --rate 250
     """
     suffix = Path(out).suffix.lower()
-    if suffix not in WRITERS:
-        raise OutputError(
-            f"--to {out} has no suffix that says what to write.", remedy=f"End it in {', '.join(WRITERS)}.", path=out
-        )
+    require_outputs(out, tuple(WRITERS), inputs=(path,), flag="--to")
     if ros and suffix not in (".json", ".yaml", ".yml"):
         raise InputError(f"--ros does not go with {suffix}.", remedy="Write --to trajectory.yaml.")
     writer = "to_ros" if ros else WRITERS[suffix]
-    message = writer == "to_ros"
-    if message and two_sided:
+    if writer == "to_ros" and two_sided:
         raise InputError("A JointTrajectory has one point at a time.", remedy="Leave --two-sided out.")
-    if same_file(path, out):
-        raise OutputError("--to is the file of the plan.", remedy="Give it another name.", path=out)
-    require_writable(out)
-    plan = load_plan(path)
-    with in_words(OPTIONS.knowing({"rate": "--rate"})):
-        table = plan.table(
-            rate, two_sided=two_sided or (False if message else None), robot=load_robot_of(plan, source, trust=trust)
-        )
-        getattr(table, writer)(out)
+    plan, sides = load_plan(path), two_sided or (False if writer == "to_ros" else None)
+    table = plan.table(rate, two_sided=sides, robot=load_robot_of(plan, source, trust=trust))
+    getattr(table, writer)(out)
     facts = {"plan": path, "robot": plan.robot.name, "out": out, "rows": len(table.t), "joints": table.joints}
     report(as_json, facts, f"{len(table.t)} rows of {', '.join(table.joints)} are in {out}")

@@ -6,51 +6,31 @@ from typing import Any
 
 import click
 
-from redundancy_pin.cli.options import (
-    MOTION_CSV,
-    MotionOptions,
-    RobotOptions,
-    json_option,
-    motion_options,
-    robot_options,
-)
+from redundancy_pin.cli.options import MotionOptions, RobotOptions, json_option, motion_options, robot_options
 from redundancy_pin.cli.output import progress, report
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.files import require_writable
-from redundancy_pin.planners.plan import Plan, load_plan
-from redundancy_pin.planners.robot_record import load_recorded
-from redundancy_pin.robot import Robot
-from redundancy_pin.simulation import Simulation, load_simulation
+from redundancy_pin.planners.plan import load_plan
+from redundancy_pin.simulation import load_simulation
 from redundancy_pin.view import show as view
 from redundancy_pin.visualisation.figures.video import require_video, save_video
 from redundancy_pin.visualisation.viewer.page import View, require_html, require_meshcat
+
+VIDEO = "Write a video, drawn without a display; an MP4 needs ffmpeg or the extra video."
 
 
 @click.command()
 @robot_options(required=False)
 @click.option("--plan", "plan_path", metavar="NPZ", help="Plan to show, as `plan --out` writes it.")
 @click.option("--run", "run_path", metavar="NPZ", help="Simulation to show, as `simulate --out` writes it.")
-@motion_options(f"Motion to show: {MOTION_CSV}")
+@motion_options("to show")
 @click.option("--html", "out", metavar="HTML", help="Write one file that plays offline, instead of a live viewer.")
-@click.option(
-    "--video", metavar="GIF|MP4", help="Write a video, drawn without a display; an MP4 needs ffmpeg or the extra video."
-)
+@click.option("--video", metavar="GIF|MP4", help=VIDEO)
 @click.option("--forces/--no-forces", default=True, show_default=True, help="Whether arrows are shown at first.")
 @click.option("--force-scale", type=float, default=1.0, metavar="NUMBER", help="Factor on the length of arrows.")
 @click.option("--open", "open_browser", is_flag=True, help="Open it in the default browser.")
 @json_option
-def show(
-    robot: RobotOptions,
-    plan_path: str | None,
-    run_path: str | None,
-    motion: MotionOptions,
-    out: str | None,
-    video: str | None,
-    forces: bool,
-    force_scale: float,
-    open_browser: bool,
-    as_json: bool,
-) -> None:
+def show(out: str | None, video: str | None, open_browser: bool, as_json: bool, **given: Any) -> None:
     r"""Show a robot in motion.
 
     Links, joints, tracks, carriers, the path of the platform, efforts as arrows; platform and path have the colour of
@@ -65,7 +45,7 @@ def show(
       redundancy-pin show --plan plan.npz --open
       redundancy-pin show --run run.npz --video run.gif
     """
-    # before the robot is loaded and lifted
+    # before the robot is loaded
     if out or not video:
         require_meshcat()
     if video:
@@ -73,20 +53,26 @@ def show(
     if out:
         require_html(out)
         require_writable(out)
-    picture = _view(robot, plan_path, run_path, motion, forces=forces, force_scale=force_scale)
+    picture = _view(**given)
+
+    def tell(where: str) -> None:
+        scene = picture.scene
+        facts = {"title": scene.title, "frames": len(scene.t), "duration": scene.duration, "where": where}
+        report(as_json, facts, f"{scene.title}: {scene.duration:.4g} s in {len(scene.t)} frames, at {where}")
+
     if video:
         with progress("video") as advance:
             save_video(picture, video, progress=lambda done, total: advance(done, total, ""))
     if out:
         picture.save(out)
     if out or video:
-        _report(picture, " and ".join(path for path in (out, video) if path), as_json=as_json)
+        tell(" and ".join(path for path in (out, video) if path))
         if open_browser:
             click.launch(out or str(video))
         return
     live = picture.serve(open_browser=open_browser)
     try:
-        _report(picture, live.url, as_json=as_json)
+        tell(live.url)
         live.wait()
     except KeyboardInterrupt:
         pass  # how a live view is meant to end
@@ -95,38 +81,19 @@ def show(
 
 
 def _view(
-    options: RobotOptions, plan_path: str | None, run_path: str | None, motion: MotionOptions, **settings: Any
+    robot: RobotOptions, plan_path: str | None, run_path: str | None, motion: MotionOptions, **settings: Any
 ) -> View:
-    given = {"--plan": plan_path, "--run": run_path, "--motion": motion.path}
-    named = [flag for flag, path in given.items() if path]
+    named = [flag for flag, path in (("--plan", plan_path), ("--run", run_path), ("a motion", motion.given)) if path]
     if len(named) > 1:
-        raise InputError(
-            f"{' and '.join(named)} are both given.",
-            remedy="Give one of them: a plan and a simulation have their motion.",
-        )
+        message = f"{' and '.join(named)} are both given."
+        raise InputError(message, remedy="Give one of them: a plan and a simulation have their motion.")
     if plan_path or run_path:
         subject = load_plan(plan_path) if plan_path else load_simulation(run_path or "")
-        return view(subject, robot=robot_of(subject, options), **settings)
-    if not options.source:
+        return view(subject, robot=robot.recorded(subject), **settings)
+    if not robot.source:
         raise InputError("There is nothing to show.", remedy="Add --robot NAME or --plan NPZ.")
-    robot = options.load()
-    if not motion.path:
-        moving: View = view(robot, **settings)
-        return moving
-    return view(robot, motion.sampled("A picture", robot), motion.carriers(robot), **settings)
-
-
-def robot_of(subject: Plan | Simulation, options: RobotOptions) -> Robot:
-    """Return the robot of a plan or a simulation; --robot says where its files are now."""
-    if not options.is_robot_only:
-        kind = "plan" if isinstance(subject, Plan) else "simulation"
-        raise InputError(
-            f"--set, --mode and --gravity cannot change the robot of a {kind}.", remedy="Leave them out, or plan again."
-        )
-    return load_recorded(subject.robot, options.source or None, trust=options.trust)
-
-
-def _report(picture: View, where: str, *, as_json: bool) -> None:
-    scene = picture.scene
-    facts = {"title": scene.title, "frames": len(scene.t), "duration": scene.duration, "where": where}
-    report(as_json, facts, f"{scene.title}: {scene.duration:.4g} s in {len(scene.t)} frames, at {where}")
+    loaded = robot.load()
+    if not motion.given:
+        still: View = view(loaded, **settings)
+        return still
+    return view(loaded, motion.sampled("A picture", loaded), motion.carriers(loaded), **settings)

@@ -3,42 +3,26 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import click
 
 from redundancy_pin import crosscheck
-from redundancy_pin.cli.errors import FAILED_CHECK
+from redundancy_pin.cli.errors import FAILED_CHECK, print_line
 from redundancy_pin.cli.options import jobs_option, json_option, settings_option, trust_option
 from redundancy_pin.cli.output import console, print_json, progress
 
 
 @click.command()
-@click.option(
-    "--robot",
-    "robots",
-    multiple=True,
-    metavar="NAME|PATH",
-    help="Robot to check; may be repeated. Default: all shipped ones.",
-)
-@settings_option(
-    "--set",
-    "settings",
-    "Parameter of the robots, such as base=fixed, which are then taken as they are; may be repeated.",
-)
+@click.option("--robot", "robots", multiple=True, metavar="NAME|PATH",
+              help="Robot to check. May be repeated.  [default: all shipped ones]")  # fmt: skip
+@settings_option("--set", "settings", "Parameter of the robots, which are then taken as they are. May be repeated.")
 @click.option("--samples", default=2000, show_default=True, metavar="N", help="Random states for each robot.")
 @click.option("--seed", default=0, show_default=True, metavar="S", help="Seed of the random states.")
 @jobs_option(1)
 @trust_option
 @json_option
-def validate(
-    robots: tuple[str, ...],
-    settings: dict[str, object],
-    samples: int,
-    seed: int,
-    jobs: int,
-    trust: bool,
-    as_json: bool,
-) -> int:
+def validate(robots: tuple[str, ...], samples: int, seed: int, jobs: int, as_json: bool, **given: Any) -> int:
     r"""Check the dynamics on random states.
 
     The backends against each other, and against balances of power and momentum, finite differences, and forward
@@ -53,13 +37,7 @@ def validate(
     processes = os.cpu_count() or 1 if jobs == -1 else jobs
     with progress("validate") as advance:
         report = crosscheck.run(
-            robots or None,
-            samples,
-            seed,
-            lambda done, total: advance(done, total, ""),
-            processes,
-            trust=trust,
-            settings=settings,
+            robots or None, samples, seed, lambda done, total: advance(done, total, ""), processes, **given
         )
     if as_json:
         print_json(report.as_dict())
@@ -70,5 +48,5 @@ def validate(
     checks = [row for row in report.rows if not row.note]
     failed = sum(not row.passed for row in checks)
     idle = f"of {report.unjudged[0]} nothing could be checked against physics" if report.unjudged else "no checks"
-    click.echo(f"error: {f'{failed} of {len(checks)} checks failed' if failed else idle}.", err=True)
+    print_line("error", f"{f'{failed} of {len(checks)} checks failed' if failed else idle}.")
     return FAILED_CHECK

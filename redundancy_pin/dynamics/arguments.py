@@ -112,7 +112,7 @@ def require_on_track(robot: Robot, carriers: CarrierMotion, t: Array) -> None:
             f"Carrier {robot.carriers[i]!r} leaves its track [{track.lower:g}, {track.upper:g}] {unit} by "
             f"{outside[k, i]:.3g} {unit} at sample {k} (t = {t[k]:.6g} s, s = {carriers.s[k, i]:.6g} {unit})."
             f"{millimetres(float(outside[k, i]), size) if is_sliding else ''}",
-            remedy="Shorten the motion or lengthen the track; planners evaluate off the track with check_track=False.",
+            remedy="Shorten the motion or lengthen the track.",
             carrier=robot.carriers[i],
             sample=k,
             time=float(t[k]),

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeGuard
+from pathlib import Path
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +19,7 @@ from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import RedundancyPinError
+from redundancy_pin.io.files import write_text
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.coordinates import difference
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
@@ -30,12 +32,16 @@ from redundancy_pin.singularities.classify import SingularityKind, signed_margin
 from redundancy_pin.singularities.crossings import SPACING, Crossing, find_crossings
 from redundancy_pin.spectrum import scaled
 from redundancy_pin.status import ResultStatus, SampleStatus
+from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 _CONSISTENT = 1e-3
 """Fraction of f, no unit, outside the range of W that counts as none at an instant between samples: rates and
 accelerations are interpolated there. Efforts that it calls for exceed f only where the margin is below it, for as long
 as that lasts."""
+
+_LISTED = 10
+"""Instants that a warning names; the rest is counted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +147,65 @@ class InverseDynamics(Frozen):
                     unresolved = unresolved or error.message
         return crossings, unresolved
 
+    def summary(self) -> dict[str, Any]:
+        """Return what is worth knowing of the efforts as plain data, by name; NaN is left out of the largest ones."""
+        return {
+            "samples": len(self.efforts),
+            "statuses": self.efforts.status_counts,
+            "largest_tau": np.fmax.reduce(np.abs(self.efforts.tau), axis=0),
+            "largest_carrier_force": np.fmax.reduce(np.abs(self.reduced.carrier_force), axis=0),
+            "smallest_margin": float(np.fmin.reduce(self.efforts.margin)),
+            "largest_closure_residual": float(np.fmax.reduce(self.reduced.residual)),
+            "status": self.status.value,
+            "singular_instants": [
+                {**vars(one), "kind": one.kind.label, "status": one.status.label, "unbounded": one.unbounded}
+                for one in self.instants
+            ],
+            "joint_limits": [vars(excess) for excess in self.joint_limits],
+            "unresolved": self.unresolved or None,
+        }
+
+    def warnings(self) -> Iterator[str]:
+        """Give where no finite efforts exist, and what the samples do not show, a sentence each."""
+        unbounded = [one for one in self.instants if one.unbounded]
+        if unbounded:
+            listed = ", ".join(f"{one.t:.9g}" for one in unbounded[:_LISTED])
+            more = f" and {len(unbounded) - _LISTED} more instants" if len(unbounded) > _LISTED else ""
+            worst = max(unbounded, key=lambda one: one.residual)
+            what = "det W changes sign" if any(one.crosses for one in unbounded) else "W loses rank"
+            yield (
+                f"no finite main efforts at t = {listed} s{more}: {what} there, at a type II singularity; "
+                f"{worst.residual:.4g} N (scaled) are left that no actuator can carry. Near it they grow without bound."
+            )
+        if self.unresolved:
+            yield f"between its samples the motion cannot be followed: {self.unresolved}"
+        yield from (f"{excess}." for excess in self.joint_limits)
+        without = np.flatnonzero(~np.isfinite(self.efforts.tau).all(axis=1))
+        if len(without):
+            first = f"t = {self.reduced.t[without[0]]:.6g} s ({self.efforts.status_labels[without[0]]})"
+            yield f"no finite main efforts at {len(without)} of {len(self.efforts)} samples, first at {first}."
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write the motion and its efforts to a CSV file, which ``from_csv`` reads as a motion again.
+
+        Columns with units in their names: those of the motion, ``tau:JOINT`` for each actuator and carrier, N or N·m,
+        ``status``, ``margin``, ``residual``.
+
+        Raises:
+            OutputError: the file cannot be written; an earlier one is as it was.
+        """
+        robot, motion, efforts = self._along.robot, self._along.motion, self.efforts
+        carriers = require_matching_carriers(robot, self._carriers, len(motion))
+        columns = {
+            **motion_columns(robot, motion, carriers),
+            **effort_columns(robot.actuated, efforts.tau, robot),
+            **effort_columns(robot.carriers, self.reduced.carrier_force, robot),
+            "status": ("", efforts.status_labels),
+            "margin": ("", efforts.margin),
+            "residual": ("N", efforts.residual),
+        }
+        write_text(path, csv_rows(columns))
+
     def __repr__(self) -> str:
         """Return a summary of the whole motion, not the arrays."""
         met = ", ".join(f"{one.t:.6g}" for one in self.instants)
@@ -174,11 +239,12 @@ def inverse_dynamics(
         dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
         motion: N samples of the platform coordinates.
         carriers: N samples of the carriers; parked at s = 0 when left out.
-        unreachable: as in ``Dynamics.along``.
+        unreachable: refuse a motion that leaves the workspace ("raise"), or "mark" those samples.
         external: further loads, as in ``Dynamics.reduce``; sampled wrenches are linear between their samples.
-        lower: smallest efforts at the samples, as in ``distribute``.
-        upper: largest ones, likewise.
-        preferred: preferred efforts, likewise.
+        lower: scalar or (m,) smallest main efforts, N or N·m, such as a preload against backlash. As in ``distribute``.
+        upper: scalar or (m,) largest main efforts, N or N·m. As in ``distribute``.
+        preferred: scalar, (m,) or (N, m) main efforts kept to where the motion leaves a choice, N or N·m, such as a
+            squeeze. As in ``distribute``.
 
     Raises:
         CarrierLimitError, InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in

@@ -478,7 +478,8 @@ def target_effort(
         if lam > 0.0:
             raise InputError(
                 f"lam = {lam:g} asks for a fraction of the baseline effort, and there is no baseline.",
-                remedy='Pass Objective(lam=..., baseline=load_robot("3rrr", carriers=False)), or an array (N, m).',
+                remedy='Pass Objective(lam=..., baseline=load_robot("3rrr", carriers=False)), or an array (N, m); '
+                "on the command line --baseline carriers=false.",
             )
         return np.zeros(shape), None
     if is_dynamics(baseline):

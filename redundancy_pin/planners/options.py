@@ -59,9 +59,9 @@ class Limits(ByValue):
 
     Attributes:
         track: (2,) or (k, 2) track ends of the carriers, m.
-        speed: scalar or (k,) largest |ṡ|, m/s.
-        acceleration: scalar or (k,) largest |s̈|, m/s².
-        jerk: scalar or (k,) largest |s⃛|, m/s³; with it s̈ cannot jump. No robot declares any.
+        speed: scalar or (k,) largest speed |ṡ| of the carriers, m/s.
+        acceleration: scalar or (k,) largest acceleration |s̈| of the carriers, m/s².
+        jerk: scalar or (k,) largest jerk |s⃛| of the carriers, m/s³; with it s̈ cannot jump. No robot declares any.
         carrier_force: scalar or (k,) largest force of the carriers' actuators, N.
         effort: scalar or (m,) largest |τ| of the main actuators, N or N·m.
         actuator_speed: scalar or (m,) largest rate of the main actuators, m/s or rad/s.
@@ -133,14 +133,14 @@ class Objective(ByValue):
         >>> rp.plan_whole_trajectory(robot, motion, objective=rp.Objective("peak", calm=0.0))
 
     Attributes:
-        weights: name of an objective (``OBJECTIVES``), or weights of several, each in its own unit. When left out:
+        weights: what to minimise: a name of ``OBJECTIVES``, or weights of several, each in its own unit. When left out:
             "tracking" with ``lam`` or ``baseline``, else "effort".
         lam: λ of "tracking", 0 to 1.
         baseline: the robot whose efforts are τ̂, or its name or path; or a backend of it. For the stepwise planner also
             efforts (N, m), N or N·m, at the samples of the motion.
         base_point: (3,) point about which the moment on the base is taken, m; the world origin when left out.
         calm: fraction of the least cost, at the nodes, that may be spent on fewer reversals of the efforts; 0 for none,
-            ``CALM`` when left out.
+            0.01 when left out.
     """
 
     weights: str | Mapping[str, float] | None = None
@@ -185,9 +185,9 @@ class Mesh:
     """The nodes of a plan, or its samples.
 
     Attributes:
-        dt: largest step between nodes in time, s; when left out ``LARGEST_STEP``, or what the planner says.
+        dt: largest step between nodes in time, or between samples, s; when left out 0.005, or what the planner says.
         refinements: how often the mesh may be refined where efforts between the nodes exceed those at the nodes.
-        steps: least number of steps along a path whose timing is planned; ``FEWEST_STEPS`` when left out.
+        steps: least number of steps along a path whose timing is planned; 100 when left out.
     """
 
     dt: float | None = None
@@ -262,6 +262,7 @@ def takes_groups(
                 raise InputError(f"{planner.__name__} has no keyword {shown(name)}.", remedy=remedy, name=name)
             return planner(*args, **keywords)
 
+        call.__dict__["refused"] = refused  # for who lists the options of a planner
         return call
 
     return decorate

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import astuple, dataclass, field, fields, replace
@@ -250,7 +251,6 @@ def load_recorded(record: RobotRecord, source: str | Path | None = None, *, trus
             f"The robot of the plan cannot be loaded: {error.message}",
             remedy=f"Load it from where its files are now, and pass it: {_load_and_pass('robot.yaml')}",
             source=record.source,
-            plan_robot="gone",
         ) from error
     except PlanFileError:
         raise
@@ -288,11 +288,15 @@ def _require_sound(record: RobotRecord) -> None:
 
 
 _PASS_ROBOT = "robot=robot, as in rp.show(plan, robot=robot); a controller takes plan_reference(plan, robot=robot)."
-"""How a robot goes with its plan, or its simulation; the command line has words of its own (``cli.errors``)."""
+"""How a robot goes with its plan, or its simulation."""
 
 
 def _load_and_pass(place: str) -> str:
-    return f"robot = rp.load_robot_of(plan, {place!r}), then {_PASS_ROBOT}"
+    return f"robot = rp.load_robot_of(plan, {place!r}), then {_PASS_ROBOT} {_name_robot(place)}"
+
+
+def _name_robot(place: str) -> str:
+    return f"On the command line: --robot {shlex.quote(place)}."
 
 
 def _own_source(record: RobotRecord) -> str:
@@ -301,7 +305,6 @@ def _own_source(record: RobotRecord) -> str:
         raise PlanFileError(
             f"The plan does not say where its robot {shown(record.name)} was loaded from: it was made in Python.",
             remedy=f"Pass the robot itself: {_PASS_ROBOT}",
-            plan_robot="python",
         )
     if record.folder is None or record.source in shipped_sources():
         return record.source
@@ -321,7 +324,6 @@ def _require_inside(place: Path, folder: str) -> None:
             "what is loaded from elsewhere.",
             remedy=f"Where you trust that robot, load it and pass it: {_load_and_pass(str(place))}",
             source=str(place),
-            plan_robot="outside",
         )
 
 
@@ -340,9 +342,8 @@ def _real(*parts: str) -> Path:
 def _changed(record: RobotRecord, place: str | Path, what: str) -> PlanFileError:
     return PlanFileError(
         f"The robot {record.name} at {place} is not the one the plan was made for: {what}",
-        remedy=f"Plan again, or pass the robot as it was: {_PASS_ROBOT}",
+        remedy=f"Plan again, or pass the robot as it was: {_PASS_ROBOT} {_name_robot('robot.yaml')}",
         source=str(place),
-        plan_robot="changed",
     )
 
 

@@ -304,9 +304,10 @@ def _mode(declaration: Declaration, wanted: Sequence[int] | None) -> tuple[int, 
     mode = tuple(wanted) if isinstance(wanted, Sequence) else ()
     if not default or len(mode) != len(default) or not all(sign in (1, -1) for sign in mode):
         legs = len(default)
-        allowed = f"a tuple of {legs} signs, 1 or -1, one a leg" if legs else "left out: this robot declares no modes"
+        has = f"has {legs} legs" if legs else "declares no working modes"
+        example = f"Give one sign per leg: {'+' * legs}, in Python {(1,) * legs}." if legs else "Leave it out."
         raise InputError(
-            f"The working mode is {shown(wanted)}.", remedy=f"It must be {allowed}.", working_mode=wanted, legs=legs
+            f"working_mode is {shown(wanted)}, but the robot {has}.", remedy=example, name="working_mode", legs=legs
         )
     return tuple(int(sign) for sign in mode)
 

@@ -41,11 +41,14 @@ def require_matching(robot: Robot, motion: PlatformMotion) -> None:
     wants_pose = is_pose(robot)
     names = robot.platform.axes if robot.platform else robot.independent_joints
     if motion.is_pose != wants_pose or motion.xd.shape[1] != robot.n:
+        given = "poses" if motion.is_pose else f"{motion.xd.shape[1]} coordinates"
+        moves = "through poses" if wants_pose else f"in {robot.n} ({', '.join(names)})"
+        columns = "x0 to x6 (position, unit quaternion)" if wants_pose else f"x0 to x{robot.n - 1}"
         form = "(N, 4, 4) poses" if wants_pose else f"(N, {robot.n})"
         raise InputError(
-            f"The motion has x of shape {motion.x.shape} and xd of shape {motion.xd.shape}; {robot.name} moves in "
-            f"{robot.n} coordinates ({', '.join(names)}).",
-            remedy=f"Pass x as {form} and xd, xdd as (N, {robot.n}).",
+            f"The motion has {given}, x of shape {motion.x.shape}, but {robot.name} moves {moves}.",
+            remedy=f"Choose another motion: in Python x as {form} and xd, xdd as (N, {robot.n}), in a file the "
+            f"columns {columns}, xd0 to xd{robot.n - 1} and xdd0 to xdd{robot.n - 1}.",
             robot=robot.name,
             axes=tuple(names),
             poses=wants_pose,

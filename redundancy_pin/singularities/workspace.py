@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,8 @@ from redundancy_pin.errors import (
     did_you_mean,
     shown,
 )
-from redundancy_pin.kinematics.coordinates import all_working_modes
+from redundancy_pin.io.files import write_text
+from redundancy_pin.kinematics.coordinates import all_working_modes, mode_name
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.grid import (
@@ -44,6 +46,7 @@ from redundancy_pin.singularities.grid import (
     slice_through,
     solve_grid,
 )
+from redundancy_pin.trajectory.csv_file import checked_poses, coordinate_names, csv_rows, unit_of
 
 _RESOLUTION = {1: 400, 2: 100, 3: 25}
 """Nodes along each axis, by the number of axes."""
@@ -98,6 +101,47 @@ class Workspace(Frozen):
         cell = float(np.prod([axis[1] - axis[0] for axis in self.axes]))
         return cell * int(self.in_range.any(axis=0).sum())
 
+    def summary(self) -> dict[str, Any]:
+        """Return what is worth knowing of it as plain data: bounds, nodes, size, and counts of nodes by mode."""
+        parts = zip(self.modes, self.reachable, self.in_range, self.island, strict=True)
+        return {
+            "robot": self.robot.name,
+            "bounds": {name: [axis[0], axis[-1]] for name, axis in zip(self.names, self.axes, strict=True)},
+            "nodes": int(self.reachable[0].size),
+            "size": self.size,
+            "modes": {
+                mode_name(mode) if mode else "": {
+                    "reachable": int(reachable.sum()),
+                    "in_range": int(in_range.sum()),
+                    "islands": int(island.max(initial=0)),
+                }
+                for mode, reachable, in_range, island in parts
+            },
+        }
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write a row for each node and working mode to a CSV file.
+
+        Columns: ``mode``; the coordinates with their unit (of a pose the origin); ``reachable`` and ``in_range``, 0 or
+        1; ``margin``, ``serial_margin``, NaN where not reachable; ``island``.
+
+        Raises:
+            OutputError: the file cannot be written; an earlier one is as it was.
+        """
+        x = self.x[:, :3, 3] if self.x.ndim == 3 else self.x
+        names = coordinate_names(self.robot)[: x.shape[1]]
+        places = {name: (unit_of(self.robot, name), np.tile(x[:, k], len(self.modes))) for k, name in enumerate(names)}
+        columns: dict[str, tuple[str, NDArray[Any]]] = {
+            "mode": ("", np.repeat([mode_name(mode) if mode else "" for mode in self.modes], len(x))),
+            **places,
+            "reachable": ("", self.reachable.astype(int).ravel()),
+            "in_range": ("", self.in_range.astype(int).ravel()),
+            "margin": ("", self.margin.ravel()),
+            "serial_margin": ("", self.serial_margin.ravel()),
+            "island": ("", self.island.ravel()),
+        }
+        write_text(path, csv_rows(columns))
+
 
 def workspace(
     robot: RobotLike,
@@ -114,8 +158,8 @@ def workspace(
         robot: the robot, or its name or path.
         free: one, two or three of the platform's translations, such as ("x", "z"); all of them when left out. Of a
             robot without a platform one or two of its independent joints.
-        at: (n,) coordinates or a pose (4, 4) that the slice goes through; the reference when left out. What is not free
-            stays as it is there.
+        at: (n,) coordinates that the slice goes through, or a pose, (4, 4) or (7,) position, m, and unit quaternion x,
+            y, z, w; the reference when left out. What is not free stays as it is there.
         bounds: (lower, upper) for each free coordinate; the whole workspace when left out, or four characteristic
             lengths to each side where it has no end within eight.
         resolution: nodes along each axis; 400, 100 or 25 by the number of axes.
@@ -186,7 +230,11 @@ def _slices(
         RedundancyPinError: it cannot be there in its own mode, if that is wanted, or in none of the modes.
     """
     home = slice_through(robot, names).x
-    x = home if at is None else checked(at, "at", home.shape)
+    x = home
+    if at is not None and home.ndim == 2 and np.ndim(at) == 1:
+        x = checked_poses(checked(at, "at", (7,))[None], "at")[0]
+    elif at is not None:
+        x = checked(at, "at", home.shape)
     slices = []
     for mode in modes:
         own = mode == robot.working_mode

@@ -7,10 +7,12 @@ import shutil
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from command_line import call, refused
 
 import redundancy_pin
 from redundancy_pin import load_robot
+from redundancy_pin.cli import main
 from redundancy_pin.io import limited
 from redundancy_pin.robot.shipped import shipped_robots
 
@@ -70,11 +72,8 @@ def test_colons_in_names_make_no_pictures(tmp_path: Path) -> None:
 
 
 def test_parameters_show_value_and_default() -> None:
-    facts = json.loads(
-        call(
-            "info", "--robot", "3rrr", "--set", "carrier_mass=2", "--set", "platform_mass=1", "--mode", "+-+", "--json"
-        ).stdout
-    )
+    masses = ("--set", "carrier_mass=2", "--set", "platform_mass=1")
+    facts = json.loads(call("info", "--robot", "3rrr", *masses, "--working-mode", "+-+", "--json").stdout)
     assert facts["parameters"]["carrier_mass"] == {"value": 2.0, "default": 3.0}
     assert facts["parameters"]["platform_mass"] == {"value": 1.0, "default": 0.5}
     assert facts["working_mode"] == "+-+"
@@ -102,24 +101,20 @@ def test_help_has_an_example(command: str) -> None:
     assert f"redundancy-pin {command} " in result.stdout
 
 
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_script_for_completion_is_produced(shell: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("_REDUNDANCY_PIN_COMPLETE", f"{shell}_source")
+    monkeypatch.setattr("click.shell_completion.BashComplete._check_version", lambda *_: None)
+    result = CliRunner().invoke(main, [], prog_name="redundancy-pin")
+    assert "_REDUNDANCY_PIN_COMPLETE" in result.stdout
+    monkeypatch.setenv("_REDUNDANCY_PIN_COMPLETE", f"{shell}_complete")
+    monkeypatch.setenv("COMP_WORDS", "redundancy-pin plan switch-off --ramp")
+    monkeypatch.setenv("COMP_CWORD", "3" if shell != "fish" else "--ramp")
+    assert "--ramp-down" in CliRunner().invoke(main, [], prog_name="redundancy-pin").stdout
+
+
 def test_version() -> None:
     assert redundancy_pin.__version__ in call("--version").stdout
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        ((), "command"),
-        (("plam",), "plam"),
-        (("info", "--robot", "3rr"), "3rrr"),
-        (("info", "--robot"), "--robot"),
-        (("info", "--set", "carrier_mass=2"), "--robot"),
-        (("info", "--robot", "3rrr", "--set", "base_radius=30"), "does not close"),
-        (("info", "3rrr"), "3rrr"),
-    ],
-)
-def test_mistakes_are_one_line(arguments: tuple[str, ...], says: str) -> None:
-    assert says in refused(*arguments)
 
 
 def test_a_robot_without_description_and_parameters_has_no_empty_places(tmp_path: Path) -> None:

@@ -112,7 +112,7 @@ def test_links_without_inertial_and_missing_motors_are_named(tmp_path):
         (["model.xml"], "it does not exist"),
         (["nothing.urdf"], "nothing.urdf"),
         (["notes.yaml"], "no model of a robot"),
-        (["crank_drive.urdf", "--guess", "crank"], "--guess 'crank' is not JOINT=VALUE"),
+        (["crank_drive.urdf", "--guess", "crank"], "guess is 'crank', not JOINT=VALUE"),
         (["crank_drive.urdf", "--guess", "crack=1", *DECIDED[:4]], "'crack'"),
         (["crank_drive.urdf", "--close", "coupler_tip"], "close = 'coupler_tip' names no joint"),
     ],

@@ -54,20 +54,6 @@ def test_a_motion_is_read_as_inverse_dynamics_reads_it(tmp_path: Path) -> None:
     assert json.loads(done.stdout)["duration"] == pytest.approx(trajectory.duration)
 
 
-def test_what_cannot_be_shown_is_refused_and_nothing_written(tmp_path: Path, plan_file: Path) -> None:
-    out = tmp_path / "out.html"
-    assert "nothing to show" in refused("show", "--html", out)
-    assert "both given" in refused("show", "--plan", plan_file, "--motion", "in.csv", "--html", out)
-    assert "cannot change the robot of a plan" in refused("show", "--plan", plan_file, "--mode", "++", "--html", out)
-    assert "is not the one the plan was made for" in refused(
-        "show", "--plan", plan_file, "--robot", "3rrr", "--html", out
-    )
-    assert "does not end in .html" in refused("show", "--robot", "3rrr", "--html", tmp_path / "out.png")
-    assert "force_scale" in refused("show", "--robot", "3rrr", "--force-scale", "0", "--html", out)
-    assert "no folder" in refused("show", "--robot", "3rrr", "--html", tmp_path / "none" / "out.html")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_without_meshcat_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "meshcat", None)
     assert "redundancy_pin[show]" in refused("show", "--robot", "3rrr", "--html", tmp_path / "out.html")

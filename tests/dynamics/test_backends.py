@@ -97,7 +97,7 @@ def test_motions_and_carriers_that_do_not_fit_are_refused(backend: Backend) -> N
     wrong = rp.PlatformMotion(motion.t, *np.zeros((3, 5, 4)))
     poses = rp.PlatformMotion(motion.t, np.tile(np.eye(4), (5, 1, 1)), *np.zeros((2, 5, 3)))
     for bad in (wrong, poses):
-        with pytest.raises(InputError, match=r"3rrr moves in 3 coordinates") as caught:
+        with pytest.raises(InputError, match=r"3rrr moves in 3 \(x, y, rz\)") as caught:
             dynamics.along(bad)
         assert "xd, xdd as (N, 3)" in caught.value.remedy
     with pytest.raises(InputError, match="unreachable is 'ignore'"):

@@ -27,7 +27,7 @@ import pinocchio as pin
 from random_plans import difference
 
 import redundancy_pin as rp
-from redundancy_pin.cli.plan_problem import read_problem
+from redundancy_pin.cli.problem import read_problem
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.reading import read_json
 from redundancy_pin.kinematics.closure import ConstraintSystem

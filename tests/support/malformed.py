@@ -274,7 +274,7 @@ PROBLEM = {
     "planner": "switch-off",
     "robot": "2rpr",
     "set": {"carrier_mass": 2.0},
-    "mode": "++",
+    "working_mode": "++",
     "gravity": [0, 0, 0],
     "backend": "rnea",
     "trajectory": {"name": "circle", "speed": 0.5},
@@ -288,7 +288,7 @@ def broken_yaml(dice: random.Random) -> bytes:
     data["planner"] = dice.choice(("switch-off", "stepwise", "whole-trajectory"))
     mark, value = "MALFORMED", dice.choice(VALUES)
     inside = dice.choice([data, *(entry for entry in data.values() if isinstance(entry, dict))])
-    key = dice.choice([*inside, "motion", "baseline", "step", "set"])
+    key = dice.choice([*inside, "motion", "baseline", "backend", "set"])
     inside[key] = mark
     text = yaml.safe_dump(data, sort_keys=False)
     whole: tuple[Callable[[], bytes], ...] = (
@@ -340,13 +340,13 @@ def commands(dice: random.Random) -> dict[str, list[str]]:
     """
     robot = dice.choice(ROBOTS)
     line = ("--robot", "2rpr", "--trajectory", "line")
-    corner = ("--robot", "3rrr", "--mode", "+++", "--trajectory", "corner")
+    corner = ("--robot", "3rrr", "--working-mode", "+++", "--trajectory", "corner")
     return {
         "info": ["info", "--robot", robot],
         "inverse-dynamics": ["inverse-dynamics", "--robot", "2rpr", *MOTION, "--out", "out.csv"],
         "singularities": ["singularities", "--robot", "2rpr", "--trajectory", "circle:speed=0.5"],
         "switch-off": ["plan", "switch-off", *line, "--dt", "0.01", "--out", "a.npz"],
-        "stepwise": ["plan", "stepwise", *corner, "--step", "0.02"],
+        "stepwise": ["plan", "stepwise", *corner, "--dt", "0.02"],
         "whole": ["plan", "whole-trajectory", *line, "--dt", "0.05", "--seconds", "5"],
         "problem": ["plan", "--problem", "p.yaml", "--out", "a.npz"],
         "show": ["show", "--robot", robot, "--html", "a.html"],
@@ -376,9 +376,8 @@ def invocation(dice: random.Random) -> Invocation:
         value = dice.choice(NUMBERS) if kind == "number" else dice.choice(PATHS) + dice.choice(SUFFIXES)
         if flag in ("--robot", "--motion", "--problem", "--plan") and dice.random() < 0.3:
             value = dice.choice(DEVICES)
-        if flag in ("--set", "--parameter", "--x", "--y", "--trajectory") and dice.random() < 0.7:
-            head = {"--set": "carrier_mass=", "--parameter": "switch-off:threshold=", "--trajectory": "points:points="}
-            value = head.get(flag, "speed=") + value
+        if flag in ("--set", "--trajectory") and dice.random() < 0.7:
+            value = {"--set": "carrier_mass=", "--trajectory": "points:points="}[flag] + value
         if flag in arguments:
             arguments = list(arguments)
             arguments[arguments.index(flag) + 1] = value

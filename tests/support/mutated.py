@@ -752,7 +752,7 @@ PROBLEM = {
     "planner": "switch-off",
     "robot": "2rpr",
     "set": {"carrier_mass": 2.0},
-    "mode": "++",
+    "working_mode": "++",
     "gravity": [0, 0, 0],
     "backend": "rnea",
     "trajectory": {"name": "circle", "speed": 0.5},
@@ -761,12 +761,11 @@ PROBLEM = {
 CORNER = {
     "planner": "stepwise",
     "robot": "3rrr",
-    "mode": "+++",
+    "working_mode": "+++",
     "backend": "virtual-work",
-    "step": 0.02,
     "trajectory": {"name": "corner", "radius": 0.02, "speed": 0.3},
-    "parameters": {"lam": 0.5},
-    "baseline": {"carriers": False},
+    "parameters": {"dt": 0.02, "lam": 0.5},
+    "baseline": {"set": {"carriers": False}},
 }
 WHOLE = {
     "planner": "whole-trajectory",

@@ -13,9 +13,14 @@ from redundancy_pin.planners.plan import Plan
 LINE = ("plan", "switch-off", "--robot", "2rpr", "--trajectory", "line", "--threshold", "4", "--dt", "0.01")
 """A crossing within all limits: slow, along the line."""
 
-CORNER = ("plan", "stepwise", "--robot", "3rrr", "--mode", "+++", "--trajectory", "corner", "--step", "0.02")
+CORNER = ("plan", "stepwise", "--robot", "3rrr", "--working-mode", "+++", "--trajectory", "corner", "--dt", "0.02")
 
-PROBLEM: dict[str, Any] = {"planner": "stepwise", "robot": "3rrr", "step": 0.05, "trajectory": {"name": "corner"}}
+PROBLEM: dict[str, Any] = {
+    "planner": "stepwise",
+    "robot": "3rrr",
+    "parameters": {"dt": 0.05},
+    "trajectory": {"name": "corner"},
+}
 
 
 def same(ours: Plan, theirs: Plan) -> None:

@@ -282,7 +282,7 @@ def test_exported_plans_and_simulations_are_motions(tmp_path: Path) -> None:
         own = efforts_of(tmp_path / name, "3rrr")
         moved = carriers_from_csv(tmp_path / name, robot)
         assert np.abs(moved.s).max() > 1e-3  # they move
-        np.testing.assert_allclose(along(tmp_path, "3rrr", tmp_path / name, "--mode", "+++"), own, rtol=0.0,
+        np.testing.assert_allclose(along(tmp_path, "3rrr", tmp_path / name, "--working-mode", "+++"), own, rtol=0.0,
                                    atol=EFFORTS * np.abs(own).max())  # fmt: skip
 
 
@@ -297,7 +297,7 @@ def test_every_command_reads_the_file(command: str, tmp_path: Path) -> None:
         "show": ["--html", tmp_path / "a.html"], "simulate": ["--stop-at", "never", "--duration", "0.05"],
         "plan": ["stepwise", "--lam", "0"], "singularities": [],
     }  # fmt: skip
-    arguments = [command, *more[command], "--robot", "3rrr", "--mode", "+++"]
+    arguments = [command, *more[command], "--robot", "3rrr", "--working-mode", "+++"]
     answers = []
     for file in (path, rewritten(path, millimetres)):
         done = call(*arguments, "--motion", file, "--json")

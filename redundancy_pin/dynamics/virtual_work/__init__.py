@@ -202,7 +202,7 @@ def _mechanism_of(robot: Robot) -> Mechanism:
     raise UnsupportedRobotError(
         "Virtual work is written out for the 2-RPR and the 3-RRR, their motors, modes and carriers in their order; "
         f"{robot.name} does not declare one of these closed forms, or has other motors, modes or carriers.",
-        remedy="Use RneaDynamics, which covers every robot.",
+        remedy="Use the backend rnea (RneaDynamics), which covers every robot.",
         robot=robot.name,
         closed_form=robot.closed_form,
         roles={name: (motors, modes) for name, (motors, modes, _, _) in CLOSED_FORM_ROLES.items()},
@@ -231,7 +231,7 @@ def _refuse(legs: TwoRprLegs | ThreeRrrLegs, sample: int, robot: Robot, mechanis
         raise UnreachablePoseError(
             f"{robot.name} does not reach sample {sample}: leg {leg + 1} misses the platform by {residual[leg]:.3g} m."
             f"{millimetres(float(residual[leg]), robot.characteristic_length)}",
-            remedy='Move the motion into the workspace, or pass unreachable="mark".',
+            remedy='Move the motion into the workspace. Inverse dynamics can mark such samples: unreachable="mark".',
             sample=sample,
             leg=leg,
             residual=float(residual[leg]),
@@ -240,7 +240,8 @@ def _refuse(legs: TwoRprLegs | ThreeRrrLegs, sample: int, robot: Robot, mechanis
     raise SingularPoseError(
         f"{robot.name} is at a type I singularity at sample {sample}: the rate of leg {leg + 1} is not determined "
         f"(margin {margin[leg]:.3g}, at least {mechanism.least_margin:.3g} is needed).",
-        remedy='Keep the motion away from the edge of the working mode, or pass unreachable="mark".',
+        remedy="Keep the motion away from the edge of the working mode. Inverse dynamics can mark such samples: "
+        'unreachable="mark".',
         sample=sample,
         leg=leg,
         margin=float(margin[leg]),

@@ -120,7 +120,7 @@ def plan_stepwise(
             acceleration.
         stop: "after" or "within".
         brake_time: time in which the carriers are braked at the end, s; sooner where the track is too short.
-        anticipate: see above.
+        anticipate: keep every carrier able to stop before its track ends.
         least_margin: smallest margin of W along the motion.
 
     Returns:

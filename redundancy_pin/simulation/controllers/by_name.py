@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, one_of
+from redundancy_pin.arrays import Array, not_negative, one_of
 from redundancy_pin.planners.reference import MotionReference
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import turning_velocities
@@ -75,7 +75,7 @@ class NoisyAmplifier(Adapted):
     def __init__(self, controller: Controller | EffortLaw, random: np.random.Generator, noise: float) -> None:
         super().__init__(controller)
         self.open_loop = None  # its efforts are no function of time
-        self._random, self._noise = random, noise
+        self._random, self._noise = random, not_negative(noise, "noise")
 
     def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,) and carrier forces (k,) with noise."""
@@ -107,7 +107,14 @@ def joint_friction(
         revolute_smoothing: rad/s.
         coulomb_factor: scalar or (nv,) factors on Coulomb friction, each joint its own.
         viscous_factor: the same on viscous friction.
+
+    Raises:
+        InputError: negative friction.
     """
+    given = {"prismatic_coulomb": prismatic_coulomb, "prismatic_viscous": prismatic_viscous,
+             "revolute_coulomb": revolute_coulomb, "revolute_viscous": revolute_viscous}  # fmt: skip
+    for name, value in given.items():
+        not_negative(value, name)
     turning = turning_velocities(robot)
     return JointFriction(
         coulomb_factor * np.where(turning, revolute_coulomb, prismatic_coulomb),

@@ -1,0 +1,295 @@
+"""Every mistake on the command line ends with one line on stderr, its exit code, and no file written or changed."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+from command_line import call, refused, write_motion
+
+import redundancy_pin as rp
+from redundancy_pin.trajectory import reference
+
+BASES = {
+    "LINE": "plan switch-off --robot 2rpr --trajectory line --threshold 4 --dt 0.01",
+    "CORNER": "plan stepwise --robot 3rrr --working-mode +++ --trajectory corner --dt 0.02",
+    "CIRCLE": "plan whole-trajectory --robot 2rpr --backend virtual-work --trajectory circle --dt 0.02",
+    "FAST": "plan time-optimal --robot 3rrr --working-mode +++ --trajectory corner --set carriers=false",
+    "ONLINE": "online --robot 2rpr --set end_effector_mass=0.5 --set cylinder_mass=0.3 --trajectory circle",
+    "EFFORTS": "inverse-dynamics --robot 2rpr --motion circle.csv --out o.csv",
+    "OTHERS": "inverse-dynamics --robot 3rrr --motion corner.csv --out o.csv",
+    "RUN": "simulate --plan plan.npz",
+    "SING": "singularities --robot 2rpr",
+    "WALK": "singularities --robot 2rpr --trajectory",
+    "SPACE": "workspace --robot five_bar",
+}
+"""Commands that run, to which the table adds a mistake; a later flag replaces an earlier one."""
+
+MISTAKES = [
+    line.split(" => ")
+    for line in """
+nonsense => No such command 'nonsense'
+plan => No task given
+ => Missing command
+info --set a=1 => --set
+info --robot 4rrr => There is no robot '4rrr'
+{FAST} --effort inf --actuator-speed inf => Nothing limits the time
+{FAST} --effort 3 --lap => The path ends 0.145 from where it begins
+{FAST} --effort 3 --begin somehow => begin is 'somehow'
+{ONLINE} --horizon soon => horizon is 'soon'
+{ONLINE} --objective beauty => objective is 'beauty'
+{ONLINE} --html a.pdf => Cannot write a.pdf
+{ONLINE} --tick -1 => tick is -1 s
+{ONLINE} --start 0,0,0 => start is [0.0
+{ONLINE} --step 0 => step is 0 s
+{ONLINE} --out a.csv => --out a.csv does not end in .npz
+online --robot four_bar --trajectory circle => four_bar has no carriers to plan for
+online --robot 2rpr => On-line planning needs either a trajectory or a motion
+{LINE} --motion m.csv => A plan needs either a trajectory or a motion
+{LINE} --trajectory lien => The trajectory is 'lien'
+{LINE} --trajectory line:radius=0.1 => The trajectory line has no key 'radius'
+{LINE} --trajectory line:sped=0.1 => The trajectory line has no key 'sped'
+{LINE} --trajectory line:speed=0.1,speed=0.2 => speed of the trajectory is given twice
+{LINE} --trajectory line:speed => 'speed' of the trajectory is not KEY=VALUE. Write
+{LINE} --trajectory 'line:speed=a;b' => speed of the trajectory line is 'a;b'
+{LINE} --trajectory line:speed= => speed of the trajectory line is ''
+{LINE} --trajectory line:speed=fast => speed of the trajectory line is 'fast'
+{LINE} --trajectory line:speed=-1 => speed is -1 m/s
+{LINE} --trajectory line:ramp_time=-1 => ramp_time is -1 s
+{LINE} --trajectory corner => The motion has 3 coordinates
+{LINE} --threshold high => threshold is 'high'
+{LINE} --threshold 0.5 => threshold is 0.5
+{LINE} --threshold inf => threshold is inf
+{LINE} --measure distance => measure is 'distance'
+{LINE} --return-time longest => return_time is 'longest'
+{LINE} --datum 0,0,0 => datum is [0.0
+{LINE} --datum abc => datum is 'abc'
+{LINE} --datum 1 => datum puts carrier_1 at 1 m
+{LINE} --ramp-down 0 => ramp_down is 0 s
+{LINE} --dt -1 => dt is -1 s
+{LINE} --working-mode +++ => working_mode is (1
+{LINE} --gravity 0,inf,0 => gravity is '0,inf,0'
+{LINE} --out nowhere/plan.npz => Cannot write nowhere/plan.npz
+{LINE} --out plan.txt => --out plan.txt does not end in .npz
+{LINE} --out plan => --out plan does not end in .npz
+{LINE} --plot plan.txt => Cannot write plan.txt
+{LINE} --plot nowhere/plan.png => Cannot write nowhere/plan.png
+{LINE} --treshold 5 => No such option '--treshold'
+{LINE} --set carrier_mas=2 => 2rpr.urdf.xacro has no argument 'carrier_mas'
+{LINE} --return-time 100 => The return of the carriers takes 100 s from t = 5.11191 s
+{LINE} --set end_effector_mass=1 --trajectory circle => At the singular pose
+{CORNER} --dt 0 => dt is 0 s
+{CORNER} --lam 0.5 => lam = 0.5 asks for a fraction of the baseline effort
+{CORNER} --speed 1,2 => speed is [1.0
+{CORNER} --acceleration 0 => acceleration is 0.0
+{CORNER} --track 1,-1 => track is [1.0
+{CORNER} --track 1,2,3 => track is [1.0
+{CORNER} --start 0,0 => start is [0.0
+{CORNER} --start 5 => start puts carrier_1 at 5 m
+{CORNER} --least-margin 2 => The motion comes too close to a type II singularity
+{CORNER} --robot five_bar --working-mode +- --backend virtual-work => Virtual work is written out for the 2-RPR and
+{CORNER} --trajectory corner:radius=10 => The pose of sample 415 (t = 8.28 s
+{CIRCLE} --objective efort => objective is ['efort']
+{CIRCLE} --objective peak=1 --objective peak=2 => objective has 'peak' twice
+{CIRCLE} --objective peak=high => the weight of peak is 'high'
+{CIRCLE} --objective peak=-1 => A weight of the objective is -1.0
+{CIRCLE} --objective peak=0 => Nothing to minimise
+{CIRCLE} --objective tracking --lam 0.5 => lam = 0.5 asks for a fraction of the baseline effort
+{CIRCLE} --end resting => end is 'resting'
+{CIRCLE} --starts 1.5 => starts is '1.5'
+{CIRCLE} --starts 0 => starts is 0
+{CIRCLE} --refinements -1 => refinements is -1
+{CIRCLE} --seconds 0 => seconds is 0 s
+{CIRCLE} --datum 0.5 => datum puts carrier_1 at 0.5 m
+{CIRCLE} --effort 1,2,3 => effort is [1.0
+{CIRCLE} --jerk 0 => jerk is 0.0
+{CIRCLE} --carrier-force big => carrier_force is 'big'
+{CIRCLE} --threshold 5 => No such option '--threshold'
+plan --out x.npz switch-off --robot 2rpr --trajectory line --threshold 4 --dt 0.01 => Options before the name of the
+plan stepwise --robot 3rrr --motion corner.csv:ramp_time=0.2 => ramp_time does not apply to a motion from a file that
+plan stepwise --robot 3rrr --motion corner.csv --dt 0.2 => dt does not apply
+plan stepwise --robot 3rrr --set carriers=false --trajectory corner => 3rrr has no carriers to plan for
+inverse-dynamics --robot five_bar --motion far.csv --out e5.csv => The pose of sample 1 (t = 1 s
+inverse-dynamics --robot 3rrr --motion corner.csv --out e9.csv --wrench end_effector=1,0,0 => The model has no link
+{EFFORTS} --payload end_effector => payload is 'end_effector'
+{EFFORTS} --wrench end_effector=1,2,x => wrench of end_effector is 'x'
+{EFFORTS} --payload end_efector=1 => The model has no link 'end_efector'
+{EFFORTS} --lower 3 --upper 1 => lower is above upper for actuator 0 (first at sample 0)
+{EFFORTS} --upper -1 => upper is -1
+{EFFORTS} --upper nan => upper is nan
+{EFFORTS} --upper 1,2,3 => upper is [1.0, 2.0, 3.0], expected 2 numbers or one
+{EFFORTS} --preferred 1,2,3 => preferred has shape (3,)
+{OTHERS} --motion nowhere.csv => nowhere.csv cannot be read
+{OTHERS} --robot 4rrr => There is no robot '4rrr'
+{OTHERS} --set carrier_mas=2 => 3rrr.urdf.xacro has no argument 'carrier_mas'
+{OTHERS} --set carrier_mass => 'carrier_mass' is not NAME=VALUE. Write carrier_mass=2.0
+{OTHERS} --set carrier_mass=inf => The argument 'carrier_mass' is inf
+{OTHERS} --set gravity=1 => gravity is no parameter of the robot
+{OTHERS} --working-mode abc => working_mode is 'abc'
+{OTHERS} --working-mode ++ => working_mode is (1
+{OTHERS} --gravity 0,-9.81 => gravity is '0,-9.81'
+{OTHERS} --backend lagrange => Invalid value for '--backend'
+{OTHERS} --bakend rnea => No such option '--bakend'
+{OTHERS} --out nowhere/o.csv => Cannot write nowhere/o.csv
+{OTHERS} --out . => --out . does not end in .csv
+{OTHERS} --out / => --out / does not end in .csv
+{OTHERS} --out o.txt => --out o.txt does not end in .csv
+{OTHERS} --motion bad1.csv => bad1.csv has no column 'xd1'
+{OTHERS} --motion bad2.csv => bad2.csv has 0 rows of numbers
+{OTHERS} --out corner.csv => --out is the file corner.csv to read from
+{OTHERS} --motion circle.csv => The motion has 2 coordinates
+inverse-dynamics --robot five_bar --backend virtual-work --motion far.csv --out o.csv => Virtual work is written out
+{SING} => No task given
+{WALK} spiral => The trajectory is 'spiral'
+{WALK} circle:sped=1 => The trajectory circle has no key 'sped'
+{WALK} circle:speed=fast => speed of the trajectory circle is 'fast'
+{WALK} circle:speed=-1 => speed is -1 m/s
+{WALK} circle --motion m.csv => The search along a motion needs either a trajectory or a
+{SING} --plot l.txt => Cannot write l.txt
+singularities --robot 3rrr --trajectory circle => The motion has 2 coordinates
+singularities --robot gough --plot l.png => The singular locus of gough cannot be drawn
+singularities --robot gough --trajectory circle => The motion has 2 coordinates
+{SPACE} --free q => free is ('q',)
+{SPACE} --bounds a => bounds is 'a'
+{SPACE} --at x => at is 'x'
+workspace --robot gough --at 0,0,1 => at has shape (3,)
+{SPACE} --out w.txt => --out w.txt does not end in .csv
+{SPACE} --resolution 1 => resolution is 1
+validate --robot 4rrr => There is no robot '4rrr'
+validate --robot 3rrr --samples -1 => samples is -1
+check nowhere.npz => nowhere.npz does not exist
+export plan.npz --to l.txt => --to l.txt does not end in .csv or .json or .mat or .yaml or
+export plan.npz --to l.csv --rate 0 => rate is 0 Hz
+export plan.npz --to l.csv --ros => --ros does not go with .csv
+export plan.npz --to l.yaml --two-sided => A JointTrajectory has one point at a time
+export plan.npz --to nowhere/l.csv => Cannot write nowhere/l.csv
+export plan.npz --to plan.npz => --to plan.npz does not end in .csv or .json or .mat or .yaml
+{RUN} --trajectory circle => --plan and --trajectory are both given
+{RUN} --park 0.1 => --plan and --park are both given
+{RUN} --set carrier_mass=2 => --set
+{RUN} --machine charm=2 => 3rrr.urdf.xacro has no argument 'charm'
+{RUN} --noise 1 => --noise goes with a sampled controller
+{RUN} --noise -1 --period 0.01 => noise is -1.0
+{RUN} --delay 1 => --delay goes with a sampled controller
+{RUN} --period -1 => The sampling has period -1.0 s and delay 0.0 s
+{RUN} --friction coulomb=1 => --friction has no key 'coulomb'
+{RUN} --friction revolute_coulomb=-1 => revolute_coulomb is -1.0
+{RUN} --stop-at never --stop-at track => --stop-at is never and track
+{RUN} --effort-limit 1,2 => effort_limit is [1.0
+{RUN} --duration -1 => The simulation would last from 0.0 to -1.0 s
+{RUN} --dt -1 => dt is -1 s
+{RUN} --noise 1 --period 0.01 --seed -3 => Invalid value for '--seed'
+{RUN} --out run.txt => --out run.txt does not end in .npz or .csv
+{RUN} --out plan.npz => --out is the file plan.npz to read from
+{RUN} --plot run.txt => Cannot write run.txt
+simulate => There is nothing to simulate
+simulate --robot 3rrr => A simulation without a plan needs either a trajectory or a
+simulate --robot 2rpr --trajectory circle --park 0,0,0 => The place of parked carriers has 3 values for 2 carriers
+simulate --plan nothing.npz => nothing.npz does not exist
+simulate --robot 2rpr --trajectory circle => The motion has no finite efforts at t = 0.519414238 s
+simulate --robot gough --trajectory circle => The motion has 2 coordinates
+show --html x.html => There is nothing to show
+show --plan plan.npz --motion in.csv --html x.html => --plan and a motion are both given
+show --plan plan.npz --working-mode ++ --html x.html => --set
+show --plan plan.npz --robot 2rpr --html x.html => is not the one the plan was made for
+show --robot 3rrr --html none/x.html => no folder
+show --robot 3rrr --html x.png => Cannot write x.png
+show --robot 3rrr --force-scale 0 --html x.html => force_scale is 0
+codegen --robot four_bar => Missing option '--out'
+codegen --robot four_bar --out code --prefix 1a => prefix is '1a'
+{OTHERS} --upper 1,2 => upper is [1.0, 2.0], expected 3 numbers or one
+{WALK} nowhere.csv => nowhere.csv
+{WALK} way.csv => Neither times nor speed
+{WALK} way.csv:times=soon => times of the trajectory way.csv is 'soon'
+{WALK} way.csv:spead=1 => Did you mean 'speed'
+{WALK} timed.csv:speed=1 => times of its own
+{WALK} way.csv:speed=0.2,ends=rest => ends is given, and has no effect
+{WALK} timed.csv:ends=soon => ends is 'soon'
+{WALK} circle:ends=rest => has no key 'ends'
+{WALK} way.csv:times=time-optimal,max_speed=0.5,max_acceleration='2 3' => different numbers
+inverse-dynamics --robot 2rpr --trajectory timed.csv --dt 0 --out o.csv => dt is 0 s
+{EFFORTS} --dt 0.1 => dt does not apply
+inverse-dynamics --robot 2rpr --trajectory timed.csv --out timed.csv => --out is the file timed.csv to read from
+{SPACE} --free x,x => Name each once
+{SPACE} --bounds 0:1,a:b => LOW:HIGH
+{SPACE} --at 3,3 => chains stay open
+workspace --robot gough --at 0,0,0.6,0,0,0,2 => norm
+codegen --robot four_bar --out plan.npz => plan.npz
+validate --robot nope --samples 5 => nope
+validate --robot 3rrr --set carrier_mas=1 --samples 5 => no argument 'carrier_mas'
+new nowhere.xml => it does not exist
+new corner.csv => no model of a robot
+new crank.urdf --guess crank => guess is 'crank', not JOINT=VALUE
+info --robot 3rrr --set base_radius=30 => does not close
+info 3rrr => 3rrr
+info --robot twice.yaml => line 3
+plan --problem nowhere.yaml => cannot be read
+{EFFORTS} --motion backwards.csv => increase
+{EFFORTS} --motion off_track.csv => leaves its track
+""".strip().splitlines()
+]
+"""Command line, and what its one line on stderr has in it."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the files that the table names."""
+    folder = tmp_path_factory.mktemp("mistakes")
+    write_motion(folder / "corner.csv", reference.corner(), 0.05)
+    write_motion(folder / "circle.csv", reference.circle(), 0.5)
+    head = "t,x0,x1,xd0,xd1,xdd0,xdd1"
+    texts = {
+        "far.csv": f"{head}\n0,0.25,0.7,0,0,0,0\n1,5.0,0,0,0,0,0\n2,0.3,0.7,0,0,0,0\n",
+        "bad1.csv": "t,x0,x1,xd0\n0,1,1,0\n",
+        "bad2.csv": "",
+        "backwards.csv": f"{head}\n1,0.2,0.3,0,0,0,0\n0,0.2,0.3,0,0,0,0\n",
+        "off_track.csv": f"{head},s0,s1,sd0,sd1,sdd0,sdd1\n0,0.2,0.3,0,0,0,0,0.5,0,0,0,0,0\n",
+        "way.csv": "x,y\n0.15,0.3\n0.2,0.25\n0.25,0.3\n",
+        "timed.csv": "t,x,y\n0,0.15,0.3\n0.6,0.2,0.25\n1.1,0.25,0.3\n",
+        "twice.yaml": "name: x\nurdf: x.urdf\nname: y\n",
+        "crank.urdf": "<robot name='crank'/>",
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    rp.plan_stepwise("3rrr", reference.corner(), mesh=rp.Mesh(dt=0.2)).save(folder / "plan.npz")
+    return folder
+
+
+@pytest.mark.parametrize(("line", "says"), MISTAKES, ids=[" ".join(case)[:90] for case in MISTAKES])
+def test_mistakes_are_one_line_and_nothing_is_written(
+    line: str, says: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert says in refused(*shlex.split(line.format(**BASES)))
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("line", "remedy", "done"),
+    [
+        ("{OTHERS} --out o.txt", "Write --out o.csv.", "--out o.csv"),
+        ("{CORNER} --lam 0.5", "on the command line --baseline carriers=false", "--baseline carriers=false"),
+        ("{OTHERS} --robot five_bar --motion far.csv", 'unreachable="mark"', "--unreachable mark"),
+        ("{OTHERS} --robot five_bar --motion near.csv --backend virtual-work", "the backend rnea", "--backend rnea"),
+        ("{OTHERS} --working-mode ++", "Give one sign per leg: +++", "--working-mode +++"),
+        ("{OTHERS} --set carrier_mas=2", "Did you mean 'carrier_mass'?", ""),
+        ("{RUN} --duration 0.02 --noise 0.1", "Add --period 0.001.", "--period 0.001"),
+        ("{CORNER} --motion corner.csv", "Give one of them", ""),
+        ("{RUN} --duration 0.02 --stop-at never --stop-at track", "Give one or the other", ""),
+    ],
+)
+def test_what_a_remedy_says_works(
+    line: str, remedy: str, done: str, folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    shutil.copytree(folder, tmp_path / "copy")
+    monkeypatch.chdir(tmp_path / "copy")
+    Path("near.csv").write_text("t,x0,x1,xd0,xd1,xdd0,xdd1\n0,0.25,0.7,0,0,0,0\n", encoding="utf-8")
+    line = line.format(**BASES)
+    assert remedy in refused(*shlex.split(line))
+    for mistake, right in (("carrier_mas=", "carrier_mass="), (" --trajectory corner --dt 0.02", ""),
+                           ("--stop-at never ", "")):  # fmt: skip
+        line = line if done else line.replace(mistake, right)
+    assert call(*shlex.split(f"{line} {done}")).exit_code in (0, 3, 4)

@@ -1,0 +1,52 @@
+"""What a plan says of itself: an early stop is never an optimum, and efforts without bound are a warning."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import redundancy_pin as rp
+from redundancy_pin.planners.optimal import nlp
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.summary import summary, warnings_of
+from redundancy_pin.status import ResultStatus
+from redundancy_pin.trajectory import reference
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return rp.plan_stepwise(rp.VirtualWork("3rrr"), reference.corner(), mesh=rp.Mesh(dt=0.02))
+
+
+def test_a_plan_within_limits_has_no_warnings(plan: Plan) -> None:
+    assert list(warnings_of(plan)) == []
+    facts = summary(plan)
+    assert (facts["status"], facts["optimal"], facts["samples"]) == ("ok", True, len(plan.t))
+    assert facts["phases"][0]["start"] == plan.t[0]
+    assert facts["phases"][-1]["end"] == plan.t[-1]
+
+
+def test_efforts_without_bound_between_the_samples_are_one_warning(plan: Plan) -> None:
+    between = replace(plan.between, peak=np.array([1.0, np.inf, 2.0]), time=np.array([0.1, 0.2, 0.3]), ratio=np.inf)
+    assert list(warnings_of(replace(plan, status=ResultStatus.UNBOUNDED, between=between))) == [
+        "no finite main efforts: between the samples, at t = 0.2 s, where W is singular."
+    ]
+
+
+def test_no_optimum_is_warned_of_whatever_the_status(plan: Plan) -> None:
+    findings = replace(plan.findings, optimal=False, solver="Time_Exceeded")
+    for status in (ResultStatus.NOT_CONVERGED, ResultStatus.UNRESOLVED, ResultStatus.UNBOUNDED):
+        text = " ".join(warnings_of(replace(plan, status=status, findings=findings)))
+        assert "this is no optimum: the optimiser stopped early (Time_Exceeded)" in text
+
+
+def test_a_plan_that_stopped_early_is_no_optimum_and_keeps_its_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tolerance that no solver can meet: it ends at a point that keeps every limit and is proved no optimum."""
+    monkeypatch.setattr(nlp, "TOLERANCE", 1e-30)
+    circle, mesh = reference.circle(ramp_length=0.05), rp.Mesh(dt=0.08, refinements=0)
+    plan = rp.plan_whole_trajectory(rp.VirtualWork("2rpr"), circle, mesh=mesh)
+    assert (plan.status, summary(plan)["optimal"]) == (ResultStatus.NOT_CONVERGED, False)
+    assert not plan.limits.violated
+    assert next(warnings_of(plan)).startswith("this is no optimum")
