@@ -288,7 +288,7 @@ def whole_trajectory(**given: Any) -> int:
 
     Carriers and main actuators are planned together: the motors stay on, through singularities too, and every limit of
     track, speed, acceleration, jerk, effort and carrier force is kept. Where nothing keeps them all, the error says
-    which limit is in the way, when, and how much would suffice. Needs the extra `optimal`.
+    which limit is in the way, when, and how much would suffice.
 
     \b
     Examples:
@@ -308,7 +308,7 @@ def time_optimal(**given: Any) -> int:
 
     Timing, carriers and main actuators are planned together, within limits of efforts, of the actuators' rates and of
     the carriers, through singularities too; how fast the trajectory is does not matter. Robots without carriers are
-    planned as well. Needs the extra `optimal`.
+    planned as well.
 
     \b
     Example:
