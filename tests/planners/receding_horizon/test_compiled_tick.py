@@ -36,6 +36,9 @@ def dynamics_of(name: str) -> Dynamics:
 
 HORIZON = 0.5
 
+CHECKED = "-O1", "-g", "-Wall", "-Wextra", "-Wshadow", "-Werror", "-Wno-psabi", "-fsanitize=undefined"
+"""Flags of a compiler that checks."""
+
 
 def grid(count: int) -> Array:
     return TICK * np.arange(count)
@@ -73,6 +76,26 @@ def test_without_a_compiler_it_says_what_to_install(request: pytest.FixtureReque
     assert find_compiler() is None
     with pytest.raises(CompilerError, match=r"there is no C compiler.*pip install 'redundancy_pin\[compiler\]'"):
         RecedingHorizon(dynamics, step=STEP)
+
+
+def test_its_c_has_no_warnings_and_no_undefined_behaviour(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """In first, ordinary and relaxed updates, over a singular instant: what the sanitizer finds it prints."""
+    compiler, dynamics = find_compiler(), dynamics_of("2rpr")
+    assert compiler is not None
+    script = tmp_path / "cc"
+    command = " ".join(shlex.quote(word) for word in compiler.command)
+    script.write_text(f'#!/bin/sh\nexec {command} "$@" {" ".join(CHECKED)}\n')
+    script.chmod(0o755)
+    monkeypatch.setenv("CC", str(script))
+    monkeypatch.setenv(CACHE, str(tmp_path / "kept"))
+    statuses = set()
+    for limits in ({}, {"effort": 0.5, "acceleration": 1.0, "jerk": 50.0, "carrier_force": 20.0}):
+        planner = RecedingHorizon(dynamics, **in_groups(RecedingHorizon, {"horizon": 0.3, **limits}))
+        statuses |= {planner.update(TICK * i, ACROSS).status for i in range(12)}
+    assert statuses == {UpdateStatus.OK, UpdateStatus.RELAXED}
+    assert "runtime error" not in capfd.readouterr().err
 
 
 def test_a_library_is_compiled_once_and_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
