@@ -140,7 +140,8 @@ def assert_optimal(update: Update) -> None:
     peak = np.abs(best.tau[problem.counts]).max()
     assert command.peak == pytest.approx(peak, rel=EFFORT)
     largest = np.abs(best.multipliers).max()
-    np.testing.assert_allclose(made.multipliers[1:], best.multipliers[1:], atol=MULTIPLIER * largest)
+    given = int(update.last is not None)  # what multiplies a start that is given is not determined
+    np.testing.assert_allclose(made.multipliers[given:], best.multipliers[given:], atol=MULTIPLIER * largest)
 
 
 def grid(count: int) -> Array:
@@ -183,6 +184,13 @@ CASES: dict[str, tuple[str, Callable[[], Any], Array, dict[str, Any]]] = {
         {"track": (-0.03, 0.03), "acceleration": 60.0, "objective": replace(CENTRED, end_speed=0.1)},
     ),
     "slow": ("2rpr", lambda: ACROSS, grid(30), {"speed": 0.15}),
+    "begins at its largest speed": (
+        "2rpr",
+        lambda: ACROSS,
+        grid(1),
+        {"speed": 0.3, "start": (None, [0.2999, -0.2999])},
+    ),
+    "begins at it the other way": ("2rpr", lambda: ACROSS, grid(1), {"speed": 0.3, "start": (None, [-0.2999, 0.2999])}),
     "no track": ("2rpr", lambda: ACROSS, grid(30), {"track": NO_TRACK}),
     "no track, no speed": ("2rpr", lambda: ACROSS, grid(30), {"track": NO_TRACK, "speed": np.inf}),
     "mean square": ("2rpr", lambda: ACROSS, grid(30), {"objective": "effort"}),
@@ -200,7 +208,7 @@ def test_plans_are_optima_of_their_programmes(case: str) -> None:
     for update in updates:
         assert update.made.command.status is UpdateStatus.OK or "between the nodes" in update.made.command.reason
         assert_optimal(update)
-    assert sum(update.made.rounds == 1 for update in updates) > len(times) // 6  # of others less is asked
+    assert sum(update.made.rounds == 1 for update in updates) >= len(times) // 6  # of others less is asked
 
 
 def test_plans_that_begin_at_a_singular_instant_are_optima() -> None:
@@ -283,18 +291,21 @@ def test_the_curvature_is_that_of_second_differences_by_the_other_backend(arm: f
                 np.testing.assert_allclose(lin.curvature[:, carrier, i, j], second, rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
-def test_units_of_the_first_plan_are_those_of_f_and_of_the_gain_of_the_motors(name: str) -> None:
+@pytest.mark.parametrize(("name", "start"), [("2rpr", 0.3), ("3rrr", 0.3), ("2rpr", ACROSS.duration)])
+def test_units_of_the_first_plan_are_those_of_f_and_of_the_gain_of_the_motors(name: str, start: float) -> None:
+    """Where the platform rests, of f that carriers make."""
     robot = dynamics_of(name).robot
     motion, judge, k = ACROSS if name == "2rpr" else CORNER, rp.RneaDynamics(robot), robot.k
     planner = RecedingHorizon(dynamics_of(name), step=STEP, horizon=HORIZON)
-    planner.update(0.3, motion)
+    planner.update(start, motion)
     nodes, sizes = planner.ticks.last.nodes, planner.ticks.sizes
-    known = nodes[nodes <= 0.3 + HORIZON + 1e-9]
+    known = nodes[nodes <= start + HORIZON + 1e-9]
+
+    platform = Preview.of(motion).motion(known)
 
     def reduced(sdd: Array) -> Any:
         rest = np.zeros((len(known), k))
-        return judge.reduce(motion.sample_at(known), rp.CarrierMotion(rest, rest, sdd, check_rates=False))
+        return judge.reduce(platform, rp.CarrierMotion(rest, rest, sdd, check_rates=False))
 
     parked = reduced(np.zeros((len(known), k)))
     gain = np.median(np.linalg.norm(parked.W / parked.row_scale[:, None], ord=2, axis=(1, 2)))
