@@ -7,7 +7,7 @@ first paths and for those that are not planned at every tick. Times are those of
 
     python benchmarks/online.py compare [machine] [paths]   off line, switched off and on line, on the same paths
     python benchmarks/online.py preview [paths]             which preview the 2-RPR needs, by masses and acceleration
-    python benchmarks/online.py ticks [paths] [period]      how long a tick takes, in machine code and in Python
+    python benchmarks/online.py ticks [paths] [period]      how long a tick takes
     python benchmarks/online.py endless [ticks]             one planner along a path without end: statuses and memory
     python benchmarks/online.py loop [machines] [times]     in closed loop, imperfections of docs/robustness.md by times
 
@@ -310,17 +310,12 @@ def milliseconds(dynamics, paths, period, **settings):
 
 
 def ticks(count=6, period=0.005):
-    """Print a row a machine: ticks, median and 99th percentile, that over the period; Python's on the first path."""
+    """Print a row a machine: ticks, median and 99th percentile, that over the period."""
     for name in MACHINES:
         dynamics, period = machine(name), float(period)
         paths = [*islice(random_paths(name, dynamics), int(count))]
         spent, unplanned = milliseconds(dynamics, paths, period)
-        slow, _ = milliseconds(dynamics, paths[:1], period, interpret=True)
-        figures = [
-            *np.percentile(spent, [50, 99]),
-            1e-3 * np.percentile(spent, 99) / period,
-            *np.percentile(slow, [50, 99]),
-        ]
+        figures = [*np.percentile(spent, [50, 99]), 1e-3 * np.percentile(spent, 99) / period]
         told = " | ".join(f"{figure:.2f}" for figure in figures)
         print(f"| {name} | {len(spent)}, {unplanned} of them not planned | {told} |", flush=True)
 

@@ -58,7 +58,7 @@ def prepare(case: Case, backend: Callable[[Robot], Dynamics]) -> Drive:
         backend: makes a dynamics backend of a robot.
 
     Raises:
-        RedundancyPinError: casadi or PIQP, which the planner needs, is not installed.
+        CompilerError: there is no C compiler, which the on-line planner needs.
     """
     robot = load_robot(case.robot, **case.arguments)
     dynamics, motion = backend(robot), case.trajectory(robot)

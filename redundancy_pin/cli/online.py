@@ -43,7 +43,7 @@ def online(
 
     The path is known for a short time ahead (--horizon). Every tick plans the carriers and the efforts anew, through
     type II singularities that come up; the carriers follow the first piece. The plan that comes of it is judged as any
-    other.
+    other. Needs a C compiler.
 
     Exit codes: 0 every tick found a plan within limits, with --slow-down at a lower speed where need be, and the whole
     keeps them; 3 the whole breaks limits; 4 it keeps them, but some ticks had to leave something out, or its samples do

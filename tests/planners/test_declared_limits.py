@@ -181,8 +181,6 @@ def test_least_time_keeps_declared_limits() -> None:
 
 
 def test_updates_on_line_keep_declared_efforts() -> None:
-    pytest.importorskip("piqp")
-
     def updated(robot: Robot, **options: Any) -> float:
         planner = rp.RecedingHorizon(rp.VirtualWork(robot), horizon=0.2, **options)
         return planner.update(0.0, reference.corner()).peak

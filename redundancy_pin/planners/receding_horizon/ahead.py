@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections import deque
 from copy import copy
-from dataclasses import dataclass
 from math import floor, isfinite, isnan, nan
 from typing import Any, NamedTuple
 
@@ -27,82 +26,28 @@ from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.results import CarrierTerms
 from redundancy_pin.planners.carrier_model import carrier_model, terms
-from redundancy_pin.planners.receding_horizon.preview import SAME, Preview
+from redundancy_pin.planners.receding_horizon.constants import (
+    AT_REST,
+    BESIDE,
+    DIFFERENCE,
+    FADES,
+    KEPT,
+    PARTS,
+    POINTS,
+    ROOM,
+    ROUNDING,
+    SAME,
+    SHALLOW,
+    SHARP,
+    TOUCH,
+)
+from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.robot.scales import turning_velocities
 from redundancy_pin.trajectory.functions_of_time import chebyshev_points, chebyshev_series
-
-PARTS = 8
-"""Instants a step at which W τ = f is known: two crossings closer than that show as a dip of det W."""
-
-POINTS = 9
-"""At which det W is evaluated around a change of its sign, for its polynomial: to rounding, of steps up to 50 ms."""
-
-ROUNDING = 1e-14
-"""Of det W over its largest: coefficients of its polynomial that are less are none. Of the five or so that are left the
-zeros are found sooner than of all."""
-
-SHALLOW = 0.1
-"""Least over largest |det W| of these at which there is none between them: of a parabola that touches zero between the
-middle two it would be a forty-fifth."""
-
-TOUCH = 1e-3
-"""|det W| at a dip, relative to the largest, below which the motion counts as touching the singularity."""
-
-AT_REST = 1e-9
-"""Fraction of the largest |det W| below which it counts as zero: motions that stop there."""
-
-DIFFERENCE = 1e-4
-"""For derivatives by time at singular instants, s: central differences, off by its square."""
-
-ZONE = 2.5
-"""Steps around a singular instant in which the nodes are half as far apart: a step in s̈ there makes τ swing."""
-
-SHARP = 0.1
-"""Bend of the parked machine's f within a step either way, over its largest of late, from which nodes are half as far
-apart there too: the platform turns between two of them."""
-
-FADES = 0.5
-"""In which time what counts as largest falls by half, s: f has no bound where the machine is all but out of reach."""
-
-SHARP_ZONE = 1.0
-"""Steps around such an instant."""
-
-MOST_SHARP = 3
-"""Of these that are looked at, the next ones: each takes two nodes or three, of which the horizon must not be short."""
-
-NEAR = 10
-"""Steps from which on the nodes are twice as far apart."""
-
-APART = 0.05, 0.2
-"""Least distances, in steps, of singular instants from each other and the start, and of other nodes from them."""
-
-SOON = 0.01
-"""Least distance of a node from the start, in steps: a node of the last plan that goes is a bend that this one lacks,
-as at the end of a track."""
-
-FIRST = 3
-"""Steps in which the efforts of a plan are evaluated exactly, at every instant that is known."""
-
-BESIDE = 1e-8
-"""Before and after an instant at which ẍ jumps, s: f jumps with it, and so do the efforts."""
-
-NO_TIMES = np.empty(0)
-
-TINY = 1e-30
-"""Complex step: derivatives without differences."""
 
 WITHIN = chebyshev_points(np.array([-1.0]), np.array([1.0]), POINTS - 1)
 TO_SERIES = chebyshev_series(np.eye(POINTS)[None])[0]
 """Where det W is evaluated between two instants, from -1 to 1, and the series of such values."""
-
-BEND = 1e-3
-"""Central differences of these, m and m/s, for second derivatives: exact but for carriers that turn."""
-
-ROOM = 512
-"""Instants for which there is memory at first."""
-
-KEPT = 3
-"""Steps that are past and still kept, for the nodes around a singular instant that is past."""
 
 
 class Coefficients(NamedTuple):
@@ -127,25 +72,6 @@ class Coefficients(NamedTuple):
         by_term = np.stack(terms(s, sd, sdd, self.terms.shape[2], np), axis=-1)
         value: Array = self.constant[places] + (by_term[:, :, None] @ self.terms[places]).sum(axis=1)[:, 0]
         return value
-
-    def slopes(self, places: IntArray, s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
-        """Return ``values`` and their derivatives (3, N, n + k, k) by s, ṡ and s̈."""
-        s, sd, sdd = np.stack([s, sd, sdd])[:, None] + 1j * TINY * np.eye(3)[:, :, None, None]
-        by_term = np.stack(terms(s, sd, sdd, self.terms.shape[2], np), axis=-1)  # (3, N, k, T)
-        by_term = np.concatenate([by_term[:1].real, by_term.imag / TINY]).transpose(1, 2, 0, 3)
-        all_of = by_term @ self.terms[places]  # (N, k, 4, n + k)
-        return self.constant[places] + all_of[:, :, 0].sum(axis=1), all_of[:, :, 1:].transpose(2, 0, 3, 1)
-
-    def curvature(self, places: IntArray, s: Array, sd: Array, sdd: Array, along: Array) -> Array:
-        """Return second derivatives (N, k, 3, 3) of f along directions (N, n), by s, ṡ and s̈ of each carrier."""
-        count, n = self.terms.shape[2], along.shape[1]
-        by_term = (self.terms[places][..., :n] @ along[:, None, :, None])[..., 0]  # (N, k, T)
-        steps = BEND * np.stack([np.eye(3), -np.eye(3)])[:, None] + 1j * TINY * np.eye(3)[:, None]
-        at = steps[..., None, None] + np.stack([s, sd, sdd])  # (2, 3 by steps i, 3 by steps of size h, 3, N, k)
-        s, sd, sdd = np.moveaxis(at, 3, 0)
-        slope = np.stack(terms(s, sd, sdd, count, np), axis=-1).imag / TINY
-        second: Array = ((slope[0] - slope[1]) * by_term).sum(axis=-1) / (2.0 * BEND)
-        return second.transpose(2, 3, 0, 1)
 
 
 class _Memory:
@@ -451,109 +377,3 @@ def chebyshev(x: float, series: list[float]) -> float:
     for c in reversed(series[1:]):
         one, two = c + 2.0 * x * one - two, one
     return series[0] + x * one - two
-
-
-def nodes_from(start: float, step: float, count: int, roots: Array, sharp: Array = NO_TIMES) -> tuple[Array, IntArray]:
-    """Return (count,) nodes, s, from a start on a grid that is fixed in time, and which are singular instants.
-
-    A step apart, and from ``NEAR`` steps on two, half as far around singular and sharp instants.
-    """
-    sharp = sharp[sharp > start - 2.0 * SHARP_ZONE * step][:MOST_SHARP]
-    first = np.floor(2.0 * start / step)
-    half = np.arange(first, first + 4 * count)
-    grid = 0.5 * step * half
-    chosen: list[float] = []
-    for root in roots[(roots >= start) & (roots <= start + 2.0 * step * count)].tolist():
-        if root > start + APART[0] * step and all(root - other > APART[0] * step for other in chosen):
-            chosen.append(root)
-    apart = np.abs(grid[:, None] - roots).min(axis=1, initial=np.inf)
-    far = grid > start + (NEAR + 1e-6) * step
-    turned = np.abs(grid[:, None] - sharp).min(axis=1, initial=np.inf)
-    fine = (apart < np.where(far, 2.0, 1.0) * ZONE * step) | (turned < np.where(far, 2.0, 1.0) * SHARP_ZONE * step)
-    unit = np.where(far, 2.0, 1.0) * np.where(fine, 1.0, 2.0)
-    fixed = np.array([start, *chosen] if start in roots else chosen)
-    near = np.abs(grid[:, None] - fixed).min(axis=1, initial=np.inf) <= APART[1] * step
-    kept = (half % unit == 0.0) & ~near & (grid > start + SOON * step)
-    nodes = np.sort(np.concatenate([[start], chosen, grid[kept]]))[:count]
-    return nodes, np.flatnonzero(np.isin(nodes, roots))
-
-
-@dataclass(frozen=True, eq=False)
-class Linearised:
-    """W τ = f at N nodes, linear about a plan; n coordinates, m main actuators, k carriers.
-
-    Attributes:
-        nodes: (N,) s.
-        singular: (q,) indices of those that are singular instants.
-        known: (N,) whether the motion there is known, and can be reached.
-        at: (N, k) s, ṡ, s̈ that all is linear about.
-        W: (N, n, m).
-        f: (N, n) at that motion, N and N·m.
-        slopes: (3, N, n, k) derivatives of f by s, ṡ, s̈.
-        force: (N, k) the carriers' forces, N.
-        force_slopes: (3, N, k) their derivatives by their own motion.
-        lost: (q, n) directions u that W loses.
-        W_rate: (q, m) uᵀ Ẇ.
-        f_rate: (q,) uᵀ f̄′.
-        slope_rates: four (q, k) of uᵀ ḟ, by δs, δṡ, δs̈ and s⃛.
-        curvature: (N, k, 3, 3) second derivatives of −yᵀ f by s, ṡ and s̈, with the multipliers y of W τ = f.
-        row_scale: (n,) see ``ReducedDynamics``.
-        until: s, after which nothing is known.
-    """
-
-    nodes: Array
-    singular: IntArray
-    known: BoolArray
-    at: tuple[Array, ...]
-    W: Array
-    f: Array
-    slopes: Array
-    force: Array
-    force_slopes: Array
-    lost: Array
-    W_rate: Array
-    f_rate: Array
-    slope_rates: tuple[Array, ...]
-    curvature: Array
-    row_scale: Array
-    until: float
-
-    @staticmethod
-    def about(
-        ahead: Ahead, nodes: Array, singular: IntArray, at: tuple[Array, ...], multipliers: Array, until: float
-    ) -> Linearised:
-        """Return it about a motion of the carriers, three (N, k), and multipliers (N, n) of W τ = f there.
-
-        What is after ``until``, s, is not known.
-        """
-        q, count, times = len(singular), len(nodes), nodes
-        if q:
-            shift = np.repeat([-DIFFERENCE, DIFFERENCE], q)
-            times = np.concatenate([nodes, np.tile(nodes[singular], 2) + shift])
-            s, sd, sdd = (np.tile(part[singular], (2, 1)) for part in at)
-            h = shift[:, None]
-            beside = (s + h * sd, sd + h * sdd, sdd)  # what is even in h cancels
-            whole = tuple(np.concatenate(pair) for pair in zip(at, beside, strict=True))
-        else:
-            whole = at
-        places = ahead.at(np.minimum(times, until))
-        coefficients, n = ahead.known, len(ahead.row_scale)
-        value, by = coefficients.slopes(places, *whole)
-        W, f, by_f = coefficients.W[places], value[:, :n], by[:, :, :n]
-        u = np.linalg.svd(W[singular] / ahead.row_scale[:, None])[0][:, :, -1] / ahead.row_scale if q else W[:0, :, 0]
-
-        def rate(values: Array) -> Array:
-            change = (values[count + q :] - values[count : count + q]) / (2.0 * DIFFERENCE)
-            projected: Array = np.einsum("qn,qn...->q...", u, change)
-            return projected
-
-        by_s, by_sd, by_sdd = np.einsum("qn,dqnk->dqk", u, by_f[:, singular])
-        own = np.arange(at[0].shape[1])
-        s, sd, sdd = at
-        curvature = coefficients.curvature(places[:count], s, sd, sdd, -multipliers)
-        return Linearised(
-            nodes, singular, (nodes <= until + SAME) & np.logical_and.accumulate(coefficients.known[places[:count]]),
-            at, W[:count], f[:count], by_f[:, :count], value[:count, n:], by[:, :count, n + own, own], u, rate(W),
-            rate(f), (rate(by_f[0]), by_s + rate(by_f[1]), by_sd + rate(by_f[2]), by_sdd), curvature,
-            ahead.row_scale, until,
-        )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -14,9 +14,6 @@ from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.time_scaling import TimeScaling
 
 Goal = Literal["effort", "peak"]
-
-STUCK = 0.1
-"""Fraction of f that a plan may miss, f being linear in its programme, and still be preferred to an elastic one."""
 
 
 def extended(position: PiecewisePolynomial, times: Array) -> tuple[Array, Array, Array]:
@@ -138,8 +135,8 @@ class TickPlan:
 
     ``nodes`` (N,) s; ``at``: s, ṡ and s̈ (N, k) there; ``multipliers`` (N, n) of W τ = f there; ``left``: by which
     fraction of f that is missed at most; ``largest``: |τ| of the command in the step from the tick on, N or N·m;
-    ``solution``: what machine code begins the next programme with, in its own order, where it made this one, and
-    ``iterations``: how many of its interior point method that took, over all rounds.
+    ``solution``: what the next programme begins with, in the order of machine code;
+    ``iterations``: how many of its interior point method that took, over all ``rounds``, the programmes of its tick.
     """
 
     command: Command
@@ -150,13 +147,4 @@ class TickPlan:
     largest: float
     solution: Array | None = None
     iterations: int = 0
-
-    @property
-    def doubt(self) -> float:
-        """What is left; not less than a bit where a limit kept the programme from an answer: it may come no nearer."""
-        return self.left if self.command.status is UpdateStatus.OK else max(self.left, STUCK)
-
-    def halfway(self, other: TickPlan) -> TickPlan:
-        """Return another of the same nodes, of which the next one begins with the mean of both."""
-        at = tuple(0.5 * (own + their) for own, their in zip(self.at, other.at, strict=True))
-        return replace(other, at=at, multipliers=0.5 * (self.multipliers + other.multipliers))
+    rounds: int = 0

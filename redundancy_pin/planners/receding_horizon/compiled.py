@@ -1,8 +1,6 @@
 """A tick as machine code: ``tick.c`` for a robot's sizes, what it is given and what it gives back.
 
-It is compiled once for each set of sizes and kept on disk (``machine_code``). Without a C compiler there is none, and
-every tick is planned in Python. So are those that it leaves: the first, and those without a plan that keeps every
-limit.
+It is compiled once for each set of sizes and kept on disk (``machine_code``).
 """
 
 from __future__ import annotations
@@ -11,7 +9,7 @@ import ctypes
 import importlib.resources
 import time
 from collections.abc import Mapping
-from dataclasses import astuple
+from dataclasses import astuple, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,9 +17,11 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array, frozen, read_only
+from redundancy_pin.errors import CompilerError
 from redundancy_pin.machine_code import (
     FLAGS,
     NATIVE,
+    REMEDY,
     built,
     cache_folder,
     digest,
@@ -32,38 +32,20 @@ from redundancy_pin.machine_code import (
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.receding_horizon.ahead import Ahead, Coefficients
 from redundancy_pin.planners.receding_horizon.command import Command, TickPlan, Weights
-from redundancy_pin.planners.receding_horizon.preview import SAME
-from redundancy_pin.planners.receding_horizon.programme import TickScales, units_of
+from redundancy_pin.planners.receding_horizon.constants import CONSTANTS, INSTANTS, MOST_SINGULAR, SAME
+from redundancy_pin.planners.receding_horizon.preview import place_of
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 SOURCES = "tick_sight.c", "tick_programme.c", "tick_solver.c", "tick.c"
-OK, MISSING = 0, 5
-"""What the function of ``tick.c`` returns: a plan that keeps every limit; instants that are not evaluated yet."""
-
-SETTINGS = {
-    "PRECISION": 1e-9,  # of what bounds, and rows of singular instants, are missed by, in units
-    "BARRIER": 1e-9,  # mean of slacks times duals, of a cost of size one
-    "STATIONARY": 1e-5,  # gradient over the largest in it: multipliers of singular instants are large, and rounded
-    "ITERATIONS": 40,
-    "CLOSE": 0.995,  # of the way to the nearest bound
-    "ROOM": 0.05,  # least slack of a first point, in units
-    "FIRST_BARRIER": 1e-2,  # slack times dual there
-    "WARM_ROOM": 5e-3,  # the same where there is a solution of nearly the same programme
-    "WARM_BARRIER": 3e-5,  # at least
-    "WITHIN": 0.9,  # share of the limits of acceleration that a first point has at most
-    "DAMPING": 1e-2,  # of a first point: weight of the efforts, that of accelerations being 1
-    "SAME_ROW": 1e-8,  # share of the jerk in a row of a singular instant below which it has none
-}
-"""Of the interior point method; found by trial on random paths: half the iterations that PIQP has there."""
+OK, UNSOLVED, RELAXED, REFUSED, MISSING = range(5)
+"""What ``rp_tick`` returns: a plan that keeps every limit; none; the one that misses W τ = f least; one up
+to where the machine cannot go; instants that are not evaluated yet."""
 
 NONE = frozen([])
 """No singular instants."""
 
-INSTANTS, BORDER = 160, 10
-"""Most instants at which the efforts of a plan are evaluated, and rows of singular instants, as in ``tick.c``."""
-
-_COUNTS = ("instants", "edges", "nodes", "roots", "breaks", "sharps", "same_time")
+_COUNTS = ("instants", "edges", "nodes", "roots", "breaks", "sharps", "same_time", "first", "strict", "guesses")
 _SIGHT = ("t", "W", "constant", "terms", "known")
 _PLAN = ("edge", "piece", "node", "at", "multiplier", "solution")
 _POINTERS = (*_PLAN, "root", "broken", "sharp", "row_scale", "row", "track", "speed")
@@ -79,12 +61,30 @@ class _Given(ctypes.Structure):
     ]
 
 
+@dataclass(frozen=True, eq=False)
+class TickScales:
+    """What unknowns and rows are divided by: ``tau``, N or N·m; ``row`` (n,), N or N·m."""
+
+    tau: float
+    row: Array
+
+
+def units_of(limits: ResolvedLimits) -> tuple[Array, Array, Array]:
+    """Return what s, ṡ and s̈ are divided by, (k,) each."""
+    width = np.diff(limits.track, axis=1)[:, 0]
+    return (
+        np.where(np.isfinite(width), 0.5 * width, 1.0),
+        np.where(np.isfinite(limits.speed), limits.speed, 1.0),
+        np.where(np.isfinite(limits.acceleration), limits.acceleration, 10.0),
+    )
+
+
 class CompiledTick:
     """The planner's ticks in fixed memory; one for each planner.
 
     Args:
         library: as of ``tick_library``.
-        sizes, constants: which that was made of.
+        sizes: which that was made of.
         step, horizon: s.
         weights: of the objective.
         limits: in force; ``set_limits`` changes them.
@@ -94,30 +94,29 @@ class CompiledTick:
         self,
         library: ctypes.CDLL,
         sizes: Mapping[str, int],
-        constants: Mapping[str, float],
         step: float,
         horizon: float,
         weights: Weights,
         limits: ResolvedLimits,
     ) -> None:
-        self._made_of = dict(sizes), dict(constants), step, horizon, weights
+        self._made_of = dict(sizes), step, horizon, weights
+        self._guesses = 0
         n, m, k, count = (sizes[name] for name in ("N", "M", "K", "COUNT"))
         library.rp_tick_work.restype = library.rp_tick_solution.restype = ctypes.c_long
         self._call, self._shape = library.rp_tick, (n, m, k, count)
         self._solution = library.rp_tick_solution() // 8
         parts = {
-            "pieces": 1, "efforts": 1, "forces": 1, "missing": 1, "known": 1, "iterations": 1,
-            "residual": 1, "peak": 1, "left": 1, "largest": 1, "solution": self._solution,
+            "counts": 9, "numbers": 5, "row": n, "solution": self._solution,
             "node": count, "at": 3 * count * k, "multiplier": count * n,
             "edge": count + k + 1, "piece": 4 * (count + k) * k,
             "effort_edge": INSTANTS + count, "effort": 2 * (INSTANTS + count) * m,
             "force_edge": INSTANTS, "force": 2 * INSTANTS * k,
-            "missing_time": count + 2 * BORDER + INSTANTS,
+            "missing_time": count + 2 * MOST_SINGULAR + INSTANTS,
         }  # fmt: skip
         ends = np.cumsum([0, *parts.values()]).tolist()
         self._places = {name: slice(a, b) for name, a, b in zip(parts, ends[:-1], ends[1:], strict=True)}
         self._result = np.zeros(ends[-1])
-        self._counts, self._numbers = self._result[:6].view(np.int64), self._result[6:10]
+        self._counts, self._numbers = self._result[self._places["counts"]].view(np.int64), self._result[9:14]
         self._work = np.zeros(library.rp_tick_work() // 8 + 1)
         self._given = _Given(step=step, horizon=horizon)
         self._kept: dict[str, tuple[Array, Array]] = {}
@@ -131,7 +130,7 @@ class CompiledTick:
         self.set_limits(limits)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Make it again, in memory of its own, where it is copied or sent to; None where that has no compiler."""
+        """Make it again, in memory of its own, where it is copied or sent to."""
         return _again, (*self._made_of, self._limits)
 
     def _point(self, name: str, array: Array) -> None:
@@ -167,7 +166,7 @@ class CompiledTick:
             self._begins = solution
             if solution is not None and len(solution) == self._solution:
                 self._point("solution", solution)
-            else:  # by Python, or of another version
+            else:  # of another version
                 self._kept.pop("solution", None)
                 own.solution = None
         if own.same_time:  # else it is not looked at
@@ -186,31 +185,38 @@ class CompiledTick:
         t: float,
         until: float,
         given: tuple[Array | None, ...],
-        last: TickPlan,
-        sizes: TickScales,
+        last: TickPlan | None,
+        sizes: TickScales | None,
         largest: float,
-    ) -> TickPlan | None:
-        """Return a plan about the last one; None where there is none that keeps every limit.
+        *,
+        strict: bool,
+    ) -> tuple[TickPlan | None, TickScales]:
+        """Return a plan about the last one, if there is any, and what is divided by.
 
         Args:
             ahead: what is in sight.
             t: the tick, s.
             until: until when the motion is known, s.
             given: (k,) s and ṡ of the carriers; None where those of the last plan are to be believed.
-            last: the last plan, of cubic motions.
-            sizes: what is divided by.
+            last: the last plan, of cubic motions; None of a first one.
+            sizes: what is divided by; None of a first one.
             largest: |τ| so far, N or N·m.
+            strict: whether a plan that does not keep every limit is none.
         """
-        own, command = self._given, last.command
+        own, first = self._given, last is None or sizes is None
         own.now, own.until, own.spacing, own.largest = t, until, ahead.spacing, largest
-        own.tau, own.peak = sizes.tau, command.peak
-        own.same_time, own.roots, own.breaks = bool(command.t == t), len(ahead.roots), len(ahead.preview.breaks)
-        self._point_to_last(last)
+        own.roots, own.breaks, own.sharps = len(ahead.roots), len(ahead.preview.breaks), len(ahead.sharp)
+        own.first, own.strict, own.guesses, own.same_time = first, strict, self._guesses, False
+        if last is not None and sizes is not None:
+            own.tau, own.peak, own.same_time = sizes.tau, last.command.peak, bool(last.command.t == t)
+            self._point_to_last(last)
+            self._point("row", sizes.row)
+        else:
+            own.edges = own.nodes = 0
+            own.solution, self._begins = None, None
         self._point("root", ahead.roots)
         self._point("broken", ahead.preview.breaks)
         self._point("sharp", ahead.sharp)
-        own.sharps = len(ahead.sharp)
-        self._point("row", sizes.row)
         self._point("row_scale", ahead.row_scale)
         for name, array in zip(("s", "sd"), given, strict=True):
             self._point(name, self._nowhere if array is None else array)
@@ -224,15 +230,31 @@ class CompiledTick:
                 break
             places = self._places["missing_time"]
             ahead.at(self._result[places][: self._counts[3]])
-        return self._made(t, ahead.roots, seconds) if status == OK else None
+        if sizes is None:
+            sizes = TickScales(float(self._numbers[4]), frozen(self._result[self._places["row"]]))
+        if status in (UNSOLVED, MISSING):
+            return None, sizes
+        self._guesses += int(self._counts[8])
+        plan = self._made(t, ahead.roots, seconds)
+        if status == OK:
+            return plan, sizes
+        told = UpdateStatus.RELAXED, "no plan keeps every limit"
+        if status == REFUSED:
+            blocked = plan.nodes[self._counts[4] : self._counts[4] + 1]
+            where = place_of(ahead.preview.states(blocked)[0][0])
+            reason = f"at t = {blocked[0]:.6g} s the preview leads where the machine cannot go, to {where}"
+            told = UpdateStatus.REFUSED, reason
+        elif not self._counts[7]:
+            told = UpdateStatus.RELAXED, f"ahead {plan.left:.0%} of the force is missing"
+        return replace(plan, command=replace(plan.command, status=told[0], reason=told[1])), sizes
 
     def _made(self, t: float, roots: Array, seconds: float) -> TickPlan:
         result = self._result.copy()
         base, own = ctypes.addressof(ctypes.c_double.from_buffer(result.data)), self._given  # sooner than by numpy
         read_only(result)
         (n, m, k, count), places = self._shape, self._places
-        pieces, efforts, forces, _, known, iterations = self._counts.tolist()
-        residual, peak, left, largest = self._numbers.tolist()
+        pieces, efforts, forces, _, known, iterations, rounds, _, _ = self._counts.tolist()
+        residual, peak, left, largest, _ = self._numbers.tolist()
 
         def function(edges: str, coefficients: str, order: int, pieces: int, width: int) -> PiecewisePolynomial:
             first, start = places[edges].start, places[coefficients].start
@@ -252,17 +274,16 @@ class CompiledTick:
             self._kept.pop(name, None)
         multipliers, solution = result[places["multiplier"]].reshape(count, n), result[places["solution"]]
         self._own, self._begins = (nodes, carriers.edges), solution
-        return TickPlan(command, nodes, (at[0], at[1], at[2]), multipliers, left, largest, solution, iterations)
+        return TickPlan(command, nodes, (at[0], at[1], at[2]), multipliers, left, largest, solution, iterations, rounds)
 
 
-def tick_library(sizes: Mapping[str, int], constants: Mapping[str, float]) -> tuple[ctypes.CDLL | None, str]:
-    """Return the library of robots of some sizes, from disk or new; or None and the reason why there is none.
+def tick_library(sizes: Mapping[str, int]) -> ctypes.CDLL:
+    """Return the library of robots of some sizes, N, M, K, TERMS and COUNT, from disk or new.
 
-    Args:
-        sizes: N, M, K, TERMS, COUNT.
-        constants: of the planner, by the names that ``tick.c`` has.
+    Raises:
+        CompilerError: there is no C compiler, or it fails.
     """
-    named = {**sizes, **constants, **SETTINGS}
+    named = {**sizes, **{name: constant.value for name, constant in CONSTANTS.items() if constant.in_c}}
     head = [f"#define {name} {value!r}" for name, value in named.items()]
     folder = importlib.resources.files(__package__)
     text = "\n".join(["#define EXPORTED", *head, *(folder.joinpath(name).read_text("utf-8") for name in SOURCES)])
@@ -270,7 +291,11 @@ def tick_library(sizes: Mapping[str, int], constants: Mapping[str, float]) -> tu
     where = "" if compiler is None else compiler.identity, str(cache_folder())
     # a sixth less time with it; not every compiler has it
     library, reason = _built(text, (*FLAGS, NATIVE), processor(), *where)
-    return (library, reason) if library is not None else _built(text, FLAGS, "", *where)
+    if library is None:
+        library, reason = _built(text, FLAGS, "", *where)
+    if library is None:
+        raise CompilerError(f"On-line planning runs in machine code, and {reason}.", remedy=REMEDY)
+    return library
 
 
 @lru_cache(maxsize=16)  # where nothing is kept on disk too, it is compiled once, and what cannot be is tried once
@@ -286,9 +311,8 @@ def _built(
     return built(lambda identity: digest([text, identity, *flags, machine]), lambda: text, load, flags)
 
 
-def _again(sizes: Mapping[str, int], constants: Mapping[str, float], *settings: Any) -> CompiledTick | None:
-    library, _ = tick_library(sizes, constants)
-    return None if library is None else CompiledTick(library, sizes, constants, *settings)
+def _again(sizes: Mapping[str, int], *settings: Any) -> CompiledTick:
+    return CompiledTick(tick_library(sizes), sizes, *settings)
 
 
 def _address(array: Array) -> Any:

@@ -15,7 +15,8 @@ from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.options import Limits, group_of
 from redundancy_pin.planners.receding_horizon.ahead import Ahead
 from redundancy_pin.planners.receding_horizon.command import GOALS, Command, Goal, Weights
-from redundancy_pin.planners.receding_horizon.preview import SAME, Preview, Source
+from redundancy_pin.planners.receding_horizon.constants import SAME
+from redundancy_pin.planners.receding_horizon.preview import Preview, Source
 from redundancy_pin.planners.receding_horizon.slowing import Slowing
 from redundancy_pin.planners.receding_horizon.tick import TickPlanner
 from redundancy_pin.status import UpdateStatus
@@ -39,7 +40,6 @@ class RecedingHorizon:
         limits: in place of the robot's own. ``actuator_speed`` is judged, by ``run_online``: the motion is given.
         slow_down: where no plan keeps every limit, lead the platform along its path more slowly: ``Command.scaling``
             then says which time of the preview it is at, and the status is ``TIME_SCALED``.
-        interpret: do not plan in machine code, as where there is no C compiler: the same plans, ten times as long.
 
     Attributes:
         limits: in force from the next tick on; may be set between ticks. ``resolved`` has them as arrays.
@@ -47,7 +47,7 @@ class RecedingHorizon:
     Raises:
         InputError: a setting out of its domain.
         UnsupportedRobotError: no carriers.
-        RedundancyPinError: the solver is not installed.
+        CompilerError: there is no C compiler, or it fails.
     """
 
     def __init__(
@@ -59,7 +59,6 @@ class RecedingHorizon:
         objective: Goal | Weights = "peak",
         limits: Limits | None = None,
         slow_down: bool = False,
-        interpret: bool = False,
     ) -> None:
         dynamics = as_dynamics(dynamics)
         robot = dynamics.robot
@@ -77,18 +76,13 @@ class RecedingHorizon:
         self.resolved = self._given_limits.resolved(robot)
         self._source: object = None
         self._preview: Preview | None = None
-        self.ticks = TickPlanner(robot, step, horizon, self.weights, self.resolved, interpret=interpret)
+        self.ticks = TickPlanner(robot, step, horizon, self.weights, self.resolved)
         self._slowing = Slowing(self.ticks, horizon) if slow_down else None
 
     @property
     def started(self) -> bool:
         """Whether there is a plan."""
         return self.ticks.last is not None
-
-    @property
-    def compiled(self) -> bool:
-        """Whether ticks are planned by machine code."""
-        return self.ticks.compiled is not None
 
     @property
     def largest(self) -> float:

@@ -11,20 +11,12 @@ import numpy as np
 from redundancy_pin.arrays import Array, Frozen, frozen, require_type
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.planners.receding_horizon.constants import FOR_EVER, SAME, STILL
 from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory, as_motion, is_timed
 from redundancy_pin.trajectory.time_scaling import TimeScaling, scaled_rates
 
 Source: TypeAlias = "Preview | TimedTrajectory | PlatformMotion | Motion | Callable[[Array], PlatformMotion]"
 """A trajectory, samples, or what returns the motion at (N,) times, s."""
-
-STILL = 1e-9
-"""Speed at the end of a motion, over its largest, up to which the platform rests there."""
-
-FOR_EVER = 1e6
-"""How long it is held there, s."""
-
-SAME = 1e-9
-"""Times that differ by less are one, s."""
 
 
 @dataclass(frozen=True, eq=False)

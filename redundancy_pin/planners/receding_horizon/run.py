@@ -19,28 +19,13 @@ from redundancy_pin.planners.functions import PlanFunctions, unique_times
 from redundancy_pin.planners.intersample_check import Findings, PlannedMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon.command import Command
+from redundancy_pin.planners.receding_horizon.constants import LONGEST, SAMPLES, STANDING, STRAIGHT, STRAIGHT_PIECES
 from redundancy_pin.planners.receding_horizon.planner import RecedingHorizon
 from redundancy_pin.planners.receding_horizon.preview import place_of
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 from redundancy_pin.trajectory.time_scaling import ScaledMotion, TimeScaling
-
-SAMPLES = 0.0025
-"""Between samples of the plan of a run, s."""
-
-STRAIGHT = 1e-4
-"""Smallest over largest singular value of W below which the efforts of a run are straight in time: in a longer stretch
-they would miss W τ = f by more than a millionth, and in a shorter one W⁻¹ magnifies what the plans leave of f."""
-
-WITHIN = 16
-"""Pieces of the efforts where W is next to singular."""
-
-STANDING = 4.0
-"""Horizons for which a platform has stood still when there is no hope that it goes on."""
-
-LONGEST = 20.0
-"""Times the duration of a motion after which a planner that slows down has not found a way."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +227,7 @@ def pieces_of(
         roots = roots[(roots > ends[0]) & (roots < ends[1])]
         roots = roots[np.append(True, np.diff(roots) > 1e-4)] if len(roots) else roots
         mid = [max((c for c in commands if c.t <= t), key=lambda c: c.t).efforts.at(float(t)) for t in roots]
-        count = max(WITHIN, int(np.ceil((window.end - window.start) / SAMPLES)))
+        count = max(STRAIGHT_PIECES, int(np.ceil((window.end - window.start) / SAMPLES)))
         kinks = [
             edges[(edges > window.start) & (edges < window.end)] for edges in (carriers.edges, source.breaks, roots)
         ]

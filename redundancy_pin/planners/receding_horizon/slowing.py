@@ -11,34 +11,22 @@ from dataclasses import replace
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.planners.receding_horizon.ahead import KEPT
 from redundancy_pin.planners.receding_horizon.command import Command, TickPlan
+from redundancy_pin.planners.receding_horizon.constants import (
+    CONVERGED,
+    CREEPING,
+    FASTER,
+    FULL,
+    HOLD,
+    KEPT,
+    LEAST_RATE,
+    RISE,
+    SLOWER,
+)
 from redundancy_pin.planners.receding_horizon.preview import Preview
-from redundancy_pin.planners.receding_horizon.tick import CONVERGED, TickPlanner
+from redundancy_pin.planners.receding_horizon.tick import TickPlanner
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory.time_scaling import TimeScaling
-
-SLOWER = (
-    *((0.85, 0.8), (0.7, 0.8), (0.5, 0.8), (0.3, 0.8), (0.5, 0.4), (0.2, 0.4), (0.0, 0.8), (0.0, 0.4)),
-    *((0.85, 0.2), (0.7, 0.2), (0.5, 0.2)),
-)
-"""Factors of σ̇, and within which part of the horizon. Without the last three, one of 16 runs of weak carriers had a
-tick without a plan, and with them none of 56."""
-
-FASTER, WITHIN = 0.25, 0.8
-"""By how much σ̇ rises where the whole of the speed is too much, and within which part of the horizon."""
-
-CREEPING = 0.05
-"""σ̇ below which it may rise to as much more: next to a singular pose a platform that stands has to creep over it."""
-
-LEAST = 5e-3
-"""σ̇ below which the platform rather stands still."""
-
-HOLD = 5
-"""Steps from one change of σ̇, or one that was tried, to the next rise: most are too soon."""
-
-FULL = 1.0 - 1e-9
-"""σ̇ from which the speed is that of the preview."""
 
 
 class Slowing:
@@ -78,11 +66,11 @@ class Slowing:
         if final < FULL and t >= self._held_until:
             self._held_until = t + HOLD * ticks.step
             more = (1.0, FASTER, CREEPING) if final < CREEPING else (1.0, FASTER)
-            changes = [(min(final + by, 1.0), WITHIN) for by in more]
+            changes = [(min(final + by, 1.0), RISE) for by in more]
         changes.append((final, 0.0))  # as it is
         if slowest > 0.0:
             slower = ((factor * slowest, part) for factor, part in SLOWER)
-            changes += [(wanted if wanted >= LEAST else 0.0, part) for wanted, part in slower]
+            changes += [(wanted if wanted >= LEAST_RATE else 0.0, part) for wanted, part in slower]
         for wanted, part in dict.fromkeys(changes):
             other, ahead = self.scaling, kept
             if part:

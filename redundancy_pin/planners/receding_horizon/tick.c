@@ -1,8 +1,7 @@
-/* One tick as ``tick.py``, ``ahead.py`` and ``programme.py`` have it, where every programme of it has a solution that
-   keeps all limits. What has none, and the first tick, is left to them.
+/* One control update: programmes about the last plan until W tau = f is met, and what becomes of their solutions.
 
    In front of this stand N, M, K, TERMS and COUNT: coordinates, main actuators, carriers, terms of f, nodes; and the
-   constants of those files, whose names they have; then tick_sight.c, tick_programme.c and tick_solver.c.
+   constants of ``compiled.py``; then tick_sight.c, tick_programme.c and tick_solver.c.
 
    The programme is condensed: with the motion before it given, W tau = f leaves of (sdd, tau) at a node the M + K - N
    directions of its null space, and s and sd follow. W alone may be singular: that [dW tau, df] is not is what carriers
@@ -71,7 +70,7 @@ static void set_efforts(const Given *g, const Work *w, const double *t, int coun
         plan->force_time[p] = t[p];
         memcpy(plan->force + p * K, value[p] + N, K * sizeof(double));
         double unused[N];
-        fine[p] = spectrum(g, W, unused) > REGULAR * REGULAR;
+        fine[p] = spectrum(g, W, unused, 0) > REGULAR * REGULAR;
         if (!fine[p]) continue;
         double B[N * N], right[N], planned[M];
         memset(planned, 0, sizeof planned);
@@ -138,12 +137,20 @@ static void set_efforts(const Given *g, const Work *w, const double *t, int coun
     }
 }
 
-/* One programme about ``w->at``, and what is made of it (``_command``). */
+/* Whether what is linear about ``w->at`` has a plan that keeps every limit, or if not the one that misses least. */
+static int solve(const Given *g, Work *w, int relaxed) {
+    w->relaxed = relaxed;
+    if (!condense(g, w) || !set_programme(g, w)) return 0;
+    return (!relaxed && w->before && interior_point(g, w, 1)) || interior_point(g, w, 0);
+}
+
+/* One programme about ``w->at``, and what is made of it; 0 where it has no solution. */
 static int planned(const Given *g, Work *w, const double *t, int count, Plan *plan) {
     const double *ua = g->unit + 2 * K;
     linearise(g, w);
-    if (w->borders > BORDER - 2 || !condense(g, w) || !set_programme(g, w)) return 0;
-    if (!(w->before && interior_point(g, w, 1)) && !interior_point(g, w, 0)) return 0;
+    w->rounds++;
+    if ((w->beyond || !solve(g, w, 0)) && (g->strict || !solve(g, w, 1))) return 0;
+    plan->relaxed = w->relaxed;
     double *s = plan->at, *sd = s + LANES, *sdd = sd + LANES;
     for (int j = 0; j < K; j++) s[j] = w->given[0][j], sd[j] = w->given[1][j];
     for (int l = 0; l < LANES; l++) sdd[l] = w->x[2][l] * ua[l % K];
@@ -164,7 +171,7 @@ static int planned(const Given *g, Work *w, const double *t, int count, Plan *pl
         for (int r = 0; r < N; r++) {
             double missed = -value[r];
             for (int c = 0; c < M; c++) missed += w->W[i][r * M + c] * plan->tau[i * M + c];
-            plan->left = larger(plan->left, fabs(missed) / g->row[r]);
+            plan->left = larger(plan->left, fabs(missed) / w->row_unit[r]);
         }
     }
     return 1;
@@ -182,99 +189,194 @@ static void linear(const double *t, const double *value, long pieces, int c, dou
 
 EXPORTED long rp_tick_solution(void) { return sizeof(Solution); }
 
-EXPORTED long rp_tick_work(void) { return sizeof(Work) + 2 * sizeof(Plan); }
+EXPORTED long rp_tick_work(void) { return sizeof(Work) + 3 * sizeof(Plan); }
 
-/* Plans from ``now`` on: what ``RecedingHorizon`` gives, as far as it is ``OK``. */
-EXPORTED int rp_tick(const Given *g, Result *result, void *memory) {
-    Work *w = memory;
-    Plan *best = (Plan *)(w + 1), *other = best + 1;
-    double t[INSTANTS], coming = INFINITY, now = g->now;
-    for (long r = 0; r < g->roots; r++)
-        if (g->root[r] > now - SAME) coming = smaller(coming, g->root[r]);
-    w->start = coming <= now + NEAR_ROOT * g->step ? coming : now;
-    set_nodes(g, w);
-    if (w->singulars > MOST_SINGULAR) return TOO_MANY;
-    int count = set_instants(g, w, t);
-    if (count < 0) return TOO_MANY;
-    look_up(g, w, result, t, count);
-    if (result->missing) return MISSING;
-    memcpy(result->node, w->node, sizeof w->node);
-    int known = 1;
-    result->known = COUNT;
+/* Sizes of W and f along a first motion, which unknowns and rows are divided by from then on. */
+static void set_sizes(const Given *g, Work *w, Result *result) {
+    double size[COUNT], largest = 1.0, wanted = SMALLEST_FORCE;
+    int known = 0;
     for (int i = 0; i < COUNT; i++) {
-        known = known && g->reachable[w->place[i]];
-        w->known[i] = known && w->node[i] <= g->until + SAME;
-        if (!w->known[i] && result->known == COUNT) result->known = i;
-        if (!w->known[i] && w->node[i] <= g->until + SAME) return REFUSED;
-        w->counts[i] = w->known[i] && (i || w->is_singular[0]);
+        double value[N + K], slope[3][(N + K) * K], unused[N];
+        slopes_at(g, w->place[i], w->at[0] + i * K, w->at[1] + i * K, w->at[2] + i * K, 0, value, slope, 0);
+        /* where the platform rests, what a carrier's acceleration of 1 m/s^2 asks for */
+        for (int l = 0; l < N * K; l++) wanted = larger(wanted, 0.1 * fabs(slope[2][l]));
+        if (!w->known[i]) continue;
+        for (int r = 0; r < N; r++) wanted = larger(wanted, fabs(value[r]) / g->row_scale[r]);
+        spectrum(g, W_at(g, w->place[i]), unused, &largest);
+        int j = known++;
+        for (; j > 0 && size[j - 1] > sqrt(largest); j--) size[j] = size[j - 1];
+        size[j] = sqrt(largest);
     }
-    double s[K], sd[K], sdd[K];
-    extended(g->edge, g->piece, g->edges - 1, w->node[0], s, sd, sdd);
-    int settled = coming <= now + SETTLED * g->step;
+    largest = known ? 0.5 * (size[known / 2] + size[(known - 1) / 2]) : 1.0;
+    result->tau = wanted / largest;
+    for (int r = 0; r < N; r++) result->row[r] = wanted * g->row_scale[r];
+}
+
+/* Where a plan begins. */
+static void set_start(const Given *g, Work *w, double coming) {
+    double s[K] = {0}, sd[K] = {0}, sdd[K] = {0};
+    if (!g->first) extended(g->edge, g->piece, g->edges - 1, w->node[0], s, sd, sdd);
+    int settled = !g->first && coming <= g->now + SETTLED * g->step;
+    w->free = (int)g->first, w->beyond = 0;
     for (int j = 0; j < K; j++) {
         w->given[0][j] = isnan(g->s[j]) || settled ? s[j] : g->s[j];
         w->given[1][j] = isnan(g->sd[j]) || settled ? sd[j] : g->sd[j];
         w->given[2][j] = sdd[j];
         double place = w->given[0][j];
-        if (place < g->track[2 * j] - BEYOND || place > g->track[2 * j + 1] + BEYOND) return RELAXED;
-        if (fabs(w->given[1][j]) > g->speed[j] + BEYOND) return RELAXED;
+        w->beyond |= place < g->track[2 * j] - BEYOND || place > g->track[2 * j + 1] + BEYOND;
+        w->beyond |= fabs(w->given[1][j]) > g->speed[j] + BEYOND;
     }
-    double share = smaller(larger(g->peak / g->tau, SMALLEST), 1.0), row = 0.0;
-    w->tau_unit = share * g->tau;
-    for (int i = 0; i < N; i++) row = larger(row, g->row[i]);
-    /* about the last plan */
+}
+
+/* What the first programme is linear about: the last plan, or carriers that stay where they start. */
+static void begin_about_last(const Given *g, Work *w) {
+    memset(w->multiplier, 0, sizeof w->multiplier);
     int same = g->same_time && g->nodes == COUNT;
     for (int i = 0; i < COUNT && same; i++) same = g->node[i] == w->node[i];
     for (int i = 0; i < COUNT; i++) {
+        for (int d = 0; d < 3 && g->first; d++) memcpy(w->at[d] + i * K, w->given[d], sizeof w->given[d]);
+        if (g->first) continue;
         extended(g->edge, g->piece, g->edges - 1, w->node[i], w->at[0] + i * K, w->at[1] + i * K, w->at[2] + i * K);
-        for (int r = 0; r < N; r++) w->multiplier[i * N + r] = 0.0;
         for (long o = 0; o < g->nodes; o++)
             if (fabs(g->node[o] - w->node[i]) <= SAME) memcpy(w->multiplier + i * N, g->multiplier + o * N, N * sizeof(double));
     }
     if (same) memcpy(w->at, g->at, sizeof w->at);
-    w->iterations = 0;
-    w->before = g->solution && g->nodes == COUNT;
-    if (w->before) memcpy(w->node_before, g->node, sizeof w->node_before), memcpy(&w->solution, g->solution, sizeof w->solution);
-    if (!planned(g, w, t, count, best)) return UNSOLVED;
-    int halfway = 0;
-    for (int done = 1; done < MOST_ROUNDS; done++) {
-        int near = 0;
-        for (long r = 0; r < g->roots; r++) near |= g->root[r] > now && g->root[r] < now + CONVERGED * g->step;
-        if (best->left <= LINEAR && (best->residual <= EXACT * row || !near)) break;
+}
+
+/* Another motion to be linear about, each time another one: to rest nearby, in the middle of the tracks, towards a corner. */
+static void begin_about_guess(const Given *g, Work *w) {
+    double s[K], sd[K], sdd[K], duration = g->until - g->now;
+    long which = g->guesses % (2 + (1L << K));
+    extended(g->edge, g->piece, g->edges - 1, g->now, s, sd, sdd);
+    memset(w->multiplier, 0, sizeof w->multiplier);
+    for (int j = 0; j < K; j++) {
+        double low = g->track[2 * j], high = g->track[2 * j + 1];
+        if (!isfinite(low) || !isfinite(high)) low = high = s[j];
+        double target = s[j] + 0.5 * sd[j] * fabs(sd[j]) / g->acceleration[j];
+        if (which > 0) target = 0.5 * (low + high);
+        if (which > 1) target += ((which - 2) >> (K - 1 - j) & 1 ? ASIDE : -ASIDE) * 0.5 * (high - low);
+        /* a polynomial of degree five that comes to rest */
+        double way = target - s[j], v = sd[j] * duration, a = sdd[j] * duration * duration;
+        const double c[6] = {s[j], v, 0.5 * a, 10.0 * way - 6.0 * v - 1.5 * a, -15.0 * way + 8.0 * v + 1.5 * a, 6.0 * way - 3.0 * v - 0.5 * a};
+        for (int i = 0; i < COUNT; i++) {
+            double x = duration > 0.0 ? smaller((w->node[i] - g->now) / duration, 1.0) : 1.0, value[3] = {0};
+            for (int d = 5; d >= 0; d--)
+                value[2] = value[2] * x + 2.0 * value[1], value[1] = value[1] * x + value[0], value[0] = value[0] * x + c[d];
+            int moves = x < 1.0;
+            w->at[0][i * K + j] = value[0];
+            w->at[1][i * K + j] = moves ? value[1] / duration : 0.0;
+            w->at[2][i * K + j] = moves ? value[2] / (duration * duration) : 0.0;
+        }
+    }
+}
+
+/* What a plan misses of f; not less than a bit where a limit kept the programme from an answer: it may come no nearer. */
+static double doubt(const Plan *plan) { return plan->relaxed ? larger(plan->left, STUCK) : plan->left; }
+
+/* As many programmes as it takes, each linear about the plan of the one before, or half way to it where that came no
+   nearer. The best plan is left in ``plan[0]``; 0 where there is none. */
+static int rounds(const Given *g, Work *w, const double *t, int count, int refused, Plan **plan) {
+    double row = 0.0;
+    int near = 0, least = g->first ? FIRST_ROUNDS : 1;
+    for (int i = 0; i < N; i++) row = larger(row, w->row_unit[i]);
+    for (long r = 0; r < g->roots; r++) near |= g->root[r] > g->now && g->root[r] < g->now + CONVERGED * g->step;
+    if (!planned(g, w, t, count, plan[0])) return 0;
+    for (int done = 1, halfway = 0; done < MOST_ROUNDS; done++) {
+        const Plan *best = plan[0], *other = plan[1];
+        int met = refused || (!best->relaxed && best->left <= LINEAR && (best->residual <= EXACT * row || !near));
+        if (done >= least && met) break;
         if (!halfway) memcpy(w->at, best->at, sizeof w->at), memcpy(w->multiplier, best->multiplier, sizeof w->multiplier);
-        if (!planned(g, w, t, count, other)) return UNSOLVED;
-        halfway = other->left > larger(best->left, LINEAR);
+        if (!planned(g, w, t, count, plan[1])) return !g->strict;
+        halfway = doubt(other) > larger(doubt(best), LINEAR);
         if (halfway) {   /* too far: f is linear nearer to the best so far */
             for (int d = 0; d < 3; d++)
                 for (int l = 0; l < LANES; l++) w->at[d][l] = 0.5 * (best->at[d * LANES + l] + other->at[d * LANES + l]);
             for (int l = 0; l < COUNT * N; l++) w->multiplier[l] = 0.5 * (best->multiplier[l] + other->multiplier[l]);
-        } else {
-            Plan *swap = best;
-            best = other, other = swap;
+            continue;
         }
+        int stuck = other->relaxed && doubt(other) > SLOW * doubt(best);   /* as near as it comes */
+        plan[0] = (Plan *)other, plan[1] = (Plan *)best;
+        if (stuck) break;
     }
-    if (best->left > STUCK) return RELAXED;
-    result->pieces = best->pieces;
-    result->residual = best->residual, result->peak = best->peak, result->left = best->left;
-    result->solution = w->solution, result->iterations = w->iterations;
-    memcpy(result->at, best->at, sizeof best->at);
-    memcpy(result->multiplier, best->multiplier, sizeof best->multiplier);
-    memcpy(result->edge, best->edge, sizeof best->edge);
-    memcpy(result->piece, best->piece, sizeof best->piece);
-    linear(best->effort_time, best->effort, result->efforts = best->efforts - 1, M, result->effort_edge, result->effort);
-    linear(best->force_time, best->force, result->forces = best->forces - 1, K, result->force_edge, result->force);
-    /* the largest effort until the next tick */
-    result->largest = 0.0;
+    return 1;
+}
+
+static int is_short(const Plan *plan) { return plan->relaxed || plan->left > STUCK; }
+
+/* The largest effort until the next update. */
+static double largest_soon(const Given *g, const Plan *plan) {
+    double largest = 0.0;
     for (int i = 0; i < 5; i++) {
-        double time = now + 0.25 * i * g->step;
+        double time = g->now + 0.25 * i * g->step;
         long e = 0;
-        while (e < best->efforts - 2 && best->effort_time[e + 1] <= time) e++;
-        double fraction = (time - best->effort_time[e]) / (best->effort_time[e + 1] - best->effort_time[e]);
+        while (e < plan->efforts - 2 && plan->effort_time[e + 1] <= time) e++;
+        double fraction = (time - plan->effort_time[e]) / (plan->effort_time[e + 1] - plan->effort_time[e]);
         fraction = smaller(larger(fraction, 0.0), 1.0);
         for (int c = 0; c < M; c++) {
-            double x = best->effort[e * M + c], y = best->effort[(e + 1) * M + c];
-            result->largest = larger(result->largest, fabs(x + fraction * (y - x)));
+            double x = plan->effort[e * M + c], y = plan->effort[(e + 1) * M + c];
+            largest = larger(largest, fabs(x + fraction * (y - x)));
         }
     }
-    return OK;
+    return largest;
+}
+
+static void give(const Given *g, const Work *w, const Plan *plan, Result *result) {
+    result->pieces = plan->pieces, result->relaxed = plan->relaxed;
+    result->residual = plan->residual, result->peak = plan->peak, result->left = plan->left;
+    result->solution = w->solution, result->iterations = w->iterations, result->rounds = w->rounds;
+    memcpy(result->at, plan->at, sizeof plan->at);
+    memcpy(result->multiplier, plan->multiplier, sizeof plan->multiplier);
+    memcpy(result->edge, plan->edge, sizeof plan->edge);
+    memcpy(result->piece, plan->piece, sizeof plan->piece);
+    linear(plan->effort_time, plan->effort, result->efforts = plan->efforts - 1, M, result->effort_edge, result->effort);
+    linear(plan->force_time, plan->force, result->forces = plan->forces - 1, K, result->force_edge, result->force);
+    result->largest = largest_soon(g, plan);
+}
+
+/* Plans from ``now`` on. OK: within every limit. RELAXED: what misses W tau = f least. REFUSED: up to where the preview
+   leads where the machine cannot go. UNSOLVED: there is no plan; nor is one that does not keep every limit if it has to be
+   ``strict``. MISSING: W and f are wanted at further instants first. */
+EXPORTED int rp_tick(const Given *g, Result *result, void *memory) {
+    Work *w = memory;
+    Plan *plan[3] = {(Plan *)(w + 1), (Plan *)(w + 1) + 1, (Plan *)(w + 1) + 2};
+    double t[INSTANTS], coming = INFINITY;
+    for (long r = 0; r < g->roots; r++)
+        if (g->root[r] > g->now - SAME) coming = smaller(coming, g->root[r]);
+    w->start = coming <= g->now + NEAR_ROOT * g->step && !g->first ? coming : g->now;
+    set_nodes(g, w);
+    int count = set_instants(g, w, t);
+    look_up(g, w, result, t, count);
+    if (result->missing) return MISSING;
+    memcpy(result->node, w->node, sizeof w->node);
+    int known = 1, refused = 0;
+    result->known = COUNT;
+    for (int i = 0; i < COUNT; i++) {
+        int in_sight = w->node[i] <= g->until + SAME;
+        known = known && g->reachable[w->place[i]];
+        w->known[i] = known && in_sight;
+        if (!w->known[i] && result->known == COUNT) result->known = i, refused = in_sight;
+        w->counts[i] = w->known[i] && (i || g->first || w->is_singular[0]);
+    }
+    if (refused && g->strict) return UNSOLVED;
+    set_start(g, w, coming);
+    if (w->beyond && g->strict) return UNSOLVED;
+    begin_about_last(g, w);
+    if (g->first) set_sizes(g, w, result);
+    else result->tau = g->tau, memcpy(result->row, g->row, sizeof result->row);
+    memcpy(w->row_unit, result->row, sizeof w->row_unit);
+    w->tau_unit = result->tau * (g->first ? 1.0 : smaller(larger(g->peak / g->tau, SMALLEST), 1.0));
+    w->iterations = w->rounds = 0;
+    w->before = g->solution && g->nodes == COUNT;
+    if (w->before) memcpy(w->node_before, g->node, sizeof w->node_before), memcpy(&w->solution, g->solution, sizeof w->solution);
+    if (!rounds(g, w, t, count, refused, plan)) return UNSOLVED;
+    if (g->strict && is_short(plan[0])) return UNSOLVED;
+    give(g, w, plan[0], result);
+    result->guessed = 0;
+    if (is_short(plan[0]) && !refused && !g->first) {   /* it may be stuck where W tau = f is missed least nearby */
+        Plan *others[2] = {plan[1], plan[2]};
+        begin_about_guess(g, w);
+        result->guessed = 1;
+        if (rounds(g, w, t, count, refused, others) && doubt(others[0]) < doubt(plan[0])) plan[0] = others[0], give(g, w, plan[0], result);
+    }
+    return refused ? REFUSED : is_short(plan[0]) ? RELAXED : OK;
 }

@@ -51,7 +51,7 @@ static void linearise(const Given *g, Work *w) {
         int q = w->singular[r];
         if (!w->known[q]) continue;
         double u[N], rates[2][N + K], slopes[2][3][(N + K) * K], W_rate[M], f_rate = 0.0, by[4][K];
-        spectrum(g, w->W[q], u);
+        spectrum(g, w->W[q], u, 0);
         const double *at[3] = {w->at[0] + q * K, w->at[1] + q * K, w->at[2] + q * K};
         for (int side = 0; side < 2; side++) {
             double s[K], sd[K], h = side ? DIFFERENCE : -DIFFERENCE;
@@ -88,7 +88,7 @@ static void linearise(const Given *g, Work *w) {
         for (int e = 0; e < NW; e++) most = larger(most, fabs(base.row[e]));
         for (int j = 0; j < K; j++) jerks = larger(jerks, fabs(by[3][j] * ua[j] / size / g->step));
         for (int side = -1; side < 2; side++) {   /* before, at the start, after */
-            if (side < 0 ? q == 0 : side == 0 ? q > 0 : q + 1 >= COUNT) continue;
+            if (side < 0 ? q == 0 : side == 0 ? q > 0 || w->free : q + 1 >= COUNT) continue;
             if (side > 0 && jerks < SAME_ROW * most) continue;   /* no jerk counts: that before or at the start says it */
             Row *row = &w->rows[w->borders++];
             *row = base;
@@ -117,24 +117,26 @@ static void linearise(const Given *g, Work *w) {
 
        s' = s + alpha sd + 2 gamma sdd + gamma sdd',    sd' = sd + delta (sdd + sdd'). */
 static void set_by_free(Work *w) {
+    int most = NX + (w->relaxed ? NF : NZ);
     memset(w->by_free, 0, sizeof w->by_free);
     memset(w->by_free_turned, 0, sizeof w->by_free_turned);
     for (int i = 0; i < COUNT; i++) {
         double(*by)[LONG * WIDE] = w->by_free[i], (*free)[NV] = w->motion[i];
-        for (int j = 0; j < K && i; j++) {   /* the motion of the start is given */
+        for (int j = 0; j < K && (i || w->free); j++) {   /* else the motion of the start is given */
             double alpha = w->alpha[i][j], gamma = w->gamma[i][j], delta = w->delta[i][j];
-            for (int c = 0; c < NV; c++) by[j][c] = gamma * free[j][c], by[K + j][c] = delta * free[j][c], by[2 * K + j][c] = free[j][c];
+            for (int c = 0; c < most; c++) by[j][c] = gamma * free[j][c], by[K + j][c] = delta * free[j][c], by[2 * K + j][c] = free[j][c];
             by[j][j] += 1.0, by[j][K + j] += alpha, by[j][2 * K + j] += 2.0 * gamma;
             by[K + j][K + j] += 1.0, by[K + j][2 * K + j] += delta;
         }
         for (int t = 0; t < M; t++)
-            for (int c = i ? 0 : NX; c < NV; c++) by[NX + t][c] = free[K + t][c];
+            for (int c = i || w->free ? 0 : NX; c < most; c++) by[NX + t][c] = free[K + t][c];
         for (int r = 0; r < NW; r++)
-            for (int c = 0; c < NV; c++) w->by_free_turned[i][c][r] = by[r][c];
+            for (int c = 0; c < most; c++) w->by_free_turned[i][c][r] = by[r][c];
     }
 }
 
-/* What W tau = f leaves free at each node, given the motion before it. 0 where the rows lack rank. */
+/* What W tau = f leaves free at each node, given the motion before it; all of it in a relaxed programme, which has the
+   rows as a cost. 0 where the rows lack rank. */
 static int condense(const Given *g, Work *w) {
     const double *us = g->unit, *ud = us + K, *ua = ud + K;
     double ut = w->tau_unit;
@@ -150,7 +152,7 @@ static int condense(const Given *g, Work *w) {
             w->gamma[i][j] = h * h * ua[j] / us[j] / 6.0;
             w->delta[i][j] = 0.5 * h * ua[j] / ud[j];
         }
-        int start = i == 0, counted = w->counts[i], rank = 0;
+        int start = i == 0 && !w->free, counted = w->counts[i], rank = 0;
         w->directions[i] = start ? 0 : K;
         if (!counted) {
             for (int j = 0; j < K && !start; j++) motion[j][NX + j] = 1.0;
@@ -160,33 +162,45 @@ static int condense(const Given *g, Work *w) {
             right[r] = w->f[i][r];
             for (int d = 0; d < 3; d++)
                 for (int j = 0; j < K; j++) right[r] -= w->by[i][d][r * K + j] * w->at[d][i * K + j];
-            right[r] /= g->row[r];
+            right[r] /= w->row_unit[r];
             for (int j = 0; j < K; j++) {
-                double es = -w->by[i][0][r * K + j] * us[j] / g->row[r], ed = -w->by[i][1][r * K + j] * ud[j] / g->row[r];
-                double ea = -w->by[i][2][r * K + j] * ua[j] / g->row[r];
+                double es = -w->by[i][0][r * K + j] * us[j] / w->row_unit[r], ed = -w->by[i][1][r * K + j] * ud[j] / w->row_unit[r];
+                double ea = -w->by[i][2][r * K + j] * ua[j] / w->row_unit[r];
                 if (start) {   /* all of the motion is given */
                     by_before[r][j] = es, by_before[r][K + j] = ed, by_before[r][2 * K + j] = ea;
                     rows[r][j] = 0.0;
                     continue;
                 }
+                w->soft[i][r][j] = es, w->soft[i][r][K + j] = ed, w->soft[i][r][2 * K + j] = ea;
                 double alpha = w->alpha[i][j], gamma = w->gamma[i][j], delta = w->delta[i][j];
                 by_before[r][j] = es;
                 by_before[r][K + j] = es * alpha + ed;
                 by_before[r][2 * K + j] = es * 2.0 * gamma + ed * delta;
                 rows[r][j] = ea + es * gamma + ed * delta;
             }
-            for (int c = 0; c < M; c++) rows[r][K + c] = w->W[i][r * M + c] * ut / g->row[r];
+            for (int c = 0; c < M; c++) rows[r][K + c] = w->W[i][r * M + c] * ut / w->row_unit[r];
         }
         if (start) {   /* all but the direction that W loses: what the given start leaves of f there is beyond this plan */
             double u[N], norm = 0.0;
-            spectrum(g, w->W[i], u);
-            for (int p = 0; p < N; p++) u[p] *= g->row[p], norm += u[p] * u[p];
+            spectrum(g, w->W[i], u, 0);
+            for (int p = 0; p < N; p++) u[p] *= w->row_unit[p], norm += u[p] * u[p];
             for (int p = 0; p < N; p++) u[p] /= sqrt(norm);
             for (int c = 0; c < NF + NX + 1; c++) {
                 double along = 0.0;
                 for (int p = 0; p < N; p++) along += u[p] * (c < NF ? rows[p][c] : c < NF + NX ? by_before[p][c - NF] : right[p]);
                 for (int p = 0; p < N; p++) *(c < NF ? &rows[p][c] : c < NF + NX ? &by_before[p][c - NF] : &right[p]) -= u[p] * along;
             }
+        }
+        if (w->relaxed) {
+            int first = start ? K : 0;
+            for (int r = 0; r < N; r++) {
+                for (int c = 0; c < NX && start; c++) w->soft[i][r][c] = by_before[r][c];
+                memcpy(w->soft[i][r] + NX, rows[r] + K, M * sizeof *rows[r]);
+                w->soft_right[i][r] = right[r];
+            }
+            for (int e = first; e < NF; e++) motion[e][NX + e - first] = 1.0;
+            w->directions[i] = NF - first;
+            continue;
         }
         /* rows = L Q by Gram and Schmidt, twice; the largest row that is left comes next */
         double Q[NF][NF], L[N][N], y[N][NX + 1];
@@ -273,11 +287,25 @@ static void set_row(Work *w, int block, int lane, double a, double b, double c, 
     set_bound(w, block_at(block) + LANES + lane, -low);
 }
 
-/* Costs and bounds (``Programme.numbers_of``). 0 where the given start breaks one. */
+/* Limits of a carrier that starts beyond one, of a relaxed programme: with room for going back by half the acceleration;
+   no other has any. */
+static void give_room(const Given *g, const Work *w, int j, double *low, double *high, double *speed) {
+    double s = w->given[0][j], sd = w->given[1][j], h = w->node[1] - w->node[0];
+    double most = smaller(g->acceleration[j], MOST_ACCELERATION), turn = 1.5 * most * h;
+    double moved = h * fabs(sd) + h * h / 6.0 * most + 0.5 * sd * sd / most;
+    int above = s + moved > high[j], below = s - moved < low[j], fast = fabs(sd) > g->speed[j];
+    for (int i = 0; i < COUNT; i++) {
+        double after = w->node[i] - w->node[0], back = turn * after - 0.25 * most * after * after + BEYOND;
+        if (above) high[i * K + j] = larger(high[i * K + j], s + sd * after + back);
+        if (below) low[i * K + j] = smaller(low[i * K + j], s + sd * after - back);
+        if (fast) speed[i * K + j] = larger(speed[i * K + j], fabs(sd) + turn - 0.5 * most * after);
+    }
+}
+
+/* Costs and bounds. 0 where the given start breaks one. */
 static int set_programme(const Given *g, Work *w) {
     const double *us = g->unit, *ud = us + K, *ua = ud + K;
     const double *weight = g->weight;
-    enum { EFFORT, PEAK, MEMORY, ACCELERATED, JERKED, CENTRE, END, END_SPEED };
     int end = COUNT - 1;
     while (end > 1 && !w->known[end]) end--;   /* what is after the horizon is not known */
     double ut = w->tau_unit, whole = w->node[COUNT - 1] - w->node[0], low[LANES], high[LANES], speed[LANES];
@@ -292,10 +320,12 @@ static int set_programme(const Given *g, Work *w) {
     for (int i = 0; i < COUNT; i++)
         for (int j = 0; j < K; j++) {
             double closer = CLOSER * (w->node[i] - w->node[0]) / whole;
-            low[i * K + j] = (g->track[2 * j] + closer * us[j]) / us[j];
-            high[i * K + j] = (g->track[2 * j + 1] - closer * us[j]) / us[j];
-            speed[i * K + j] = g->speed[j] * (1.0 - closer) / ud[j];
+            low[i * K + j] = g->track[2 * j] + closer * us[j];
+            high[i * K + j] = g->track[2 * j + 1] - closer * us[j];
+            speed[i * K + j] = g->speed[j] * (1.0 - closer);
         }
+    for (int j = 0; j < K && w->relaxed; j++) give_room(g, w, j, low, high, speed);
+    for (int l = 0; l < LANES; l++) low[l] /= us[l % K], high[l] /= us[l % K], speed[l] /= ud[l % K];
     for (int i = 0; i < COUNT; i++) {
         double share = ((i ? w->h[i - 1] : 0.0) + w->h[i]) / whole;
         double closer = CLOSER * (w->node[i] - w->node[0]) / whole;
@@ -310,8 +340,8 @@ static int set_programme(const Given *g, Work *w) {
             double by = weight[JERKED] * g->step / g->horizon * g->step;
             if (i) w->cost[2][2][lane] += 2.0 * by / before;
             if (!last) w->cost[2][2][lane] += 2.0 * by / h, w->cross[lane] = -2.0 * by / h;
-            if (!i) {
-                if (w->known[0] && isfinite(g->carrier_force[j])) {   /* all is given */
+            if (!i && !w->free) {
+                if (w->known[0] && isfinite(g->carrier_force[j]) && !w->relaxed) {   /* all is given */
                     double most = FORCE_KEPT, now = w->force[0][j] / g->carrier_force[j];
                     for (int d = 0; d < 3; d++)
                         now += w->by_force[0][d][j] * (w->given[d][j] - w->at[d][j]) / g->carrier_force[j];
@@ -333,8 +363,9 @@ static int set_programme(const Given *g, Work *w) {
                 double least = smaller(smaller(low[lane - K], low[lane]), low[lane + K]);
                 double most = larger(larger(high[lane - K], high[lane]), high[lane + K]);
                 set_row(w, TRACK, lane, 1.0, (h - before) * ud[j] / us[j] / 3.0, -h * before * ua[j] / us[j] / 6.0, least, most);
-                set_row(w, SPEED, lane, 0.0, 1.0, h * 0.5 * ua[j] / ud[j], -speed[lane], speed[lane]);
             }
+            if (i ? !last : w->free)   /* else that of the first half step is given */
+                set_row(w, SPEED, lane, 0.0, 1.0, h * 0.5 * ua[j] / ud[j], -speed[lane], speed[lane]);
             if (last) {
                 double fastest = smaller(g->speed[j], sqrt(2.0 * g->acceleration[j] * (g->track[2 * j + 1] - g->track[2 * j])));
                 double after = 0.0;

@@ -4,11 +4,12 @@
 #include <math.h>
 #include <string.h>
 
-enum { NX = 3 * K, NF = K + M, NW = NX + M, NZ = NF - N, NV = NX + NZ, LANES = COUNT * K, EFFORTS = COUNT * M };
-enum { LONG = 4, WIDE = (NV + LONG - 1) / LONG, TALL = (NW + LONG - 1) / LONG };   /* vectors for NV and NW numbers */
-enum { BORDER = 10, SIDES = BORDER + 1, INSTANTS = 160, MOST_SINGULAR = (BORDER - 2) / 2 };
+/* Directions that are free at a node: in a relaxed programme all NF, else NZ, those that W tau = f leaves. */
+enum { NX = 3 * K, NF = K + M, NW = NX + M, NZ = NF > N ? NF - N : 0, LANES = COUNT * K, EFFORTS = COUNT * M };
+enum { NV = NX + NF, LONG = 4, WIDE = (NV + LONG - 1) / LONG, TALL = (NW + LONG - 1) / LONG };   /* vectors for NV and NW numbers */
+enum { BORDER = 2 * MOST_SINGULAR + 2, SIDES = BORDER + 1, BREAKS = INSTANTS / 4 };
 enum { TIMES = INSTANTS + COUNT };                  /* of efforts: at instants, and then at nodes */
-enum { OK = 0, UNSOLVED = 1, RELAXED = 2, REFUSED = 3, TOO_MANY = 4, MISSING = 5 };
+enum { OK = 0, UNSOLVED = 1, RELAXED = 2, REFUSED = 3, MISSING = 4 };
 
 /* As of GCC and Clang, anywhere in arrays of numbers; for processors that have none as long they make it of shorter ones. */
 typedef double Vector __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double)), may_alias));
@@ -16,6 +17,7 @@ typedef long long Mask __attribute__((vector_size(LONG * sizeof(double)), aligne
 
 typedef struct {
     long instants, edges, nodes, roots, breaks, sharps, same_time;
+    long first, strict, guesses;                    /* no last plan; no relaxed one is wanted; which motion to try next */
     const double *t, *W, *constant, *terms;         /* of the instants in sight */
     const unsigned char *reachable;
     const double *edge, *piece;                     /* carriers of the last plan: (edges), (4, edges - 1, K) */
@@ -26,6 +28,9 @@ typedef struct {
     const double *s, *sd;                           /* where the carriers are; NaN where the last plan is to be believed */
     double now, until, step, horizon, spacing, tau, largest, peak;
 } Given;
+
+/* Weights of the objective, in the order of ``Weights``. */
+enum { EFFORT, PEAK, MEMORY, ACCELERATED, JERKED, CENTRE, END, END_SPEED, UNMET };
 
 /* Bounds from above: of rows of one carrier at one node, and of their opposites, in blocks; what few programmes have
    stands at the end. */
@@ -40,14 +45,14 @@ static inline __attribute__((always_inline)) int block_at(int block) { return bl
 typedef struct { double dual[BOUNDS], tau[EFFORTS]; } Solution;
 
 typedef struct {
-    long pieces, efforts, forces, missing, known, iterations;
-    double residual, peak, left, largest;
+    long pieces, efforts, forces, missing, known, iterations, rounds, relaxed, guessed;
+    double residual, peak, left, largest, tau, row[N];
     Solution solution;
     double node[COUNT], at[3 * LANES], multiplier[COUNT * N];
     double edge[COUNT + K + 1], piece[4 * (COUNT + K) * K];       /* carriers, as (4, pieces, K) */
     double effort_edge[TIMES], effort[2 * TIMES * M];       /* efforts, as (2, efforts, M) */
     double force_edge[INSTANTS], force[2 * INSTANTS * K];
-    double missing_time[COUNT + 2 * BORDER + INSTANTS];
+    double missing_time[COUNT + 2 * MOST_SINGULAR + INSTANTS];
 } Result;
 
 typedef struct { int node, other; double row[NW], beside[K], value; } Row;   /* of a singular instant */
@@ -57,7 +62,10 @@ typedef struct {
     double node[COUNT], h[COUNT];
     int known[COUNT], counts[COUNT], singular[COUNT], is_singular[COUNT], singulars, place[COUNT], beside[2 * COUNT];
     int early;   /* nodes in the first steps, in which efforts are exact */
-    double start, given[3][K], tau_unit;
+    double start, given[3][K], tau_unit, row_unit[N];
+    int free;      /* whether sdd at the start is, in a first plan */
+    int beyond;    /* whether the start is beyond limits, which no plan keeps then */
+    int relaxed;   /* whether W tau = f may be missed, at a cost of the square */
     /* linear about a plan, in units */
     double at[3][LANES], multiplier[COUNT * N];
     double W[COUNT][N * M], f[COUNT][N], by[COUNT][3][N * K], force[COUNT][K], by_force[COUNT][3][K];
@@ -67,6 +75,7 @@ typedef struct {
     double motion[COUNT][NF][NV], constant[COUNT][NF], by_free[COUNT][NW][LONG * WIDE], by_free_turned[COUNT][NV][LONG * TALL];
     double orthonormal[COUNT][N][NF], triangle[COUNT][N][N];
     int directions[COUNT];
+    double soft[COUNT][N][NW], soft_right[COUNT][N];   /* W tau = f of a relaxed programme, by motion and efforts of a node */
     double alpha[COUNT][K], gamma[COUNT][K], delta[COUNT][K];
     /* cost and bounds */
     double cost[3][3][LANES], linear[3][LANES], tau_cost[COUNT], cross[LANES], peak_cost;
@@ -74,7 +83,7 @@ typedef struct {
     int bounds, blocks;
     double bound[BOUNDS], active[BOUNDS];
     /* interior point method */
-    long iterations;
+    long iterations, rounds;
     int before;   /* whether there is a solution to begin with, of the last plan or the round before */
     double node_before[COUNT];
     Solution solution;
@@ -82,7 +91,7 @@ typedef struct {
     double slack[BOUNDS], dual[BOUNDS], g[BOUNDS], weight[BOUNDS], missing[BOUNDS], change[BOUNDS], push[BOUNDS];
     double inverse_slack[BOUNDS], dslack[BOUNDS], ddual[BOUNDS], centre[BOUNDS], dx[3][LANES], dtau[EFFORTS], base[COUNT][NW];
     double H[3][3][LANES], tau_H[EFFORTS], crossing[LANES], peak_tau[EFFORTS];
-    double feed[COUNT][SIDES][NZ], lower[COUNT][NZ][NZ], across[COUNT][NZ][LONG * WIDE], inverse[COUNT][NZ];
+    double feed[COUNT][SIDES][NF], lower[COUNT][NF][NF], across[COUNT][NF][LONG * WIDE], inverse[COUNT][NF];
     double border[SIDES * SIDES], gradient[SIDES][COUNT][NW], direction[SIDES][COUNT][NW];
 } Work;
 
@@ -90,6 +99,7 @@ typedef struct {
     double at[3 * LANES], tau[EFFORTS], multiplier[COUNT * N], left;
     double residual, peak;
     long pieces, efforts, forces;
+    int relaxed;
     double edge[COUNT + K + 1], piece[4 * (COUNT + K) * K];
     double effort_time[TIMES], effort[TIMES * M], force_time[INSTANTS], force[INSTANTS * K];
 } Plan;
@@ -289,32 +299,30 @@ static void set_nodes(const Given *g, Work *w) {
     for (int i = 0; i < COUNT; i++) {
         w->is_singular[i] = 0;
         for (long r = 0; r < g->roots; r++) w->is_singular[i] |= w->node[i] == g->root[r];
-        if (w->is_singular[i]) w->singular[w->singulars++] = i;
+        if (w->is_singular[i] && w->singulars < MOST_SINGULAR) w->singular[w->singulars++] = i;
         w->h[i] = i + 1 < COUNT ? w->node[i + 1] - w->node[i] : 0.0;
     }
 }
 
-/* The instants at which efforts are evaluated (``Ahead.instants``); their number, or -1 where there are too many. */
+/* The instants at which efforts are evaluated (``Ahead.instants``), and of very many jumps beside the first; their number. */
 static int set_instants(const Given *g, const Work *w, double *t) {
     int nodes = 0, count = 0;
     while (nodes < w->early && w->node[nodes] <= g->until + SAME) nodes++;
     if (!nodes) nodes = 1;
-    double first = w->node[0], last = w->node[nodes - 1], broken[INSTANTS / 4];
+    double first = w->node[0], last = w->node[nodes - 1], broken[BREAKS];
     int breaks = 0;
-    for (long b = 0; b < g->breaks; b++) {
+    for (long b = 0; b < g->breaks && breaks < BREAKS; b++) {
         if (!(g->broken[b] > first + 2.0 * BESIDE && g->broken[b] < last - 2.0 * BESIDE)) continue;
-        if (breaks >= INSTANTS / 4) return -1;
         broken[breaks++] = g->broken[b];
     }
     double from = ceil(first / g->spacing), end = ceil(last / g->spacing);
-    if (nodes + 2 * breaks + (end - from) > INSTANTS - 2) return -1;
     for (int i = 0; i < nodes; i++) t[count++] = w->node[i];
     for (int b = 0; b < breaks; b++) t[count++] = broken[b] - BESIDE, t[count++] = broken[b] + BESIDE;
     for (double i = from; i < end; i++) {
         double grid = g->spacing * i, nearest = INFINITY;
         for (int j = 0; j < nodes; j++) nearest = smaller(nearest, fabs(grid - w->node[j]));
         for (int b = 0; b < breaks; b++) nearest = smaller(nearest, fabs(grid - broken[b]));
-        if (nearest > 0.1 * g->spacing) t[count++] = grid;
+        if (nearest > 0.1 * g->spacing && count < INSTANTS - 1) t[count++] = grid;
     }
     for (int i = 1; i < count; i++) {   /* few, and all but the nodes in order */
         double x = t[i];
@@ -348,8 +356,8 @@ static void look_up(const Given *g, Work *w, Result *result, const double *insta
 
 static const double *W_at(const Given *g, int place) { return g->W + (long)place * N * M; }
 
-/* The direction u that W loses, and the square of its smallest over that of its largest singular value. */
-static double spectrum(const Given *g, const double *W, double *u) {
+/* The direction u that W loses, the square of its largest singular value, if wanted, and that of the smallest over it. */
+static double spectrum(const Given *g, const double *W, double *u, double *largest) {
     double A[N * N], V[N * N];
     int least = 0, most = 0;
     for (int i = 0; i < N; i++)
@@ -363,5 +371,6 @@ static double spectrum(const Given *g, const double *W, double *u) {
         if (A[i * (N + 1)] > A[most * (N + 1)]) most = i;
     }
     for (int i = 0; i < N; i++) u[i] = V[i * N + least] / g->row_scale[i];
+    if (largest) *largest = A[most * (N + 1)];
     return A[least * (N + 1)] / A[most * (N + 1)];
 }

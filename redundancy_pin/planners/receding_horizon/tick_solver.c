@@ -54,8 +54,17 @@ static double add_transposed(const Work *w, const double *v, double (*gradient)[
     return by_peak;
 }
 
+/* What the point so far misses of a row of W tau = f in a relaxed programme. */
+static double missed_softly(const Work *w, int i, int r) {
+    double x = -w->soft_right[i][r];
+    for (int d = 0; d < 3; d++)
+        for (int j = 0; j < K; j++) x += w->soft[i][r][d * K + j] * w->x[d][i * K + j];
+    for (int c = 0; c < M; c++) x += w->soft[i][r][NX + c] * w->tau[i * M + c];
+    return x;
+}
+
 /* Gradient of the cost at the point so far, with the multipliers of the border; return its part for the peak. */
-static double set_gradient(const Work *w, double (*gradient)[NW]) {
+static double set_gradient(const Given *g, const Work *w, double (*gradient)[NW]) {
     for (int i = 0; i < COUNT; i++) {
         for (int j = 0; j < K; j++) {
             int l = i * K + j;
@@ -69,6 +78,11 @@ static double set_gradient(const Work *w, double (*gradient)[NW]) {
         }
         for (int c = 0; c < M; c++) gradient[i][NX + c] = w->tau_cost[i] * w->tau[i * M + c];
     }
+    for (int i = 0; i < COUNT && w->relaxed; i++)
+        for (int r = 0; r < N && w->counts[i]; r++) {
+            double by = g->weight[UNMET] * missed_softly(w, i, r);
+            for (int e = 0; e < NW; e++) gradient[i][e] += by * w->soft[i][r][e];
+        }
     for (int b = 0; b < w->borders; b++) {
         const Row *row = &w->rows[b];
         for (int e = 0; e < NW; e++) gradient[row->node][e] += w->nu[b] * row->row[e];
@@ -77,13 +91,18 @@ static double set_gradient(const Work *w, double (*gradient)[NW]) {
     return w->peak_cost * w->peak;
 }
 
+/* Vectors for the motion before a node and so many free directions of it. */
+static inline __attribute__((always_inline)) int vectors(int free) { return (NX + free + LONG - 1) / LONG; }
+
 /* a += x b, of vectors. */
 static inline __attribute__((always_inline)) void add(int count, Vector *a, double x, const double *b) {
     for (int v = 0; v < count; v++) a[v] += x * ((const Vector *)b)[v];
 }
 
-/* The Riccati recursion; 0 where a step of it is not positive. */
-static int factorise(Work *w) {
+/* The Riccati recursion; 0 where a step of it is not positive. ``most``: free directions of a node, which the compiler is to
+   know, as it has to everywhere in the recursions. */
+static inline __attribute__((always_inline)) int factorise_of(const Given *g, Work *w, int most) {
+    const int wide = vectors(most);
     double P[NX][LONG * WIDE], H_by[NW][LONG * WIDE], Q[NV][LONG * WIDE];
     memset(P, 0, sizeof P);
     for (int i = COUNT - 1; i >= 0; i--) {
@@ -91,100 +110,115 @@ static int factorise(Work *w) {
         for (int d = 0; d < 3; d++)
             for (int e = 0; e < 3; e++)
                 for (int j = 0; j < K; j++) P[d * K + j][e * K + j] += w->H[d][e][i * K + j];
-        int from = i ? 0 : NX;
+        int from = i || w->free ? 0 : NX;
         for (int r = from; r < NX; r++) {
             Vector row[WIDE] = {{0}};
-            for (int k = 0; k < NX; k++) add(WIDE, row, P[r][k], by[k]);
-            memcpy(H_by[r], row, sizeof row);
+            for (int k = 0; k < NX; k++) add(wide, row, P[r][k], by[k]);
+            memcpy(H_by[r], row, wide * sizeof *row);
         }
         for (int t = 0; t < M; t++) {
             Vector row[WIDE] = {{0}};
-            add(WIDE, row, w->tau_H[i * M + t], by[NX + t]);
-            memcpy(H_by[NX + t], row, sizeof row);
+            add(wide, row, w->tau_H[i * M + t], by[NX + t]);
+            memcpy(H_by[NX + t], row, wide * sizeof *row);
         }
-        for (int r = 0; r < NV; r++) {
+        for (int r = 0; r < NX + most; r++) {
             Vector row[WIDE] = {{0}};
-            for (int e = from; e < NW; e++) add(WIDE, row, by[e][r], H_by[e]);
-            memcpy(Q[r], row, sizeof row);
+            for (int e = from; e < NW; e++) add(wide, row, by[e][r], H_by[e]);
+            memcpy(Q[r], row, wide * sizeof *row);
+        }
+        for (int r = 0; r < N && w->relaxed && w->counts[i]; r++) {
+            double along[LONG * WIDE];
+            Vector row[WIDE] = {{0}};
+            for (int e = from; e < NW; e++) add(wide, row, w->soft[i][r][e], by[e]);
+            memcpy(along, row, wide * sizeof *row);
+            for (int e = 0; e < NX + most; e++) add(wide, (Vector *)Q[e], g->weight[UNMET] * along[e], along);
         }
         for (int j = 0; j < K && i; j++) {   /* sdd with that before it */
             double x = w->crossing[(i - 1) * K + j];
             int before = 2 * K + j;
-            for (int c = 0; c < NV; c++) Q[before][c] += x * by[before][c];
-            for (int c = 0; c < NV; c++) Q[c][before] += x * by[before][c];
+            for (int c = 0; c < NX + most; c++) Q[before][c] += x * by[before][c];
+            for (int c = 0; c < NX + most; c++) Q[c][before] += x * by[before][c];
         }
         /* Qzz = L D L', U = 1/L Qzs */
-        double(*L)[NZ] = w->lower[i], (*U)[LONG * WIDE] = w->across[i], *inverse = w->inverse[i], D[NZ];
-        for (int p = 0; p < NZ; p++) {
+        double(*L)[NF] = w->lower[i], (*U)[LONG * WIDE] = w->across[i], *inverse = w->inverse[i], D[NF];
+        for (int p = 0; p < most; p++) {
             int free = p < w->directions[i];
             Vector row[WIDE] = {{0}};
             D[p] = free ? Q[NX + p][NX + p] : 1.0;
-            if (free) memcpy(row, Q[NX + p], sizeof row);
+            if (free) memcpy(row, Q[NX + p], wide * sizeof *row);
             for (int o = 0; o < p; o++) {
                 double x = free ? Q[NX + p][NX + o] : 0.0;
                 for (int l = 0; l < o; l++) x -= L[p][l] * D[l] * L[o][l];
                 L[p][o] = x * inverse[o];
                 D[p] -= L[p][o] * x;
-                add(WIDE, row, -L[p][o], U[o]);
+                add(wide, row, -L[p][o], U[o]);
             }
-            memcpy(U[p], row, sizeof row);
+            memcpy(U[p], row, wide * sizeof *row);
             if (!(D[p] > 0.0)) return 0;
             inverse[p] = 1.0 / D[p];
         }
         for (int r = 0; r < NX; r++) {
             Vector row[WIDE];
-            memcpy(row, Q[r], sizeof row);
-            for (int p = 0; p < NZ; p++) add(WIDE, row, -U[p][r] * inverse[p], U[p]);
-            memcpy(P[r], row, sizeof row);
+            memcpy(row, Q[r], wide * sizeof *row);
+            for (int p = 0; p < most; p++) add(wide, row, -U[p][r] * inverse[p], U[p]);
+            memcpy(P[r], row, wide * sizeof *row);
         }
     }
     return 1;
 }
 
+static int factorise(const Given *g, Work *w) { return w->relaxed ? factorise_of(g, w, NF) : factorise_of(g, w, NZ); }
+
 /* A gradient by nodes (`own`, and what the nodes after it add) by what is free at one: [sigma, z]. */
-static inline __attribute__((always_inline)) void gather(const Work *w, int i, const double *own, const double *carried, Vector *q) {
+static inline __attribute__((always_inline)) void gather(const Work *w, int i, int wide, const double *own, const double *carried, Vector *q) {
     const double(*by)[LONG * WIDE] = w->by_free[i];
-    for (int v = 0; v < WIDE; v++) q[v] = (Vector){0};
-    for (int r = i ? 0 : NX; r < NX; r++) add(WIDE, q, own[r] + carried[r], by[r]);
-    for (int r = NX; r < NW; r++) add(WIDE, q, own[r], by[r]);
+    for (int v = 0; v < wide; v++) q[v] = (Vector){0};
+    for (int r = i || w->free ? 0 : NX; r < NX; r++) add(wide, q, own[r] + carried[r], by[r]);
+    for (int r = NX; r < NW; r++) add(wide, q, own[r], by[r]);
 }
 
 /* Steps against gradients, of ``sides`` right sides. */
-static void step_against(Work *w, int sides) {
+static inline __attribute__((always_inline)) void step_against_of(Work *w, int sides, int most) {
+    const int wide = vectors(most);
     double carried[SIDES][LONG * WIDE], z[SIDES][NV];
-    memset(carried, 0, sizeof carried);
+    memset(carried, 0, sides * sizeof *carried);
     for (int i = COUNT - 1; i >= 0; i--)
         for (int s = 0; s < sides; s++) {
             Vector q[WIDE];
             double *k = w->feed[i][s], own[LONG * WIDE];
-            const double(*L)[NZ] = w->lower[i], (*U)[LONG * WIDE] = w->across[i];
-            gather(w, i, w->gradient[s][i], carried[s], q);
-            memcpy(own, q, sizeof own);
-            for (int p = 0; p < NZ; p++) {   /* 1/L q */
+            const double(*L)[NF] = w->lower[i], (*U)[LONG * WIDE] = w->across[i];
+            gather(w, i, wide, w->gradient[s][i], carried[s], q);
+            memcpy(own, q, wide * sizeof *q);
+            for (int p = 0; p < most; p++) {   /* 1/L q */
                 double x = p < w->directions[i] ? own[NX + p] : 0.0;
                 for (int o = 0; o < p; o++) x -= L[p][o] * k[o];
                 k[p] = x;
-                add(WIDE, q, -x * w->inverse[i][p], U[p]);
+                add(wide, q, -x * w->inverse[i][p], U[p]);
             }
-            memcpy(carried[s], q, sizeof q);
+            memcpy(carried[s], q, wide * sizeof *q);
         }
-    memset(z, 0, sizeof z);
+    memset(z, 0, sides * sizeof *z);
     for (int i = 0; i < COUNT; i++)
         for (int s = 0; s < sides; s++) {
-            const double(*L)[NZ] = w->lower[i], (*U)[LONG * WIDE] = w->across[i];
+            const double(*L)[NF] = w->lower[i], (*U)[LONG * WIDE] = w->across[i];
             double *own = z[s];
             Vector out[TALL] = {{0}};
-            for (int p = NZ - 1; p >= 0; p--) {   /* -1/L' 1/D (k + U sigma) */
+            for (int p = most - 1; p >= 0; p--) {   /* -1/L' 1/D (k + U sigma) */
                 double x = w->feed[i][s][p];
                 for (int c = 0; c < NX; c++) x += U[p][c] * own[c];
                 x *= -w->inverse[i][p];
-                for (int o = p + 1; o < NZ; o++) x -= L[o][p] * own[NX + o];
+                for (int o = p + 1; o < most; o++) x -= L[o][p] * own[NX + o];
                 own[NX + p] = p < w->directions[i] ? x : 0.0;
             }
-            for (int c = 0; c < NV; c++) add(TALL, out, own[c], w->by_free_turned[i][c]);
+            for (int c = 0; c < NX + most; c++) add(TALL, out, own[c], w->by_free_turned[i][c]);
             memcpy(w->direction[s][i], out, NW * sizeof(double));
             memcpy(own, out, NX * sizeof *own);
         }
+}
+
+static void step_against(Work *w, int sides) {
+    if (w->relaxed) step_against_of(w, sides, NF);
+    else step_against_of(w, sides, NZ);
 }
 
 static double along_row(const Row *row, const double (*v)[NW]) {
@@ -205,8 +239,10 @@ static void remember(Work *w, const int *old, int place, int width) {
 /* A first point: sdd as near as it may be to those of the plan that all is linear about, and efforts and duals to those of
    the solution before, if it is to be ``warm``. */
 static void begin(const Given *g, Work *w, int warm) {
-    const double *ua = g->unit + 2 * K, room = warm ? WARM_ROOM : ROOM, barrier = warm ? WARM_BARRIER : FIRST_BARRIER;
-    int old[COUNT];
+    const double *ua = g->unit + 2 * K;
+    double room = warm ? WARM_SLACK : w->relaxed ? RELAXED_SLACK : LEAST_SLACK;
+    double barrier = warm ? WARM_BARRIER : w->relaxed ? RELAXED_BARRIER : FIRST_BARRIER;
+    int old[COUNT], size = w->relaxed ? NF : NZ;
     for (int i = 0, o = 0; i < COUNT; i++) {
         while (o < COUNT && w->node_before[o] < w->node[i] - SAME) o++;
         old[i] = warm && o < COUNT && w->node_before[o] <= w->node[i] + SAME ? o : -1;
@@ -214,7 +250,8 @@ static void begin(const Given *g, Work *w, int warm) {
     for (int d = 0; d < 3; d++)
         for (int j = 0; j < K; j++) w->x[d][j] = w->given[d][j] / g->unit[d * K + j];
     for (int i = 0; i < COUNT; i++) {
-        double z[NV], free[NF], A[NZ * NZ], rhs[NZ];
+        double z[NV], free[NF], A[NF * NF], rhs[NF];
+        int given = !i && !w->free;
         memset(z, 0, sizeof z);
         if (i)
             for (int d = 0; d < 3; d++)
@@ -223,26 +260,27 @@ static void begin(const Given *g, Work *w, int warm) {
             free[e] = w->constant[i][e];
             for (int c = 0; c < NX; c++) free[e] += w->motion[i][e][c] * (i ? z[c] : w->x[c / K][c % K]);
         }
-        for (int p = 0; p < NZ; p++) {
+        for (int p = 0; p < size; p++) {
             rhs[p] = 0.0;
-            for (int o = 0; o < NZ; o++) A[p * NZ + o] = p == o ? DAMPING : 0.0;
-            if (p >= w->directions[i] || !i) continue;
+            for (int o = 0; o < size; o++) A[p * size + o] = p == o ? DAMPING : 0.0;
+            if (p >= w->directions[i] || given) continue;
             for (int j = 0; j < K; j++) {
                 double own = w->motion[i][j][NX + p];
                 int limit = block_at(ACCELERATION) + i * K + j;
                 double aim = w->at[2][i * K + j] / ua[j], most = WITHIN * w->bound[limit];
                 if (w->active[limit] > 0.0) aim = larger(-most, smaller(aim, most));   /* past its end it was to stop */
                 rhs[p] += own * (aim - free[j]);
-                for (int o = 0; o < w->directions[i]; o++) A[p * NZ + o] += own * w->motion[i][j][NX + o];
+                for (int o = 0; o < w->directions[i]; o++) A[p * size + o] += own * w->motion[i][j][NX + o];
             }
             if (old[i] >= 0 && !isnan(w->solution.tau[old[i] * M]))
                 for (int c = 0; c < M; c++)
                     rhs[p] += DAMPING * w->motion[i][K + c][NX + p] * (w->solution.tau[old[i] * M + c] / w->tau_unit - free[K + c]);
         }
-        solved(NZ, 1, A, rhs);
+        solved(size, 1, A, rhs);
         for (int e = 0; e < NF; e++)
             for (int p = 0; p < w->directions[i]; p++) free[e] += w->motion[i][e][NX + p] * rhs[p];
         for (int c = 0; c < M; c++) w->tau[i * M + c] = w->counts[i] ? free[K + c] : 0.0;
+        for (int j = 0; j < K && w->free && !i; j++) w->x[2][j] = free[j];
         if (!i) continue;
         for (int j = 0; j < K; j++) {
             int l = i * K + j;
@@ -281,12 +319,12 @@ static double along_peak(const Work *w, const double (*v)[NW]) {
 }
 
 /* What the peak and the rows of singular instants do to each other: their parts of the steps against them. */
-static void set_border(Work *w, double peak_H) {
+static void set_border(Work *w, double give, double peak_H) {
     int size = 1 + w->borders;
     for (int s = 0; s < size; s++) {
         const double(*v)[NW] = w->direction[1 + s];
         w->border[s] = along_peak(w, v) + (s ? 0.0 : peak_H);
-        for (int b = 0; b < w->borders; b++) w->border[(b + 1) * size + s] = along_row(&w->rows[b], v) - (b + 1 == s ? 1e-13 : 0.0);
+        for (int b = 0; b < w->borders; b++) w->border[(b + 1) * size + s] = along_row(&w->rows[b], v) - (b + 1 == s ? give : 0.0);
     }
 }
 
@@ -325,7 +363,7 @@ static int is_stationary(Work *w, double base_peak) {
     memset(carried, 0, sizeof carried);
     for (int i = COUNT - 1; i >= 0; i--) {
         for (int r = 0; r < NW; r++) size = larger(size, fabs(w->gradient[1][i][r] + (r < NX ? carried[r] : 0.0)));
-        gather(w, i, w->gradient[1][i], carried, q);
+        gather(w, i, WIDE, w->gradient[1][i], carried, q);
         memcpy(own, q, sizeof own);
         for (int z = 0; z < w->directions[i]; z++) left = larger(left, fabs(own[NX + z]));
         memcpy(carried, q, sizeof carried);
@@ -442,11 +480,11 @@ static double set_hessian(Work *w) {
 }
 
 /* What the rows of singular instants miss; the most. */
-static double set_row_missing(Work *w) {
+static double set_row_missing(Work *w, double give) {
     double most = 0.0;
     for (int b = 0; b < w->borders; b++) {
         const Row *row = &w->rows[b];
-        double x = row->value;
+        double x = row->value + give * w->nu[b];
         for (int j = 0; j < K; j++) {
             for (int d = 0; d < 3; d++) x -= row->row[d * K + j] * w->x[d][row->node * K + j];
             x -= row->beside[j] * w->x[2][row->other * K + j];
@@ -469,31 +507,47 @@ static void set_sides(Work *w) {
     }
 }
 
+/* Keep where the next programme begins. */
+static void keep_solution(Work *w) {
+    memcpy(w->node_before, w->node, sizeof w->node);
+    memset(w->solution.dual, 0, sizeof w->solution.dual);
+    for (int c = 0; c < w->bounds; c++) w->solution.dual[c] = w->active[c] * w->dual[c];
+    for (int l = 0; l < EFFORTS; l++) w->solution.tau[l] = w->counts[l / M] ? w->tau[l] * w->tau_unit : NAN;
+    w->before = 1;
+}
+
+/* Go along a direction. */
+static void go(Work *w, double alpha, double dpeak, const double *dnu) {
+    for (int d = 0; d < 3; d++)
+        for (int l = 0; l < LANES; l++) w->x[d][l] += alpha * w->dx[d][l];
+    for (int l = 0; l < EFFORTS; l++) w->tau[l] += alpha * w->dtau[l];
+    w->peak += alpha * dpeak;
+    for (int b = 0; b < w->borders; b++) w->nu[b] += alpha * dnu[b];
+    for (int c = 0; c < w->bounds; c++) w->slack[c] += alpha * w->dslack[c], w->dual[c] += alpha * w->ddual[c];
+}
+
 /* Mehrotra's predictor and corrector; whether an optimum is found. */
 static int interior_point(const Given *g, Work *w, int warm) {
     begin(g, w, warm);
-    double count = 0.0, most, after, dpeak, dnu[BORDER];
+    double count = 0.0, most, after, dpeak, dnu[BORDER], give = w->relaxed ? 1.0 / g->weight[UNMET] : 0.0;
     for (int c = 0; c < w->bounds; c++) count += w->active[c];
-    for (int iteration = 0; iteration < ITERATIONS; iteration++, w->iterations++) {
+    int last = w->relaxed ? RELAXED_ITERATIONS : ITERATIONS;
+    for (int iteration = 0; iteration < last; iteration++, w->iterations++) {
         apply(w, w->x, w->tau, w->peak, w->g);
-        double barrier = weigh(w, count, &most), rows = set_row_missing(w);
+        double barrier = weigh(w, count, &most), rows = set_row_missing(w, give);
         if (!(barrier < 1e12)) return 0;
-        double base_peak = set_gradient(w, w->gradient[0]);
+        double base_peak = set_gradient(g, w, w->gradient[0]);
         memcpy(w->base, w->gradient[0], sizeof w->base);
         if (barrier < BARRIER && most < PRECISION && rows < PRECISION && is_stationary(w, base_peak)) {
-            memcpy(w->node_before, w->node, sizeof w->node);
-            memset(w->solution.dual, 0, sizeof w->solution.dual);
-            for (int c = 0; c < w->bounds; c++) w->solution.dual[c] = w->active[c] * w->dual[c];
-            for (int l = 0; l < EFFORTS; l++) w->solution.tau[l] = w->counts[l / M] ? w->tau[l] * w->tau_unit : NAN;
-            w->before = 1;
+            keep_solution(w);
             return 1;
         }
         double peak_H = set_hessian(w);
-        if (!factorise(w)) return 0;
+        if (!factorise(g, w)) return 0;
         double peak_gradient = base_peak + add_transposed(w, w->push, w->gradient[0]);
         set_sides(w);
         step_against(w, 2 + w->borders);
-        set_border(w, peak_H);
+        set_border(w, w->relaxed ? give : BORDER_GIVES, peak_H);
         if (!direct(w, peak_gradient, &dpeak, dnu)) return 0;
         double alpha = predict(w, barrier, count, &after);
         set_centre(w, larger(pow(after / barrier, 3.0) * barrier, 0.1 * BARRIER), alpha);
@@ -504,29 +558,29 @@ static int interior_point(const Given *g, Work *w, int warm) {
         alpha = correct(w);
         alpha = alpha >= 1.0 ? 1.0 : alpha * CLOSE;
         if (!(alpha >= 1e-8)) return 0;
-        for (int d = 0; d < 3; d++)
-            for (int l = 0; l < LANES; l++) w->x[d][l] += alpha * w->dx[d][l];
-        for (int l = 0; l < EFFORTS; l++) w->tau[l] += alpha * w->dtau[l];
-        w->peak += alpha * dpeak;
-        for (int b = 0; b < w->borders; b++) w->nu[b] += alpha * dnu[b];
-        for (int c = 0; c < w->bounds; c++) w->slack[c] += alpha * w->dslack[c], w->dual[c] += alpha * w->ddual[c];
+        go(w, alpha, dpeak, dnu);
     }
     return 0;
 }
 
-/* The multipliers of W tau = f, from the gradient that ``is_stationary`` left. */
+/* The multipliers of W tau = f, from the gradient that ``is_stationary`` left; of a relaxed programme from what is missed. */
 static void set_multipliers(const Given *g, Work *w, double *multiplier) {
     const double(*gradient)[NW] = w->gradient[1];
     double carried[LONG * WIDE];
     memset(carried, 0, sizeof carried);
     memset(multiplier, 0, COUNT * N * sizeof *multiplier);
-    for (int i = COUNT - 1; i > 0; i--) {
+    if (w->relaxed) {
+        for (int l = 0; l < COUNT * N; l++)
+            if (w->counts[l / N]) multiplier[l] = g->weight[UNMET] * missed_softly(w, l / N, l % N) / w->row_unit[l % N];
+        return;
+    }
+    for (int i = COUNT - 1; i >= !w->free; i--) {
         double x[NX], free[NF], A[N * N], y[N];
         Vector q[WIDE];
         for (int c = 0; c < NX; c++) x[c] = gradient[i][c] + carried[c];
         for (int j = 0; j < K; j++) free[j] = w->gamma[i][j] * x[j] + w->delta[i][j] * x[K + j] + x[2 * K + j];
         memcpy(free + K, gradient[i] + NX, M * sizeof *free);
-        gather(w, i, gradient[i], carried, q);
+        gather(w, i, WIDE, gradient[i], carried, q);
         memcpy(carried, q, sizeof carried);
         if (!w->counts[i]) continue;
         for (int o = 0; o < N; o++) {
@@ -535,6 +589,6 @@ static void set_multipliers(const Given *g, Work *w, double *multiplier) {
             for (int r = 0; r < N; r++) A[o * N + r] = w->triangle[i][r][o];
         }
         if (solved(N, 1, A, y))
-            for (int r = 0; r < N; r++) multiplier[i * N + r] = y[r] / g->row[r];
+            for (int r = 0; r < N; r++) multiplier[i * N + r] = y[r] / w->row_unit[r];
     }
 }

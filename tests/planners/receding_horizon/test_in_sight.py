@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 import zoo
+from online_programme import linearised
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.planners.receding_horizon.ahead import Ahead, Linearised, nodes_from, zeros_of
+from redundancy_pin.planners.receding_horizon import RecedingHorizon
+from redundancy_pin.planners.receding_horizon.ahead import Ahead, zeros_of
 from redundancy_pin.planners.receding_horizon.preview import Preview
 
 STEP = 0.02
@@ -229,7 +231,7 @@ def test_directions_that_are_lost_count_moments_over_the_characteristic_length(l
     (root,) = ahead.look(0.0, 1.0)
     nodes = root + np.array([-STEP, 0.0, STEP])
     at = tuple(np.zeros((3, 3)) for _ in range(3))
-    lin = Linearised.about(ahead, nodes, np.array([1]), at, np.zeros((3, 3)), 1.0)
+    lin = linearised(ahead, nodes, np.array([1]), at, np.zeros((3, 3)), 1.0)
     W = rp.VirtualWork(robot).reduce(turning(np.array([root]))).W[0]
     np.testing.assert_allclose(lin.row_scale, [1.0, 1.0, length])
     np.testing.assert_allclose(lin.lost[0] @ W, 0.0, atol=1e-6 * np.abs(W).max())
@@ -460,8 +462,15 @@ def nodes_by_loops(start: float, count: int, roots: list[float]) -> list[float]:
 def test_nodes_are_steps_apart_then_two_and_half_as_far_around_singular_instants(
     start: float, roots: list[float]
 ) -> None:
-    shifted = [start + root for root in roots]
-    for count in (8, 31):
-        nodes, singular = nodes_from(start, STEP, count, np.array(shifted))
-        np.testing.assert_allclose(nodes, nodes_by_loops(start, count, shifted), rtol=0.0, atol=1e-12)
-        assert singular.tolist() == [i for i, node in enumerate(nodes) if node in shifted]
+    """From an update on; the one before it knows of a singular instant that is past."""
+    motion = polynomial(*(start + root for root in roots)) if roots else AWAY
+    for horizon in (0.04, 0.5):
+        planner = RecedingHorizon(dynamics(), step=STEP, horizon=horizon)
+        for t in (start - 0.06, start):
+            planner.update(t, motion)
+        nodes, known = planner.ticks.last.nodes, planner.ticks.ahead
+        coming = [root for root in known.roots if root > start - 1e-9]
+        begins = coming[0] if coming and coming[0] <= start + 0.25 * STEP else start
+        assert not len(known.sharp)
+        expected = nodes_by_loops(begins, len(nodes), known.roots.tolist())
+        np.testing.assert_allclose(nodes, expected, rtol=0.0, atol=1e-12)

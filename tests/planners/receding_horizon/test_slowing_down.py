@@ -144,18 +144,6 @@ def test_where_there_is_a_plan_nothing_is_slowed() -> None:
     assert own.plan.diagnostics["delay"] == 0.0
 
 
-def test_numpy_slows_down_too() -> None:
-    short = rp.trajectory.reference.circle(speed=0.7)
-    run = run_online(
-        RecedingHorizon(machine()[0], slow_down=True, interpret=True, horizon=0.3, limits=rp.Limits(acceleration=3.0)),
-        short,
-    )
-    assert run.counts["time_scaled"] > 0
-    assert run.counts["relaxed"] == 0
-    assert_within(run.plan, RecedingHorizon(machine()[0], limits=rp.Limits(acceleration=3.0)).resolved)
-    assert_same_path(run.plan, short, run.plan.diagnostics["delay"])
-
-
 def test_a_preview_that_is_a_function_is_asked_in_its_own_time() -> None:
     planner, asked = RecedingHorizon(machine()[0], slow_down=True, **in_groups(RecedingHorizon, WEAK)), []
 

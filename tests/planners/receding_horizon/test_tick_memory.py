@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import pickle
 import shlex
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -21,8 +20,6 @@ from redundancy_pin.machine_code import CACHE, find_compiler
 from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import Preview, RecedingHorizon, Weights
 from redundancy_pin.status import UpdateStatus
-
-pytest.importorskip("piqp")
 
 STEP = 0.02
 
@@ -63,11 +60,8 @@ def test_whole_numbers_as_weights_are_the_same_weights() -> None:
         after(RecedingHorizon(dynamics(), objective=w), CIRCLE, 12)
         for w in (Weights(*whole), Weights(*map(float, whole)))
     ]
-    assert all(planner.compiled for planner in planners)
     assert_same(*planners)
-    # 0.64 N by numpy, and 6.7 where all weights were read as zero
-    numpy = after(RecedingHorizon(dynamics(), objective=Weights(*whole), interpret=True), CIRCLE, 12)
-    assert planners[0].ticks.last.command.peak == pytest.approx(numpy.ticks.last.command.peak, rel=1e-2)
+    assert planners[0].ticks.last.command.peak < 1.0  # 0.64 N, and 6.7 where all weights are read as zero
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.int64])
@@ -88,17 +82,14 @@ def test_a_backend_in_single_precision_is_read_as_such() -> None:
 
     robot = dynamics().robot
     single, double = after(RecedingHorizon(Single(robot)), CIRCLE, 6), after(RecedingHorizon(dynamics()), CIRCLE, 6)
-    assert single.compiled
     assert_same(single, double, 1e-2)  # sums of 1e-7
 
 
 @pytest.mark.parametrize("ticks", [0, 3])
-@pytest.mark.parametrize("interpret", [False, True])
 @pytest.mark.parametrize("again", [copy.deepcopy, lambda planner: pickle.loads(pickle.dumps(planner))])
-def test_a_copy_of_a_planner_goes_on_by_itself(again, interpret: bool, ticks: int) -> None:
-    planner = after(RecedingHorizon(dynamics(), interpret=interpret), CIRCLE, ticks)
+def test_a_copy_of_a_planner_goes_on_by_itself(again, ticks: int) -> None:
+    planner = after(RecedingHorizon(dynamics()), CIRCLE, ticks)
     other = again(planner)
-    assert other.compiled == planner.compiled != interpret
     planner.update(STEP * ticks, CIRCLE)
     kept = [part.copy() for part in planner.ticks.last.at]
     for i in range(ticks, ticks + 2):
@@ -131,7 +122,7 @@ def test_an_older_plan_that_is_given_back_is_gone_on_from() -> None:
     older = planner.ticks.last
     planner.limits = Limits(speed=0.001)
     for t in (5 * STEP, 6 * STEP):
-        assert planner.update(t, CIRCLE).status is UpdateStatus.RELAXED  # of numpy
+        assert planner.update(t, CIRCLE).status is UpdateStatus.RELAXED
     planner.limits = Limits()
     copied = copy.deepcopy(planner)
     planner.ticks.last = older
@@ -144,24 +135,14 @@ def test_an_older_plan_that_is_given_back_is_gone_on_from() -> None:
     assert_same(planner, copied)
 
 
-@pytest.mark.parametrize("interpret", [False, True])
-def test_forces_are_known_where_the_preview_ends_at_once(interpret: bool) -> None:
+def test_forces_are_known_where_the_preview_ends_at_once() -> None:
     short = replace(Preview.of(CIRCLE), end=0.1005)
-    planner = after(RecedingHorizon(dynamics(), interpret=interpret), short, 6)
+    planner = after(RecedingHorizon(dynamics()), short, 6)
     command = planner.ticks.last.command
     reduced = dynamics().along(CIRCLE.sample_at(np.array([0.1, 0.1005])))
     s, sd, sdd = (np.tile(part, (2, 1)) for part in command.motion_at(0.1))
     force = reduced.reduce(rp.CarrierMotion(s, sd, sdd, check_rates=False)).carrier_force[0]
     np.testing.assert_allclose(command.forces.at(0.1), force, atol=1e-9)
-
-
-def test_motions_to_begin_with_on_a_track_without_end_are_numbers() -> None:
-    planner = after(RecedingHorizon(dynamics(), limits=rp.Limits(track=[(-np.inf, np.inf), (-0.1, np.inf)])), CIRCLE, 2)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        for _ in range(6):
-            guess = planner.ticks.guess(STEP, 0.5, planner.ticks.last)
-            assert np.isfinite(guess.command.carriers.coefficients).all()
 
 
 def test_without_a_folder_a_library_is_compiled_once_too(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -174,7 +155,7 @@ def test_without_a_folder_a_library_is_compiled_once_too(monkeypatch: pytest.Mon
     monkeypatch.setenv("CC", str(script))
     monkeypatch.setenv(CACHE, "")
     for _ in range(2):
-        assert RecedingHorizon(robot_dynamics, horizon=0.1).compiled
+        RecedingHorizon(robot_dynamics, horizon=0.1)
         assert len(log.read_text().split()) == 1
 
 
@@ -185,7 +166,6 @@ def iterations(period: float) -> float:
     for t in np.arange(0.0, min(1.5, motion.duration), period).tolist():
         planner.update(t, motion)
         counts.append(planner.ticks.last.iterations)
-    assert counts[0] == 0  # by Python
     return float(np.mean(counts[1:]))
 
 
@@ -201,7 +181,7 @@ def test_a_solution_that_is_none_is_begun_without(bad: float) -> None:
     planner.ticks.last = replace(last, solution=np.full_like(last.solution, bad))
     for each in (planner, other):
         each.update(STEP * 12, CIRCLE)
-    assert planner.ticks.last.iterations > 0  # not by Python
+    assert planner.ticks.last.iterations > 0
     for one, two, tolerance in zip(planner.ticks.last.at, other.ticks.last.at, FLAT, strict=True):
         np.testing.assert_allclose(one, two, rtol=0.0, atol=tolerance)
     assert planner.ticks.last.command.peak == pytest.approx(other.ticks.last.command.peak, rel=1e-5)
@@ -221,17 +201,3 @@ def test_a_solution_of_another_length_is_not_read() -> None:
     # behind the ten lies all of it: who read on would be warm
     assert counts(lambda solution: solution[:10]) == cold
     assert sum(warm) < sum(cold)
-
-
-def test_a_plan_by_python_has_no_solution_for_machine_code() -> None:
-    planner, cold = (after(RecedingHorizon(dynamics()), CIRCLE, 12) for _ in range(2))
-    ticks, until = planner.ticks, STEP * 12 + planner.horizon
-    planner.ticks.ahead.look(STEP * 12, until)
-    planner.ticks.last = ticks.interpreted(STEP * 12, until, (None, None))
-    assert planner.ticks.last.solution is None
-    cold.update(STEP * 12, CIRCLE)
-    cold.ticks.last = replace(cold.ticks.last, solution=None)
-    for each in (planner, cold):
-        each.update(STEP * 13, CIRCLE)
-    assert planner.ticks.last.iterations == pytest.approx(cold.ticks.last.iterations, abs=1)
-    assert planner.ticks.last.solution is not None
