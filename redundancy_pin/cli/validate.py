@@ -1,4 +1,4 @@
-"""``redundancy-pin validate``: backend against backend, and both against physics."""
+"""``redundancy-pin validate``: the dynamics of a robot against physics, and backend against backend."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from redundancy_pin.workers import cluster
 @settings_option(
     "--set",
     "settings",
-    "Parameter of the robots, such as base=fixed, which are then taken as they are; may be repeated.",
+    "Parameter of the robots, such as base=fixed; may be repeated.",
 )
 @click.option("--samples", default=2000, show_default=True, metavar="N", help="Random states for each robot.")
 @click.option("--seed", default=0, show_default=True, metavar="S", help="Seed of the random states.")
@@ -44,8 +44,8 @@ def validate(
 ) -> int:
     r"""Check the dynamics on random states.
 
-    The backends against each other, and against balances of power and momentum, finite differences, and forward
-    dynamics. Exit code 1 if a check fails.
+    Closures, balance of power, inverse against forward dynamics, and the backends against each other. The checks do
+    not say whether the model has the masses and lengths of your machine. Exit code 1 if a check fails.
 
     \b
     Example:
