@@ -85,8 +85,8 @@ def read_json(text: str, *, constants: bool = False) -> Any:
         constants: whether NaN and infinity, which Python writes and JSON does not know, are allowed.
 
     Raises:
-        ValueError: it is too long, has too many lists, is nested too deep or is not JSON; a key twice in one object; NaN, infinity, endless
-            integers, or halves of characters.
+        ValueError: it is too long, has too many lists, is nested too deep or is not JSON; a key twice in one object;
+            NaN, infinity, endless integers, or halves of characters.
     """
     if len(text) > LARGEST_TEXT:
         raise ValueError(f"{len(text)} characters, of which at most {LARGEST_TEXT} are read")
