@@ -19,7 +19,7 @@ def shown(seconds):
 
 
 def table(report):
-    """Return the rows: the least time of each contender: other programs only add, and its share of the time of the first of the same work."""
+    """Return the rows: least times (other programs only add), and their shares of the first of the same work."""
     first, rows = {}, []
     for one in report["benchmarks"]:
         group, seconds = one["group"], one["stats"]["min"] / one["extra_info"].get("units", 1.0)
