@@ -16,6 +16,8 @@ from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaAlongMotion
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
 from redundancy_pin.errors import CompilerError, IllPosedModelError, SingularPoseError, UnsupportedRobotError
+from redundancy_pin.kinematics.branch import SAME_CONFIGURATION
+from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.lookup import find_joint
@@ -24,6 +26,9 @@ from redundancy_pin.simulation.forward import ForwardDynamics
 MOTION = POWER = PARITY = 1e-10
 """Rounding is 1e-14 of the terms, times the condition of the closures: at most 1e3 away from singularities. Closures
 are open by 1e-12."""
+
+CLOSED = 1e-9
+"""Closure residual, characteristic lengths and rad, of a configuration of another backend that counts as closed."""
 
 ROUND_TRIP, _LEAST_INERTIA = 1e-7, 1e-5
 """Deviation of accelerations that passes, and the least share of the largest inertia that every free motion must have:
@@ -100,7 +105,7 @@ def check_parity(
             states.robot.name, f"parity: W and f ({label})", np.zeros(0), PARITY, {"no_backend": every}, error.message
         )
         return
-    keep, skipped = select(len(states.motion), near_type_i=~_regular(along))
+    keep, skipped = select(len(states.motion), near_type_i=~_regular(along), other_branch=_elsewhere(along, other.q))
     first, second = along.reduce(states.carriers), other.reduce(states.carriers)
     for quantity, a, b in (
         ("f", first.f, second.f),
@@ -111,6 +116,15 @@ def check_parity(
         yield checked_row(
             states.robot.name, f"parity: {quantity} ({label})", relative(a[keep], b[keep]), PARITY, skipped
         )
+
+
+def _elsewhere(along: RneaAlongMotion, q: Array | None) -> BoolArray:
+    """Return (N,) whether q (N, nq) closes the loops elsewhere than RNEA: two branches come near each other between."""
+    if q is None:
+        return np.zeros(len(along.q), dtype=bool)
+    residual = np.abs(constraint_system(along.robot).evaluate(q).phi).max(axis=1, initial=0.0)
+    differs = np.abs(q - along.q).max(axis=1) > SAME_CONFIGURATION
+    return np.asarray(differs & (residual < CLOSED * along.robot.characteristic_length))
 
 
 def _regular(along: RneaAlongMotion) -> BoolArray:

@@ -27,9 +27,11 @@ from redundancy_pin.dynamics import virtual_work
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.rnea import RneaAlongMotion, RneaDynamics
 from redundancy_pin.errors import CompilerError, InputError, ModelFileError, UnreachablePoseError
+from redundancy_pin.kinematics.assembly_modes import assembly_modes
 from redundancy_pin.kinematics.branch import Follower, follower
 from redundancy_pin.kinematics.closed_state import NEAR_RANK_LOSS, closed_around
 from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.loading import load_robot
 from redundancy_pin.robot import Closure, JointForces, Spring, Wrench
 from redundancy_pin.robot.shipped import shipped_robots
@@ -492,6 +494,24 @@ def test_a_machine_with_too_few_motors_has_no_round_trip():
     weak = replace(drawn.robot, actuated=drawn.robot.actuated[:5])
     (row,) = physics.check_round_trip(replace(drawn, robot=weak), RneaDynamics(weak).along(drawn.motion))
     assert (row.samples, row.skipped, row.note) == (0, {"underactuated": 3}, "every state is skipped")
+
+
+def test_a_backend_on_another_branch_is_skipped_and_one_that_does_not_close_is_not():
+    """The elbow of a four-bar the other way round, and joints that are off by a thousandth."""
+    drawn = random_states("four_bar", 4, 0)
+    along = RneaDynamics(drawn.robot).along(drawn.motion)
+    mirrored = np.array([folded(drawn.robot, q) for q in along.q])
+    assert np.abs(mirrored - along.q).max() > 0.1
+    assert physics._elsewhere(along, mirrored).all()
+    assert not physics._elsewhere(along, np.array(along.q)).any()
+    assert not physics._elsewhere(along, np.array(along.q) + 1e-3).any()
+    assert not physics._elsewhere(along, None).any()
+
+
+def folded(robot, q):
+    """Return the other configuration of a four-bar at the same crank angle."""
+    modes = assembly_modes(robot, coordinates(robot, constraint_system(robot).evaluate(q[None]))[0])
+    return max(modes.q, key=lambda other: np.abs(other - q).max())
 
 
 def test_without_a_compiler_the_comparison_is_left_out_with_its_reason(monkeypatch):
