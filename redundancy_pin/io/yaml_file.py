@@ -163,9 +163,9 @@ class _Builder:
             return self.scalar(node, key)
         if node.tag not in (f"{_TAG}seq", f"{_TAG}map", "!"):
             raise self.strange(node, key)
-        if isinstance(node, yaml.SequenceNode):
-            return [self.value(each, f"{key}[{number}]", depth + 1) for number, each in enumerate(node.value)]
-        return self.mapping(node, key, depth)
+        if isinstance(node, yaml.MappingNode):
+            return self.mapping(node, key, depth)
+        return [self.value(each, f"{key}[{number}]", depth + 1) for number, each in enumerate(node.value)]
 
     def mapping(self, node: yaml.MappingNode, key: str, depth: int) -> dict[str, Any]:
         """Return a mapping, with what ``<<`` merges into it behind its own keys."""
