@@ -218,7 +218,7 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
     with the mean of the rates at both ends. They may differ by the sum of
 
     - 3 % of the largest rate of the coordinate, which noise of measured motions must keep below;
-    - the error of the rule: half of |Δẋ| and a quarter of h |ẍ|;
+    - the error of the rule: half of |Δẋ| and half of h |ẍ|, generous for uneven steps;
     - rounding of x to six digits, over h, and of rotations h² |ω| |ω̇|/6, as their axis tilts.
 
     From 9 samples and one period on this finds a wrong sign, milli and kilo, degrees for radians, a factor of 2 (10
@@ -249,7 +249,7 @@ def _require_rates(name: str, t: Array, values: Array, rates: Array, seconds: Ar
     if (np.abs(found - given) <= RATE_TOLERANCE * top).all():  # as in most motions
         return
     second = np.maximum(np.abs(seconds[:-1]), np.abs(seconds[1:]))[later].T
-    allowed = RATE_TOLERANCE * top + 0.5 * np.abs(last - first) + 0.25 * h * second
+    allowed = RATE_TOLERANCE * top + 0.5 * np.abs(last - first) + 0.5 * h * second
     size = np.abs(values).max(axis=0)
     if values.ndim == 3:  # the rotation vector of a step differs from the mean of h ω by h³ ω̇ × ω/12
         omega, alpha = (np.linalg.norm(part[:, 3:], axis=1) for part in (rates, seconds))
