@@ -107,6 +107,8 @@ def check_parity(
         return
     keep, skipped = select(len(states.motion), near_type_i=~_regular(along), other_branch=_elsewhere(along, other.q))
     first, second = along.reduce(states.carriers), other.reduce(states.carriers)
+    # rounding of two routes grows as the inverse of the margin
+    share = np.minimum(1.0, along.tree.serial_margin_bound / NEAR_SINGULAR_MARGIN)[keep]
     for quantity, a, b in (
         ("f", first.f, second.f),
         ("W", first.W, second.W),
@@ -114,7 +116,7 @@ def check_parity(
         ("base wrench", along.base_wrench(states.carriers), other.base_wrench(states.carriers)),
     ):
         yield checked_row(
-            states.robot.name, f"parity: {quantity} ({label})", relative(a[keep], b[keep]), PARITY, skipped
+            states.robot.name, f"parity: {quantity} ({label})", share * relative(a[keep], b[keep]), PARITY, skipped
         )
 
 
