@@ -65,8 +65,12 @@ long: $(STAMP) ## long lists of random cases, ten times as many examples, counts
 mutants: $(STAMP) ## change ROOMS at random places, by SEED, and print the changes that no test notices
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/mutation.py $(ROOMS) --seed $(SEED)
 
-bench: $(STAMP) ## time the backends and planners; published problems into docs/published_problems.md
-	$(BIN)/python benchmarks/run.py
+bench: $(STAMP) ## time it beside Pinocchio, MuJoCo and Exudyn into docs/compiled.md; published problems, stack of C into their pages
+	mkdir -p build
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest benchmarks --benchmark-json=build/benchmarks.json
+	$(BIN)/python benchmarks/table.py build/benchmarks.json
+	$(BIN)/python tests/oracles/published_table.py
+	$(BIN)/python benchmarks/stack.py
 
 pictures: $(STAMP) ## draw the pictures of the README into docs/pictures
 	$(BIN)/python docs/pictures/draw.py
@@ -75,7 +79,7 @@ engines: $(STAMP) ## planned efforts in Exudyn and MuJoCo: every motion to 1e-5 
 	@$(BIN)/python -c 'import exudyn, mujoco' 2>/dev/null || \
 	  $(BIN)/python -m pip install --quiet --no-input --disable-pip-version-check --editable '.[dev,engines]'
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m engines -n auto tests/engines
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/engine_table.py
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/oracles/engine_table.py
 
 docs: $(DOCS_STAMP) ## build the documentation into build/docs; warnings are errors
 	rm -rf build/docs build/doctrees

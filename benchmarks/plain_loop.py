@@ -4,8 +4,6 @@ Nothing is made slow on purpose: frame indices, data and selection matrices are 
 previous sample, and the planar rows are sliced from Pinocchio's frame Jacobians.
 """
 
-import time
-
 import numpy as np
 import pinocchio as pin
 
@@ -108,9 +106,3 @@ def smooth_motion(samples):
     )
     swing = 3.0 * t[:, None] + np.arange(3)
     return motion, rp.CarrierMotion(0.5 * np.sin(swing), 1.5 * np.cos(swing), -4.5 * np.sin(swing))
-
-
-def seconds(action):
-    start = time.perf_counter()
-    result = action()
-    return time.perf_counter() - start, result

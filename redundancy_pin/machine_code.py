@@ -31,7 +31,6 @@ from pathlib import Path
 from typing import TypeVar
 
 from redundancy_pin.errors import shortened
-from redundancy_pin.io.files import remove_leftovers, temporary_folder
 
 _LOG = logging.getLogger(__name__)
 
@@ -140,7 +139,6 @@ def built(
     name = f"{own}.so"
     folder = cache_folder()
     if folder is not None:
-        remove_leftovers(folder)
         library = _opened(folder / name, load)
         if library is not None:
             return library, ""
@@ -148,8 +146,8 @@ def built(
     reason = ""
     for place in [None] if folder is None else [folder, None]:
         try:
-            with temporary_folder(place or Path(tempfile.gettempdir())) as work:
-                made = work / name
+            with tempfile.TemporaryDirectory(dir=place, prefix=".", ignore_cleanup_errors=True) as work:
+                made = Path(work) / name
                 reason = _compile(compiler, flags, text, made)
                 # opened where it was made: under its final name this process may have another one open, which it would
                 # get again; what is open stays in memory when its file has gone

@@ -1,4 +1,4 @@
-"""``redundancy-pin validate``: backend against backend, and both against physics."""
+"""``redundancy-pin validate``: the dynamics of a robot against physics, and backend against backend."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from redundancy_pin.cli.output import console, print_json, progress
 @click.command()
 @click.option("--robot", "robots", multiple=True, metavar="NAME|PATH",
               help="Robot to check. May be repeated.  [default: all shipped ones]")  # fmt: skip
-@settings_option("--set", "settings", "Parameter of the robots, which are then taken as they are. May be repeated.")
+@settings_option("--set", "settings", "Parameter of the robots, such as base=fixed. May be repeated.")
 @click.option("--samples", default=2000, show_default=True, metavar="N", help="Random states for each robot.")
 @click.option("--seed", default=0, show_default=True, metavar="S", help="Seed of the random states.")
 @jobs_option(1)
@@ -25,8 +25,8 @@ from redundancy_pin.cli.output import console, print_json, progress
 def validate(robots: tuple[str, ...], samples: int, seed: int, jobs: int, as_json: bool, **given: Any) -> int:
     r"""Check the dynamics on random states.
 
-    The backends against each other, and against balances of power and momentum, finite differences, and forward
-    dynamics. Exit code 1 if a check fails.
+    Closures, balance of power, inverse against forward dynamics, and the backends against each other. The checks do
+    not say whether the model has the masses and lengths of your machine. Exit code 1 if a check fails.
 
     \b
     Example:

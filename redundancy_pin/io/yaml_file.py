@@ -23,17 +23,15 @@ DEEPEST = 50
 MOST_VALUES = 20_000
 """Values and keys in a file, aliases counted as often as they are used: a few lines of them stand for billions."""
 
-_LONGEST_INTEGER = 1000
-"""Characters; Python does not write out integers of more than 4300 digits."""
-
-_LONGEST_KEY = 200
-"""Characters of a key, with those around it, whose line is kept."""
+_LONGEST_KEY, _LONGEST_NUMBER = 200, 1000
+"""Characters of a key, with those around it, whose line is kept; characters of a number."""
 
 _TAG = "tag:yaml.org,2002:"
-_KINDS = ("null", "bool", "int", "float", "str")
-"""Kinds of scalars that a file may hold. Dates, sets, binary data and objects of Python are none of them."""
+_SCALARS = {f"{_TAG}{kind}" for kind in ("null", "bool", "int", "float", "str")}
+"""Tags of the scalars that a file may hold: no dates, sets, binary data, or objects of Python."""
 
-_MERGE = "<<"
+_NOT_DECIMAL = re.compile(r"[-+]?0[0-9_]+$|.*:")
+"""Numbers that are not what they look like: YAML 1.1 reads 010 as 8, 1:30 as 90, and 1:30.5 as 90.5."""
 
 # libyaml is ten times as fast; builds of PyYAML without it do the same
 _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -113,194 +111,132 @@ def parse_yaml(
     text: str, path: str, error: type[RedundancyPinError], tags: Mapping[str, Callable[[str], Any]] = {}
 ) -> YamlFile:
     """Return the content of YAML text; ``path`` names it in messages. Errors as ``read_yaml``."""
-    reader = _Reader(path, error, tags)
+    builder = _Builder(path, error, tags)
     try:
-        _require_no_tags(text, path, error)
-        reader.events = _Loader(text)
-        try:
-            return YamlFile(path, reader.document(), reader.lines)
-        finally:
-            reader.events.dispose()
+        builder.require_bounded(text)
+        node = yaml.compose(text, _Loader)
+        return YamlFile(path, None if node is None else builder.value(node, "", 0), builder.lines)
     except yaml.MarkedYAMLError as fault:
         mark = fault.problem_mark or fault.context_mark
         if "nesting depth" in str(fault.problem):  # libyaml since 0.2.6 looks ahead for a key, over a thousand brackets
-            raise reader.too_deep(mark) from fault
+            raise builder.too_deep(mark) from fault
         lines = text.splitlines()
         if mark is not None and mark.line < len(lines) and lines[mark.line][mark.column : mark.column + 1] == "\t":
-            raise reader.refused(mark, "a tab, where YAML allows spaces alone", "Put spaces in its place.") from fault
+            raise builder.refused(mark, "a tab, where YAML allows spaces alone", "Put spaces in its place.") from fault
         reasons = ", ".join(part for part in (fault.context, fault.problem) if part)
-        raise reader.refused(mark, f"not readable YAML: {reasons}", "Repair the file there.") from fault
+        raise builder.refused(mark, f"not readable YAML: {reasons}", "Repair the file there.") from fault
     except yaml.YAMLError as fault:  # characters that YAML does not allow, such as NUL
         reasons = " ".join(str(fault).split())
-        raise reader.refused(None, f"not readable YAML: {reasons}", "Repair the file.") from fault
+        raise builder.refused(None, f"not readable YAML: {reasons}", "Repair the file.") from fault
 
 
-def _require_no_tags(text: str, path: str, error: type[RedundancyPinError]) -> None:
-    """Refuse definitions of tags, none of which is known, and on thousands of which libyaml spends minutes."""
-    definition = re.search(r"^%TAG", text, re.MULTILINE)
-    if definition:
-        line = text.count("\n", 0, definition.start()) + 1
-        raise error(f"{path}, line {line}: it defines a tag.", remedy="Leave the line out.", path=path)
-
-
-class _Reader:
-    """Makes values from the parser's events one by one, so that every limit holds before anything is made."""
-
-    events: Any
+class _Builder:
+    """Makes plain data from PyYAML's nodes."""
 
     def __init__(self, path: str, error: type[RedundancyPinError], tags: Mapping[str, Callable[[str], Any]]) -> None:
         self.path, self.error, self.tags = path, error, tags
         self.lines: dict[str, int] = {}
-        self.anchors: dict[str, tuple[Any, int] | None] = {}  # value and count of values; None while it is being read
         self.count = 0
 
-    def document(self) -> Any:
-        events = self.events
-        events.get_event()  # the stream
-        if events.check_event(yaml.StreamEndEvent):
-            return None
-        events.get_event()  # the document
-        value = self.value("", 0)
-        events.get_event()
-        if not events.check_event(yaml.StreamEndEvent):
-            raise self.refused(events.peek_event().start_mark, "a second document begins", "Keep one document a file.")
-        return value
+    def require_bounded(self, text: str) -> None:
+        """Refuse what would take PyYAML long, or its stack: deep nesting, many values, and definitions of tags."""
+        if definition := re.search(r"^%TAG", text, re.MULTILINE):
+            line = text.count("\n", 0, definition.start()) + 1
+            raise self.error(f"{self.path}, line {line}: it defines a tag.", remedy="Remove the line.", path=self.path)
+        depth = count = 0
+        for event in yaml.parse(text, _Loader):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            count += isinstance(event, yaml.NodeEvent)
+            if depth > DEEPEST or count > MOST_VALUES:
+                raise self.too_deep(event.start_mark) if depth > DEEPEST else self.too_many(event.start_mark)
 
-    def value(self, key: str, depth: int) -> Any:
-        event = self.events.get_event()
+    def value(self, node: yaml.Node, key: str, depth: int) -> Any:
+        """Return the data of a node, which stands at ``key``."""
+        self.count += 1
+        if self.count > MOST_VALUES:
+            raise self.too_many(node.start_mark)
+        if depth > DEEPEST:  # by aliases, of values that hold themselves too
+            raise self.too_deep(node.start_mark)
         if key and len(key) <= _LONGEST_KEY:
-            self.lines[key] = event.start_mark.line + 1
-        if isinstance(event, yaml.AliasEvent):
-            return self.alias(event)
-        if depth > DEEPEST:
-            raise self.too_deep(event.start_mark)
-        before = self.count
-        self.add(1, event)
-        if event.anchor is not None:
-            self.anchors[event.anchor] = None
-        if isinstance(event, yaml.SequenceStartEvent):
-            self.require_tag(event, "seq", key)
-            value: Any = self.sequence(key, depth)
-        elif isinstance(event, yaml.MappingStartEvent):
-            self.require_tag(event, "map", key)
-            value = self.mapping(key, depth)
-        else:
-            value = self.scalar(event, key)
-        if event.anchor is not None:
-            self.anchors[event.anchor] = value, self.count - before
-        return value
+            self.lines.setdefault(key, node.start_mark.line + 1)
+        if isinstance(node, yaml.ScalarNode):
+            return self.scalar(node, key)
+        if node.tag not in (f"{_TAG}seq", f"{_TAG}map", "!"):
+            raise self.strange(node, key)
+        if isinstance(node, yaml.MappingNode):
+            return self.mapping(node, key, depth)
+        return [self.value(each, f"{key}[{number}]", depth + 1) for number, each in enumerate(node.value)]
 
-    def sequence(self, key: str, depth: int) -> list[Any]:
-        values: list[Any] = []
-        while not self.events.check_event(yaml.SequenceEndEvent):
-            values.append(self.value(f"{key}[{len(values)}]", depth + 1))
-        self.events.get_event()
-        return values
-
-    def mapping(self, key: str, depth: int) -> dict[str, Any]:
+    def mapping(self, node: yaml.MappingNode, key: str, depth: int) -> dict[str, Any]:
+        """Return a mapping, with what ``<<`` merges into it behind its own keys."""
         values: dict[str, Any] = {}
         merged: dict[str, Any] = {}
         first: dict[str, int] = {}
-        while not self.events.check_event(yaml.MappingEndEvent):
-            event = self.events.peek_event()
-            line = event.start_mark.line + 1
-            is_merge = isinstance(event, yaml.ScalarEvent) and event.value == _MERGE and event.implicit[0]
-            name = self.value("", depth + 1)
+        for name_node, value_node in node.value:
+            mark = name_node.start_mark
+            is_merge = name_node.tag == f"{_TAG}merge"
+            name = "<<" if is_merge else self.value(name_node, "", depth + 1)
             if not isinstance(name, str):
-                remedy = "Put it into quotes."
-                raise self.refused(event.start_mark, f"the key {shown(name)} is not text, but {_kind(name)}", remedy)
+                kind = {list: "a list", dict: "a mapping", bool: "a truth value", type(None): "nothing"}
+                message = f"the key {shown(name)} is not text, but {kind.get(type(name), 'a number')}"
+                raise self.refused(mark, message, "Put it into quotes.")
             if name in first and (is_merge or values.get(name, name) is not None):  # an empty one says nothing
                 message = f"the key {shown(name)} was given in line {first[name]} already"
-                raise self.refused(event.start_mark, message, "Keep one of the two.", key=name)
-            first[name] = line
-            # cut, or long keys inside long keys would fill the memory
+                raise self.refused(mark, message, "Keep one of the two.", key=name)
+            first[name] = mark.line + 1
             within = (f"{key}.{name}" if key else name)[: _LONGEST_KEY + 1]
-            value = self.value(within, depth + 1)
             if len(within) <= _LONGEST_KEY:
-                self.lines[within] = line
+                self.lines[within] = mark.line + 1
+            value = self.value(value_node, within, depth + 1)
             if is_merge:
-                merged = self.merge(value, event)
+                merged = self.merge(value, mark)
+                self.lines.update({f"{key}.{entry}": mark.line + 1 for entry in merged})
             else:
                 values[name] = value
-            self.lines.update({f"{key}.{name}": line for name in merged} if is_merge else {})
-        self.events.get_event()
         return {**merged, **values}
 
-    def merge(self, value: Any, event: Any) -> dict[str, Any]:
+    def merge(self, value: Any, mark: Any) -> dict[str, Any]:
         """Return what ``<<`` adds to a mapping: of several the first wins."""
         parts = value if isinstance(value, list) else [value]
         if not all(isinstance(part, dict) for part in parts):
             message = f"`<<` merges {shown(value)}, which is no mapping"
-            raise self.refused(event.start_mark, message, "Name the anchor of a mapping: <<: *anchor.")
+            raise self.refused(mark, message, "Name the anchor of a mapping: <<: *anchor.")
         return {name: entry for part in reversed(parts) for name, entry in part.items()}
 
-    def alias(self, event: Any) -> Any:
-        if event.anchor not in self.anchors:
-            raise self.refused(event.start_mark, f"there is no anchor {shown(event.anchor)} before it", "Define it.")
-        known = self.anchors[event.anchor]
-        if known is None:
-            raise self.refused(event.start_mark, f"{shown(event.anchor)} holds itself", "Write it out.")
-        value, count = known
-        self.add(count, event)
-        return value
-
-    def add(self, count: int, event: Any) -> None:
-        self.count += count
-        if self.count > MOST_VALUES:
-            message = f"the file has more than {MOST_VALUES} values and keys, aliases counted as often as they are used"
-            raise self.refused(event.start_mark, message, "Use fewer.")
-
-    def scalar(self, event: Any, key: str) -> Any:
-        tag = event.tag
-        if tag in self.tags:
-            return self.tags[tag](event.value)
-        if tag is None or tag == "!":
-            tag = self.events.resolve(yaml.ScalarNode, event.value, event.implicit)
-            if tag == f"{_TAG}merge":
-                tag = f"{_TAG}str"
-        kind = tag.removeprefix(_TAG)
-        if kind not in _KINDS:
-            raise self.strange(event, tag, key)
-        if kind == "str":
-            return event.value
-        if kind in ("int", "float"):
-            self.require_decimal(event, key, kind)
+    def scalar(self, node: yaml.ScalarNode, key: str) -> Any:
+        """Return text, a number, a truth value or None."""
+        if node.tag in self.tags:
+            return self.tags[node.tag](node.value)
+        if node.tag in (f"{_TAG}str", f"{_TAG}merge", "!"):
+            return node.value
+        if node.tag not in _SCALARS:
+            raise self.strange(node, key)
+        where = f"`{key}` is" if key else "there is"
+        remedy = "Write a decimal number, or put text into quotes."
+        if len(node.value) > _LONGEST_NUMBER:
+            raise self.refused(node.start_mark, f"{where} a number of {len(node.value)} digits", remedy)
+        if node.tag in (f"{_TAG}int", f"{_TAG}float") and _NOT_DECIMAL.match(node.value):
+            message = f"{where} {node.value}, which YAML does not read as a decimal number"
+            raise self.refused(node.start_mark, message, remedy)
         try:
-            return self.events.construct_object(yaml.ScalarNode(tag, event.value, event.start_mark, event.end_mark))
+            return yaml.constructor.SafeConstructor().construct_object(node)
         except (ValueError, LookupError) as fault:  # !!int of a word
-            raise self.strange(event, tag, key) from fault
+            raise self.strange(node, key) from fault
 
-    def require_decimal(self, event: Any, key: str, kind: str) -> None:
-        """Refuse numbers that are not what they look like: YAML 1.1 reads 010 as 8, 1:30 as 90, and 1:30.5 as 90.5."""
-        digits = event.value.lstrip("+-").replace("_", "")
+    def strange(self, node: yaml.Node, key: str) -> RedundancyPinError:
+        what = f"{shown(node.value)}, " if isinstance(node.value, str) and node.value else ""
         where = f"`{key}` is" if key else "there is"
-        if kind == "int" and len(digits) > _LONGEST_INTEGER:
-            message = f"{where} an integer of {len(digits)} digits"
-        elif ":" in digits or (kind == "int" and re.match(r"0[0-9]", digits)):
-            message = f"{where} {event.value}, which YAML does not read as a decimal number"
-        else:
-            return
-        raise self.refused(event.start_mark, message, "Write a decimal number, or put text into quotes.")
-
-    def require_tag(self, event: Any, kind: str, key: str) -> None:
-        if event.tag not in (None, "!", f"{_TAG}{kind}"):
-            raise self.strange(event, event.tag, key)
-
-    def strange(self, event: Any, tag: str, key: str) -> RedundancyPinError:
-        value = getattr(event, "value", "")
-        what = f"{shown(value)}, " if value else ""
-        where = f"`{key}` is" if key else "there is"
-        message = f"{where} {what}which YAML reads as {shown(tag.removeprefix(_TAG))[1:-1]}"
-        return self.refused(event.start_mark, message, "Put it into quotes, or write a number, text, list or mapping.")
+        message = f"{where} {what}which YAML reads as {shown(node.tag.removeprefix(_TAG))[1:-1]}"
+        remedy = "Put it into quotes, or write a number, text, list or mapping."
+        return self.refused(node.start_mark, message, remedy)
 
     def too_deep(self, mark: Any) -> RedundancyPinError:
         return self.refused(mark, f"values are nested more than {DEEPEST} deep", "Flatten the file.")
 
+    def too_many(self, mark: Any) -> RedundancyPinError:
+        message = f"the file has more than {MOST_VALUES} values and keys, aliases counted as often as they are used"
+        return self.refused(mark, message, "Use fewer.")
+
     def refused(self, mark: Any, message: str, remedy: str, **details: object) -> RedundancyPinError:
         where = self.path if mark is None else f"{self.path}, line {mark.line + 1}, column {mark.column + 1}"
         return self.error(f"{where}: {message}.", remedy=remedy, path=self.path, **details)
-
-
-def _kind(value: object) -> str:
-    kinds = {bool: "a truth value", int: "a number", float: "a number", type(None): "nothing", list: "a list"}
-    return kinds.get(type(value), "a mapping")

@@ -88,7 +88,7 @@ def test_states_that_were_skipped_are_counted_by_reason(monkeypatch: pytest.Monk
     rows = (
         CheckRow("arm", "power balance (rnea)", 500, 1e-15, 1e-10, True),
         CheckRow("arm", "inverse -> forward (rnea)", 456, 1e-15, 1e-10, True, skipped=skipped),
-        CheckRow("arm", "random motions", 4, 0.0, 0.0, True, "drawn again", {"unreachable": 3}),
+        CheckRow("arm", "random states", 4, 0.0, 0.0, True, "drawn again", {"unreachable": 3}),
     )
     monkeypatch.setattr(crosscheck, "run", lambda *_, **__: CrossCheckReport(rows, 0))
     lines = [line for line in call("validate").stdout.splitlines() if "│" in line]
@@ -98,7 +98,7 @@ def test_states_that_were_skipped_are_counted_by_reason(monkeypatch: pytest.Monk
         ["arm", "inverse -> forward (rnea)", "456 of 500"],
         ["", "skipped: near a type I singularity", "30"],
         ["", "skipped: near a type II singularity", "14"],
-        ["arm", "random motions: drawn again", "4 of 7"],
+        ["arm", "random states: drawn again", "4 of 7"],
         ["", "skipped: a pose is unreachable: the chains do not close", "3"],
     ]
     facts = json.loads(call("validate", "--json").stdout)["rows"]
@@ -110,11 +110,11 @@ def test_states_that_were_skipped_are_counted_by_reason(monkeypatch: pytest.Monk
 
 
 def test_a_report_of_a_robot_that_loses_states_adds_up() -> None:
-    """Taken as it is, the five-bar: some of its random motions leave the workspace."""
-    path = Path(__file__).parents[2] / "models" / "five_bar" / "robot.yaml"
-    rows = json.loads(call("validate", "--robot", path, "--samples", "16", "--seed", "8", "--json").stdout)["rows"]
+    """Some random states of the two arms are out of reach."""
+    arguments = ("--robot", "two_arms", "--samples", "40", "--seed", "2")
+    rows = json.loads(call("validate", *arguments, "--json").stdout)["rows"]
     assert any(row["skipped"] for row in rows)
     for row in rows:
         assert row["total"] == row["samples"] + sum(row["skipped"].values())
-        assert row["total"] == 16 or row["check"] == "random motions"
-    assert next(row["samples"] for row in rows if row["check"] == "random motions") == 4  # one for four states
+        assert row["total"] == 40 or row["check"] == "random states"
+    assert next(row["samples"] for row in rows if row["check"] == "random states") == 40

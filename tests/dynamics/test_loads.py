@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
+from load_definitions import load_efforts
 from mjcf_models import RSSR, write
 
 import redundancy_pin as rp
@@ -26,7 +27,6 @@ from redundancy_pin import (
     Wrench,
 )
 from redundancy_pin.arrays import Array, frozen
-from redundancy_pin.crosscheck import load_efforts
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort, tree_equations
 from redundancy_pin.errors import InputError, UnsupportedRobotError

@@ -3,6 +3,7 @@
 import dataclasses
 import xml.etree.ElementTree as ElementTree
 
+import engines.run
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -14,7 +15,6 @@ from engines import (
     deviation,
     drive_of_motion,
     drive_of_plan,
-    missing,
     open_loop_growth,
     run_exudyn,
     run_mujoco,
@@ -405,7 +405,7 @@ def test_an_engine_that_is_not_installed_is_named_with_its_extra(monkeypatch, sm
     def absent(module):
         raise ImportError(module)
 
-    monkeypatch.setattr(missing.importlib, "import_module", absent)
+    monkeypatch.setattr(engines.run.importlib, "import_module", absent)
     with pytest.raises(RedundancyPinError, match=f"needs the engine {name}, which is not installed") as caught:
         {"exudyn": run_exudyn, "mujoco": run_mujoco}[name](smooth.task, step=1e-3)
     assert "redundancy_pin[engines]" in caught.value.remedy

@@ -13,10 +13,10 @@ from typing import Any
 import forked
 import numpy as np
 import zoo
+from random_robots import Masses, random_robot
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.crosscheck.cases import Masses, random_robot
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.plan import Plan

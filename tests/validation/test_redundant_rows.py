@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from closed_forward import ClosedForward
 from scipy.integrate import solve_ivp
 
 import redundancy_pin as rp
-from redundancy_pin.crosscheck.closed_forward import ClosedForward
 from redundancy_pin.errors import DeclarationError, UnreachablePoseError
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.planners.intersample_check import closure_rank_losses

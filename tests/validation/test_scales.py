@@ -15,11 +15,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from generated_c import COMPILERS, Code, compiled, folder_of
+from random_robots import RandomCase, random_case
 from scaled import Units, coordinate_units, effort_units, scaled_carriers, scaled_motion, scaled_robot
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.crosscheck.cases import RandomCase, random_case
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.branch import follower

@@ -1,79 +1,31 @@
-"""Random robots in random smooth motion: the states every check is made on."""
+"""Random robots of random size, in random smooth motion: shipped models with their arguments drawn."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, read_only
-from redundancy_pin.errors import (
-    DeclarationError,
-    RedundancyPinError,
-    SingularPoseError,
-    UnreachablePoseError,
-    WorkingModeError,
-)
-from redundancy_pin.kinematics.branch import BranchEnd, follower
-from redundancy_pin.kinematics.closed_state import closed_around, typical_margin
-from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.coordinates import all_working_modes, in_working_mode
+from redundancy_pin.arrays import Array
+from redundancy_pin.crosscheck.states import RandomStates
+from redundancy_pin.errors import DeclarationError, RedundancyPinError
+from redundancy_pin.kinematics.branch import follower
+from redundancy_pin.kinematics.coordinates import all_working_modes
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.loading import load_robot, load_with
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import row_scale
-from redundancy_pin.status import SampleStatus
-
-STATES_PER_CASE = 250
-"""Most states that share one draw of parameters and one motion."""
-
-FEWEST_CASES = 4
-"""Draws of parameters and modes that even a small check makes, where it has the states."""
 
 _HARMONICS = 3
 _SPREAD = 0.2
 """Relative spread of lengths and masses around their defaults: wide enough to unmask a parameter read wrongly, narrow
 enough that most draws still close."""
-TRIES, _PLAIN_TRIES = 60, 55
-"""Draws; of a robot that does not vary, those whose motion has to be far from singularities all along."""
-
-_NEAR_SHARE = 0.1
-"""Share of a robot's typical singularity margin of K below which a pose counts as near type I, if that is less than
-``NEAR_SINGULAR_MARGIN``: short levers and many joints make small margins everywhere."""
-
-REASONS: Mapping[str, str] = {
-    "unreachable": "a pose is unreachable: the chains do not close",
-    "branch_lost": "the branch is lost: another one is nearer, or in another working mode",
-    "near_type_i": "near a type I singularity",
-    "near_type_ii": "near a type II singularity",
-    "not_singular": "the determinant of W is not zero to rounding",
-    "not_closed": "the drawn lengths do not close",
-    "underactuated": "fewer motors than degrees of freedom of the platform",
-    "not_finite": "the forces of the independent joints are not finite",
-    "ill_conditioned": "the forward dynamics have less than three digits",
-    "massless": "a part of the tree moves no mass: forces do not say how fast it moves",
-    "too_close": "too close in time to another state for differences",
-    "no_carriers": "drawn without carriers",
-    "refused": "refused for another reason",
-}
-"""Why states and motions are skipped, by the name of the reason."""
-
-
-def reason_of(error: RedundancyPinError) -> str:
-    """Return the reason (a key of ``REASONS``) for which a motion cannot be used."""
-    kinds = {
-        UnreachablePoseError: "unreachable",
-        WorkingModeError: "branch_lost",
-        SingularPoseError: "near_type_i",
-        DeclarationError: "not_closed",
-    }
-    return kinds.get(type(error), "refused")
+TRIES = 60
+"""Draws before an error."""
 
 
 class Masses(Enum):
@@ -114,14 +66,12 @@ class RandomCase:
         t: (N,) times at which it is looked at, s.
         path: motion of the independent coordinates (three translations and two angles for poses).
         tracks: motion of the carriers.
-        skipped: how many motions were drawn before and not used, by reason (a key of ``REASONS``).
     """
 
     robot: Robot
     t: Array
     path: Wave
     tracks: Wave
-    skipped: Mapping[str, int] = field(default_factory=dict)
 
     def motion(self, t: Array) -> PlatformMotion:
         """Return the platform motion at strictly increasing times (N,)."""
@@ -134,12 +84,10 @@ class RandomCase:
         """Return the carrier motion at times (N,)."""
         return CarrierMotion(*(self.tracks(t, order) for order in range(3)))
 
-
-def batches(samples: int) -> tuple[int, ...]:
-    """Return how many states each case holds, ``samples`` in all."""
-    size = max(1, min(STATES_PER_CASE, -(-samples // FEWEST_CASES)))
-    whole, rest = divmod(samples, size)
-    return (size,) * whole + ((rest,) if rest else ())
+    @property
+    def states(self) -> RandomStates:
+        """The states at its times, as the cross-check takes them."""
+        return RandomStates(self.robot, self.motion(self.t), self.carriers(self.t))
 
 
 def random_case(
@@ -148,48 +96,30 @@ def random_case(
     seed: int,
     index: int = 0,
     *,
-    vary: bool = True,
     carriers: bool | None = None,
     masses: Masses = Masses.SOME,
-    trust: bool = False,
-    settings: tuple[tuple[str, object], ...] = (),
 ) -> RandomCase:
     """Return one case of so many states; cases of different ``index`` are independent draws.
 
-    A robot that may ``vary`` gets random arguments, gravity and working mode. ``carriers`` forces its argument of that
-    name, and ``masses`` says which of those that are zero by default get a positive value. One that does not has the
-    arguments of ``settings``.
+    ``carriers`` forces the argument of that name, and ``masses`` says which of those that are zero by default get a
+    positive value.
     """
     # the first draw has its carriers, so that nothing about carriers goes unchecked by chance
     with_carriers = True if carriers is None and index == 0 else carriers
     rng = np.random.default_rng([seed, index])
-    skipped: Counter[str] = Counter()
-    # what does not vary is what its files say, draw after draw
-    nominal = None if vary else load_with(source, dict(settings), trust=trust) if settings else _nominal(source, trust)
     for attempt in range(TRIES):
         try:
-            robot = nominal or random_robot(source, rng, with_carriers, masses)
-        except DeclarationError as error:
-            skipped[reason_of(error)] += 1  # these lengths do not close in this mode: draw again
-            continue
-        if not vary and attempt % 2 and robot.working_modes is None:
-            robot = _elsewhere(robot, rng)
+            robot = random_robot(source, rng, with_carriers, masses)
+        except DeclarationError:
+            continue  # these lengths do not close in this mode: draw again
         case = _random_motion(robot, samples, rng, amplitude=0.6 * 0.9**attempt)
         try:
-            if not vary and attempt < _PLAIN_TRIES and (reason := _why_not_followed(case)):
-                skipped[reason] += 1
-                continue
             inverse_kinematics(robot, case.motion(np.linspace(0.0, case.t[-1], 200)))
             inverse_kinematics(robot, case.motion(case.t))  # these are farther apart in places
-        except RedundancyPinError as error:
-            skipped[reason_of(error)] += 1  # the swing leaves the workspace: draw again, smaller
-            continue
-        return replace(case, skipped=dict(skipped))
-    why = "; ".join(f"{REASONS[reason]}: {count}" for reason, count in skipped.most_common())
-    raise UnreachablePoseError(
-        f"No random motion of {source} can be followed in {TRIES} draws ({why}).",
-        remedy="Check the robot's reference and its workspace.",
-    )
+        except RedundancyPinError:
+            continue  # the motion leaves the workspace: draw again, smaller
+        return case
+    raise AssertionError(f"no motion of {source} in {TRIES} draws")
 
 
 def random_robot(
@@ -212,32 +142,8 @@ def random_robot(
 
 
 @lru_cache
-def _nominal(source: str, trust: bool = False) -> Robot:
-    return load_robot(source, trust=trust)
-
-
-def _elsewhere(robot: Robot, rng: np.random.Generator) -> Robot:
-    """Return the robot with another reference: that of its file may be next to a singularity, as zeros often are."""
-    around = closed_around(constraint_system(robot))
-    choice = np.flatnonzero(around.regular)
-    return replace(robot, q_reference=read_only(around.q[rng.choice(choice)])) if len(choice) else robot
-
-
-def _why_not_followed(case: RandomCase) -> str:
-    """Return why a motion cannot be followed from the reference, far from singularities; empty if it can."""
-    own = follower(case.robot)
-    here, near = own.home, min(NEAR_SINGULAR_MARGIN, _NEAR_SHARE * typical_margin(own.system))
-    for pose in case.motion(np.linspace(0.0, case.t[-1], 200)).x:
-        reached = own.advance(here, pose)
-        if isinstance(reached, BranchEnd):
-            if reached.status is SampleStatus.UNREACHABLE:
-                return "unreachable"
-            # on its branch, which turns too fast for steps: as near a singularity
-            return "near_type_i" if in_working_mode(case.robot, reached.q[None])[0] else "branch_lost"
-        if reached.margin < near:
-            return "near_type_i"
-        here = reached
-    return ""
+def _nominal(source: str) -> Robot:
+    return load_robot(source)
 
 
 def _random_motion(robot: Robot, samples: int, rng: np.random.Generator, amplitude: float) -> RandomCase:

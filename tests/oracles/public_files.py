@@ -1,6 +1,6 @@
 """Public model files: what is read, and how far efforts are from an independent computation: docs/public_files.md.
 
-python benchmarks/public_files.py FOLDER [WORD ...]
+python tests/oracles/public_files.py FOLDER [WORD ...]
 
 FOLDER holds checkouts or unpacked packages by the names of ``FILES``; with words, only files whose path has one of them
 are tried, and their results are printed, but not written. Each file is read in a process of its own, for ``SECONDS``.
@@ -27,8 +27,8 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.loading import propose_robot
 
-PAGE = Path(__file__).parents[1] / "docs" / "public_files.md"
-BEGIN, END = "<!-- table: benchmarks/public_files.py writes it -->\n", "<!-- end of table -->"
+PAGE = Path(__file__).parents[2] / "docs" / "public_files.md"
+BEGIN, END = "<!-- table: tests/oracles/public_files.py writes it -->\n", "<!-- end of table -->"
 SECONDS = 60
 CLOSED = 1e-9
 """m or rad: joints that miss by less count as closed."""
@@ -65,8 +65,8 @@ FILES = [
     (
         "drake",
         "URDF",
-        "examples/acrobot/Acrobot examples/pendulum/Pendulum multibody/benchmarks/acrobot/double_pendulum "
-        "multibody/benchmarks/kuka_iiwa_robot/kuka_iiwa_robot multibody/benchmarking/cassie_v2 "
+        "examples/acrobot/Acrobot examples/pendulum/Pendulum multibody/tests/oracles/acrobot/double_pendulum "
+        "multibody/tests/oracles/kuka_iiwa_robot/kuka_iiwa_robot multibody/benchmarking/cassie_v2 "
         "multibody/parsing/test/urdf_parser_test/joint_parsing_test",
     ),
     (

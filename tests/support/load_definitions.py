@@ -1,7 +1,4 @@
-"""Energy, power and efforts of loads by their own definitions: places, turns and Jacobians as Pinocchio has them.
-
-Nothing here comes from ``dynamics``, which it judges; power and energy need no Jacobian either.
-"""
+"""Energy and efforts of loads by their own definitions, an oracle: places, turns and Jacobians are Pinocchio's."""
 
 from __future__ import annotations
 
@@ -12,40 +9,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import JointForces, Robot, Spring, Wrench
 from redundancy_pin.robot.loads import of_kind, wrench_values
-from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link_index
-
-
-def energy_rate(
-    robot: Robot, motion: PlatformMotion, q: Array, v: Array, a: Array, turn: float, stencil: Array
-) -> tuple[Array, Array, Array]:
-    """Return (N,) the rate of the energy, W, the energy, J, and the power that is lost, W, at N states.
-
-    Args:
-        robot: the robot.
-        motion: N samples.
-        q: (nq, N) its configurations there.
-        v: (nv, N) its rates there.
-        a: (nv, N) its accelerations there.
-        turn: step of the differences, as the sum of the angles by which the joints turn, rad.
-        stencil: (p,) weights of values that are a step apart, whose sum is a step of the derivative.
-    """
-    model, samples = robot.model, q.shape[1]
-    massive, data = model.copy(), model.createData()
-    massive.armature = np.zeros(model.nv)  # of joints about skew axes it is left out of Pinocchio's energy
-    step = turn / np.maximum(np.abs(v).sum(axis=0), 1.0)
-    places = np.arange(len(stencil)) - len(stencil) // 2
-    wide, rates = np.empty((model.nq, samples, len(stencil))), np.empty((model.nv, samples, len(stencil)))
-    energy = np.empty((samples, len(stencil)))
-    for k in range(samples):
-        for i, u in enumerate(step[k] * places):
-            wide[:, k, i], rates[:, k, i] = pin.integrate(model, q[:, k], u * v[:, k]), v[:, k] + u * a[:, k]
-            energy[k, i] = pin.computeKineticEnergy(massive, data, wide[:, k, i], rates[:, k, i])
-            energy[k, i] += pin.computePotentialEnergy(massive, data, wide[:, k, i])
-    energy += 0.5 * np.einsum("v,vki->ki", model.armature, rates**2)
-    flat = wide.reshape(model.nq, -1)
-    energy += load_energy(robot, flat, rates.reshape(model.nv, -1)).reshape(samples, -1)
-    weights = stencil / step[:, None]
-    return (energy * weights).sum(axis=1), energy[:, len(stencil) // 2], load_power(robot, motion, q, v, flat, weights)
+from redundancy_pin.robot.lookup import find_joint_index, find_link_index
 
 
 def load_energy(robot: Robot, q: Array, v: Array) -> Array:
@@ -70,38 +34,6 @@ def load_energy(robot: Robot, q: Array, v: Array) -> Array:
             spin = carried + load.gear * v[joint.idx_v, k]
             energy[k] += 0.5 * load.rotor_inertia * (spin**2 - carried**2)
     return energy
-
-
-def load_power(robot: Robot, motion: PlatformMotion, q: Array, v: Array, wide: Array, rate: Array) -> Array:
-    """Return (N,) what friction, dampers and wrenches take from the robot, W.
-
-    Args:
-        robot: the robot.
-        motion: N samples.
-        q: (nq, N) its configurations there.
-        v: (nv, N) its rates there.
-        wide: (nq, N p) configurations at p instants about each sample.
-        rate: (N, p) weights of the values there that give their derivative by time.
-    """
-    samples, power = q.shape[1], np.zeros(q.shape[1])
-    for load in of_kind(robot.loads, JointForces):
-        joint = find_joint(robot.model, load.joint)
-        speed = v[joint.idx_v : joint.idx_v + joint.nv]
-        power += ((load.damping * speed + load.friction * np.tanh(speed / load.friction_speed)) * speed).sum(axis=0)
-    for spring in of_kind(robot.loads, Spring):
-        power += spring.damping * (_length(robot, spring, wide).reshape(samples, -1) * rate).sum(axis=1) ** 2
-    values = wrench_values(robot.loads, motion.t, motion.x, motion.xd)
-    for wrench, value in zip(of_kind(robot.loads, Wrench), values, strict=True):
-        rotation = _placements(robot, wrench.frame, q)[0]
-        turned, origin = _placements(robot, wrench.frame, wide)
-        place = (origin + turned @ wrench.point).reshape(samples, -1, 3)
-        velocity = np.einsum("npi,np->ni", place, rate)
-        turn = np.einsum("npij,np->nij", turned.reshape(samples, -1, 3, 3), rate) @ rotation.transpose(0, 2, 1)
-        omega = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], axis=1)
-        axes = rotation if wrench.reference == "local" else np.eye(3)
-        force, moment = ((axes @ part[:, :, None])[:, :, 0] for part in (value[:, :3], value[:, 3:]))
-        power -= (force * velocity + moment * omega).sum(axis=1)
-    return power
 
 
 def load_efforts(robot: Robot, motion: PlatformMotion, q: Array, v: Array, a: Array) -> Array:

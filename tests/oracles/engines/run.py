@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +13,7 @@ from engines.drive import Drive
 from engines.links import LinkTree
 from engines.task import Task
 from redundancy_pin.arrays import Array, BoolArray, read_only
+from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.kinematics.closure import ConstraintSystem, independent_velocity
 from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.robot import Robot
@@ -166,3 +169,19 @@ def _turns(robot: Robot) -> BoolArray:
         return np.array([axis.startswith("r") for axis in robot.platform.axes])
     turning: BoolArray = turning_velocities(robot)[independent_velocity(robot)]
     return turning
+
+
+def require(module: str) -> Any:
+    """Return an optional engine.
+
+    Raises:
+        RedundancyPinError: it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise RedundancyPinError(
+            f"This needs the engine {module}, which is not installed.",
+            remedy="Install it with `pip install 'redundancy_pin[engines]'`.",
+            engine=module,
+        ) from error

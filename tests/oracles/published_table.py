@@ -1,13 +1,13 @@
 """Published problems: digits and processor times, into docs/published_problems.md (``make bench`` does it too).
 
-python benchmarks/published_table.py
+python tests/oracles/published_table.py
 """
 
 from pathlib import Path
 
 import published
 
-PAGE = Path(__file__).parents[1] / "docs" / "published_problems.md"
+PAGE = Path(__file__).parents[2] / "docs" / "published_problems.md"
 BEGIN, END = "<!-- table: `make bench` writes it -->\n", "<!-- end of table -->"
 
 

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from engines.links import GROUND, FrameOnLink, LinkTree, link_tree
-from engines.missing import require
-from engines.run import EngineRun, Raw, finished, joined
+from engines.run import EngineRun, Raw, finished, joined, require
 from engines.task import Segment, Task, segments
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError

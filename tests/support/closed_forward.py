@@ -1,7 +1,6 @@
-"""Forward dynamics of a closed tree by definition: M a + h = τ + Jᵀ λ, J a + J̇ v = 0, from Pinocchio's frames.
+"""Forward dynamics of a closed tree by definition, an oracle: M a + h = τ + Jᵀ λ, J a + J̇ v = 0, by Pinocchio's frames.
 
-For what ``simulation.system.ConstraintDynamics`` does not take: closures that hold directions, couplings, points held
-in a plane that is one but for rounding. With r from the origin of frame a to that of b, and ω, α of frame a, a row
+With r from the origin of frame a to that of b, and ω, α of frame a, a row
 along its axis e holds e·r = 0, so that with ė = ω × e
 
     e·r̈ + 2 ė·ṙ + (α × e + ω × ė)·r = 0,
@@ -14,28 +13,12 @@ holds r·r = L², so that (r·r̈ + ṙ·ṙ)/L = 0. Nothing of ``kinematics`` i
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.robot import AXES, Closure, Platform, Robot
+from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint, find_link_index
-
-_IDLE = 1e-12
-"""Rounding of a row of a one-metre machine."""
-
-
-def confined_to_planes(robot: Robot, q: Array, v: Array) -> bool:
-    """Return whether points that are held along x and y cannot leave that plane at all, as in a plane machine.
-
-    A third row that only rounding makes independent would be a constraint of its own for Pinocchio's solver.
-    """
-    third = [replace(each, axes=("z",)) for each in robot.closures if "z" not in each.axes]
-    rows, _ = ClosedForward(replace(robot, closures=tuple(third), couplings=())).rows(q, v)
-    return not np.abs(rows).max(initial=0.0) > _IDLE
 
 
 class ClosedForward:
@@ -96,36 +79,6 @@ class ClosedForward:
         J = np.array([row for row, _ in rows]).reshape(-1, model.nv)  # an open chain has no row
         return J, np.array([bias for _, bias in rows])
 
-    def missed(self, q: Array, v: Array, a: Array, xd: Array, xdd: Array) -> float:
-        """Return by how much v and a miss the closures, ẋ and ẍ (n,), as a part of the terms of each row."""
-        J, bias = self.rows(q, v)
-        independent, independent_bias = self._independent(q, v)
-        J, bias = np.concatenate([J, independent]), np.concatenate([bias, independent_bias])
-        still = np.zeros(len(J) - len(xd))
-        xd, xdd = np.concatenate([still, xd]), np.concatenate([still, xdd])
-        rates, accelerations = np.abs(J) @ np.abs(v), np.abs(J) @ np.abs(a) + np.abs(bias)
-        parts = (J @ v - xd) / np.maximum(rates, 1e-3), (J @ a + bias - xdd) / np.maximum(accelerations, 1e-3)
-        return float(np.abs(parts).max(initial=0.0))
-
-    def _independent(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return J (n, nv) and J̇ v (n,) of the independent velocities; to be called after ``rows``."""
-        model, platform = self._model, self._robot.platform
-        if platform is None:
-            joints = (find_joint(model, name) for name in self._robot.independent_joints)
-            return np.eye(model.nv)[[each.idx_v for each in joints]], np.zeros(self._robot.n)
-        frame = find_link_index(model, platform.frame)
-        rows = [AXES.index(axis) for axis in platform.axes]
-        J = pin.getFrameJacobian(model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
-        bias = pin.getFrameClassicalAcceleration(model, self._data, frame, pin.LOCAL_WORLD_ALIGNED).vector
-        if platform.is_pose or not platform.rotations:
-            return J[rows], bias[rows]
-        rotation = pin.updateFramePlacement(model, self._data, frame).rotation
-        turning = J[3:].copy()
-        of_angles = _of_angles(platform, rotation, turning @ v, bias[3:])
-        for k, (rate, bend) in zip(platform.rotations, of_angles, strict=True):
-            J[3 + k], bias[3 + k] = rate @ turning, bend
-        return J[rows], bias[rows]
-
     def _closure(self, closure: Closure) -> list[tuple[Array, float]]:
         model, data, world = self._model, self._data, pin.LOCAL_WORLD_ALIGNED
         ids = [find_link_index(model, name) for name in (closure.frame_a, closure.frame_b)]
@@ -162,32 +115,3 @@ class ClosedForward:
                 bias = e @ (seconds[1].angular - alpha) + turned @ (speeds[1].angular - omega)
             rows.append((row, float(bias)))
         return rows
-
-
-def _of_angles(platform: Platform, rotation: Array, omega: Array, alpha: Array) -> list[tuple[Array, float]]:
-    """Return of each rotation its rate per unit of angular velocity (3,), and its second rate at v̇ = 0.
-
-    Args:
-        platform: one or two rotations are among its axes.
-        rotation: (3, 3) of its frame.
-        omega: (3,) its angular velocity.
-        alpha: (3,) its angular acceleration at v̇ = 0.
-    """
-    if len(platform.rotations) == 1:  # polar coordinates of an axis of the frame, seen along the base axis k
-        k = platform.rotations[0]
-        i, j, c = (k + 1) % 3, (k + 2) % 3, rotation[:, platform.pointer]
-        length, across = np.hypot(c[i], c[j]), np.zeros(3)
-        across[i], across[j] = -c[j] / length, c[i] / length
-        rate = np.cross(c, across) / length
-        along = c[[i, j]] @ np.cross(omega, c)[[i, j]] / length
-        second = np.cross(alpha, c) + np.cross(omega, np.cross(omega, c))
-        return [(rate, float(across @ second - 2.0 * along * (rate @ omega)) / length)]
-    yaw, pitch, _ = Rotation.from_matrix(rotation).as_euler("ZYX")
-    turned = Rotation.from_euler("Z", yaw).as_matrix()
-    # ω = B (roll, pitch, yaw)˙ with the axes of the three turns as columns
-    B = np.column_stack([turned @ [np.cos(pitch), 0.0, -np.sin(pitch)], turned[:, 1], [0.0, 0.0, 1.0]])
-    rates = np.linalg.solve(B, omega)
-    of_yaw, of_pitch = rates[2] * B[:, 2], rates[1] * B[:, 1]
-    second = np.cross(of_yaw + of_pitch, B[:, 0]) * rates[0] + np.cross(of_yaw, B[:, 1]) * rates[1]
-    inverse, bends = np.linalg.inv(B), np.linalg.solve(B, alpha - second)
-    return [(inverse[k], float(bends[k])) for k in platform.rotations]

@@ -1,0 +1,121 @@
+"""The result of a cross-check: one row for each check on each robot."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.crosscheck.states import REASONS
+
+SCOPE = (
+    "The checks compare the dynamics with the model as it is declared. They do not say whether its lengths, masses "
+    "and loads are those of your machine."
+)
+"""What a cross-check cannot find out; printed below every report."""
+
+
+@dataclass(frozen=True)
+class CheckRow:
+    """One check on one robot.
+
+    Attributes:
+        robot: name of the robot.
+        check: what was compared.
+        samples: number of states that were checked (of the row "random states": states that were used).
+        worst: largest deviation, relative to the size of what was compared; NaN if one is not finite.
+        tolerance: largest deviation that passes.
+        passed: whether it does; false for a check without samples or with NaN.
+        note: why the row is no check and does not count; empty for a check.
+        skipped: number of states that were skipped, by reason (a key of ``REASONS``).
+    """
+
+    robot: str
+    check: str
+    samples: int
+    worst: float
+    tolerance: float
+    passed: bool
+    note: str = ""
+    skipped: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def total(self) -> int:
+        """Number of states, skipped ones included."""
+        return self.samples + sum(self.skipped.values())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data, for JSON and tables."""
+        return {**asdict(self), "total": self.total}
+
+
+@dataclass(frozen=True)
+class CrossCheckReport:
+    """All rows of a cross-check, and the seed of its random states."""
+
+    rows: tuple[CheckRow, ...]
+    seed: int
+
+    @property
+    def passed(self) -> bool:
+        """Whether there are checks, every robot was judged by physics, and every check passes."""
+        checks = [row for row in self.rows if not row.note]
+        return bool(checks) and not self.unjudged and all(row.passed for row in checks)
+
+    @property
+    def unjudged(self) -> tuple[str, ...]:
+        """Robots without a check against physics: backends that agree may share a wrong declaration."""
+        judged = {row.robot for row in self.rows if not row.note and not row.check.startswith("parity")}
+        return tuple(dict.fromkeys(row.robot for row in self.rows if row.robot not in judged))
+
+    def as_dict(self) -> dict[str, object]:
+        """Return plain numbers, for JSON."""
+        return {"passed": self.passed, "seed": self.seed, "rows": [row.as_dict() for row in self.rows]}
+
+    def table(self) -> Table:
+        """Return the report as a table for the terminal."""
+        table = Table("robot", "check", title=f"cross-check, seed {self.seed}", caption=SCOPE)
+        for heading in ("states", "worst", "allowed", ""):
+            table.add_column(heading, justify="right")
+        for row in self.rows:
+            states = f"{row.samples} of {row.total}" if row.skipped else str(row.samples)
+            if row.note:
+                table.add_row(row.robot, f"{row.check}: {escape(row.note)}", states, "", "", "left out")
+            else:
+                verdict = "[green]ok[/green]" if row.passed else "[red]FAILED[/red]"
+                table.add_row(row.robot, row.check, states, f"{row.worst:.1e}", f"{row.tolerance:.0e}", verdict)
+            for reason, count in row.skipped.items():
+                table.add_row("", f"  skipped: {REASONS[reason]}", str(count), "", "", "")
+        return table
+
+
+def checked_row(
+    robot: str, check: str, values: Array, tolerance: float, skipped: Mapping[str, int], note: str = ""
+) -> CheckRow:
+    """Return the row of a check by the deviations (N,) of its states, relative to the size of what was compared.
+
+    A check that skips every state is left out, with a note that says so.
+    """
+    worst = float(np.max(values, initial=0.0)) if np.isfinite(values).all() else float("nan")
+    note = note or ("every state is skipped" if skipped and not len(values) else "")
+    return CheckRow(robot, check, len(values), worst, tolerance, len(values) > 0 and worst <= tolerance, note, skipped)
+
+
+def merged(rows: Iterable[CheckRow]) -> tuple[CheckRow, ...]:
+    """Return one row for each check and robot, in the order of first appearance; a NaN stays."""
+    total: dict[tuple[str, str], CheckRow] = {}
+    for row in rows:
+        before = total.get((row.robot, row.check))
+        if before is not None:
+            samples, worst = row.samples + before.samples, float(np.maximum(before.worst, row.worst))
+            skipped = dict(Counter(row.skipped) + Counter(before.skipped))
+            note = row.note and before.note  # one batch with states makes it a check
+            row = replace(row, samples=samples, worst=worst, note=note, skipped=skipped)
+        total[row.robot, row.check] = replace(row, passed=row.samples > 0 and row.worst <= row.tolerance)
+    return tuple(total.values())
