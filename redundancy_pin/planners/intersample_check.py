@@ -275,6 +275,11 @@ class IntersampleCheck:
         """(P,) the larger of ratio and use."""
         return np.asarray(np.maximum(self.ratio, self.use.max(axis=1, initial=0.0)))
 
+    @property
+    def exceeding(self) -> BoolArray:
+        """(P,) where a limit of efforts, forces or rates is exceeded."""
+        return np.asarray((self.use > 1.0 + LIMIT_TOLERANCE).any(axis=1))
+
     def too_coarse(self, before: Sequence[float]) -> BoolArray:
         """Return (P,) where a finer grid is needed rather than lower limits at its nodes.
 
@@ -283,7 +288,7 @@ class IntersampleCheck:
         """
         coarse: BoolArray = self.worst > MARKED
         stuck = len(before) > 1 and before[-1] - 1.0 > 0.5 * (before[-2] - 1.0)
-        return np.asarray((self.use > 1.0 + LIMIT_TOLERANCE).any(axis=1)) if stuck and not coarse.any() else coarse
+        return self.exceeding if stuck and not coarse.any() else coarse
 
     def shares(self, t: Array, before: Array | None) -> Array:
         """Return (M, c) fractions of their limits that nodes at (M,) times, s, may use so that none is exceeded inside.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,9 +40,14 @@ TOUCHED = 1e-4
 
 
 def relax(
-    problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], message: str, kinds: Sequence[str] = KINDS
-) -> Solution:
-    """Find the smallest relaxation of the limits that admits a plan, and return it where it is none.
+    problem: Problem,
+    robot: RobotRecord,
+    guess: Mapping[str, Array],
+    message: str,
+    kinds: Sequence[str] = KINDS,
+    finer: Callable[[Problem, Solution], Problem | None] | None = None,
+) -> tuple[Problem, Solution]:
+    """Find the smallest relaxation of the limits that admits a plan; where it is none, return problem and solution.
 
     First all limits may give way at once, at the nodes alone. Then each of those that did, or that are touched, may by
     itself, as far as ``SPARED`` and ``AGAIN`` go: a limit that does by itself is found in one or two times the
@@ -50,7 +55,8 @@ def relax(
     they do.
 
     ``problem``: the numbers; ``robot``: names of carriers and actuators, and which of them rotate; ``guess``: first
-    guess; ``message``: how the solver ended on the ordinary problem; ``kinds``: limits that may give way.
+    guess; ``message``: how the solver ended on the ordinary problem; ``kinds``: limits that may give way; ``finer``:
+    returns the problem on a finer mesh where the nodes do not show the efforts of a relaxed motion, otherwise None.
 
     Raises:
         InfeasiblePlanError: limits have to give way. It carries ``constraint`` (the limit of the smallest relaxation),
@@ -64,14 +70,20 @@ def relax(
     deadline = time.perf_counter() + settings.seconds
     # with limits at the nodes alone: most often one limit does by itself, and is held between the nodes then
     most = None if problem.timing is None else ITERATIONS_OF_TIMING
-    elastic = solve(problem, guess, settings.seconds, lambda _: True, elastic=kinds, most=most)
+    elastic = solve(problem, guess, settings.seconds, lambda *_: True, elastic=kinds, most=most)
     if elastic.feasible and not _exceeded(problem, elastic):
         elastic = solve(problem, elastic.values, deadline - time.perf_counter(), elastic=kinds)
+    for _ in range(0 if finer is None else problem.settings.refinements):
+        following = finer(problem, elastic) if elastic.feasible else None
+        if following is None:
+            break
+        values, problem = problem.resampled(elastic.values, following), following
+        elastic = solve(problem, values, deadline - time.perf_counter(), elastic=kinds, most=most)
     if not elastic.feasible:
         raise nothing_helps(problem, elastic, message)
     exceeded = _exceeded(problem, elastic)
     if not exceeded:
-        return elastic
+        return problem, elastic
     # one that is only touched may do as well by itself: with a price on all, others gave way in its place
     touched = [kind for kind in kinds if kind not in exceeded and is_touched(problem, robot, elastic, kind)]
     candidates = sorted([*exceeded, *touched], key=lambda kind: (exceeded != [kind], kind != "effort"))
@@ -87,7 +99,7 @@ def relax(
         solution = solve(problem, elastic.values, seconds, elastic=(kind,), most=left)
         left -= solution.iterations
         if solution.optimal and not _exceeded(problem, solution):
-            return solution  # nothing is in the way: with a price on several the solver ended elsewhere
+            return problem, solution  # nothing is in the way: with a price on several the solver ended elsewhere
         if solution.optimal:
             alone[kind] = solution
         elif not solution.infeasible:
@@ -119,8 +131,8 @@ _REMEDY = (
 )
 
 _REMEDY_OF_TIMING = (
-    "Widen these limits, by a few per cent more than that (they are those at the nodes), lead the path elsewhere, or "
-    "leave the ends free."
+    "Widen these limits, by 2 % more than that (the least leaves no room), lead the path elsewhere, or leave the ends "
+    "free."
 )
 
 
