@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from doc_blocks import blocks_of
 
 import redundancy_pin
 import redundancy_pin as rp
+from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.planners.limits import QUANTITIES
 from redundancy_pin.planners.optimal.objectives import OBJECTIVES
 
 PACKAGE = Path(redundancy_pin.__file__).parent
@@ -91,14 +94,49 @@ def _imported(path: Path) -> set[str]:
     return {module for module in modules if module.startswith("redundancy_pin.")}
 
 
+def require_limit_on_power(session: dict[str, Any]) -> None:
+    """A limit of one entry is checked between samples, in refusals and, with the timing planned, kept at any speed."""
+    robot, line, mesh, limited = (session[name] for name in ("robot", "line", "mesh", "limited"))
+    assert {event.quantity for event in limited.limits.binding} == {"power"}
+    free = rp.plan_whole_trajectory(robot, line, mesh=mesh)
+    most = largest_power(free, robot)
+    assert most > 1.01 * np.abs(free.main_power).max()  # between the samples
+    judged = rp.Limits(further={"power": 0.8 * most}).resolved(robot)
+    claimed = replace(free, limits=replace(free.limits, judged_by=judged))
+    found = rp.check_plan(claimed, rp.RneaDynamics(robot))
+    assert found.status.value == "limit_violated"
+    event = found.violated[0]
+    assert event.quantity == "power"
+    assert event.amount == pytest.approx(0.2 * most, rel=2e-3)
+    with pytest.raises(InfeasiblePlanError, match=r"the power of slide_\d, from [\d.]+ to [\d.]+ W"):
+        rp.plan_whole_trajectory(robot, line, limits=rp.Limits(further={"power": 0.2 * most}), mesh=mesh)
+    with pytest.raises(InputError, match="'powr', which is no quantity"):
+        rp.plan_whole_trajectory(robot, line, limits=rp.Limits(further={"powr": 1.0}), mesh=mesh)
+    three, corner = rp.load_robot("3rrr"), rp.trajectory.reference.corner()
+    least = rp.plan_time_optimal(three, corner, limits=rp.Limits(effort=3.0, further={"power": 2.0}), end="free")
+    assert least.status.value == "ok"
+    assert 1.99 < largest_power(least, three) <= 2.0 * 1.0011
+
+
+def largest_power(plan: rp.Plan, robot: rp.Robot) -> float:
+    """The largest |τ q̇| of the continuous motion by RNEA, W."""
+    motion = plan.platform_at(np.linspace(plan.t[0], plan.t[-1], 3001))
+    reduced = rp.RneaDynamics(robot).reduce(motion, plan.carriers_at(motion.t))
+    rate = np.einsum("nim,ni->nm", reduced.W, motion.xd)
+    return float(np.abs(rp.distribute(reduced).tau * rate).max())
+
+
 def test_recipes_work_as_they_are_written() -> None:
     """A stranger's objective, limit and planner, judged by RNEA and by numpy."""
-    shipped, session = set(OBJECTIVES), dict[str, Any]()
+    shipped, quantities, session = set(OBJECTIVES), set(QUANTITIES), dict[str, Any]()
     try:
         for block in blocks_of(TESTS.parent / "CONTRIBUTING.md", "CONTRIBUTING.md"):
             if block.language == "python":
                 exec(compile(block.text, block.where, "exec"), session)
+        require_limit_on_power(session)
     finally:
+        for key in set(QUANTITIES) - quantities:
+            del QUANTITIES[key]
         for name in set(OBJECTIVES) - shipped:
             del OBJECTIVES[name]
     gentle, limited, parked, robot = (session[name] for name in ("gentle", "limited", "parked", "robot"))
@@ -113,10 +151,8 @@ def test_recipes_work_as_they_are_written() -> None:
     assert value == pytest.approx(np.trapezoid((power(gentle) ** 2).sum(axis=1), gentle.t), rel=1e-6)
     least_effort = rp.plan_whole_trajectory(robot, session["line"], mesh=session["mesh"])
     assert value < np.trapezoid((power(least_effort) ** 2).sum(axis=1), least_effort.t)
-    bound, t = session["bound"], np.linspace(limited.t[0], limited.t[-1], 3001)
-    reduced = rp.RneaDynamics(robot).reduce(limited.platform_at(t), limited.carriers_at(t))
-    tau, rate = rp.distribute(reduced).tau, np.einsum("nim,ni->nm", reduced.W, limited.platform_at(t).xd)
-    assert 0.9 * bound < np.abs(tau * rate).max() <= 1.0011 * bound
+    bound = session["bound"]
+    assert 0.9 * bound < largest_power(limited, robot) <= 1.0011 * bound
     assert np.abs(power(least_effort)).max() > bound
     assert (parked.carriers.s == 0.1).all()
     assert np.abs(power(parked)).max() > 0.0

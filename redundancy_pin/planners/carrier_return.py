@@ -10,7 +10,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 from redundancy_pin.arrays import Array, Frozen
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.limits import QUANTITIES, LimitEvent, ResolvedLimits
+from redundancy_pin.planners.limits import OF_CARRIERS, LimitEvent, ResolvedLimits
 from redundancy_pin.trajectory import boundary_polynomial
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
@@ -161,7 +161,7 @@ def _limit_use(limits: ResolvedLimits, force: CarrierForce, path: PiecewisePolyn
     lower, upper = (float(bounds[which, i]) for bounds in limits.bounds)
     limit = upper if abs(value - upper) <= abs(value - lower) else lower
     amount = abs(value - limit) if use > 1.0 else 0.0
-    return use, LimitEvent(limits.names[i], QUANTITIES[which], t, t, t, value, limit, amount)
+    return use, LimitEvent(limits.names[i], OF_CARRIERS[which], t, t, t, value, limit, amount)
 
 
 def _no_return(use: LimitEvent, start: float, available: float, remedy: str) -> InfeasiblePlanError:

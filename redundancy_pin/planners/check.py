@@ -22,7 +22,7 @@ from redundancy_pin.planners.intersample_check import (
     imbalance,
     intersample_check,
 )
-from redundancy_pin.planners.limits import QUANTITIES, LimitEvent, LimitReport, worst_events
+from redundancy_pin.planners.limits import OF_CARRIERS, LimitEvent, LimitReport, worst_events
 from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import record_difference, robot_record
@@ -204,7 +204,7 @@ def _wider_limits(plan: Plan, robot: Robot) -> tuple[str, ...]:
         f"{name}: judged by a {quantity} of {used[0][i, j]:g} to {used[1][i, j]:g}, the robot's own is "
         f"{own[0][i, j]:g} to {own[1][i, j]:g}."
         for j, name in enumerate(robot.carriers)
-        for i, quantity in enumerate(QUANTITIES)
+        for i, quantity in enumerate(OF_CARRIERS)
         if used[0][i, j] < own[0][i, j] or used[1][i, j] > own[1][i, j]
     )
     declared = (

@@ -34,13 +34,16 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import SINGULAR_SAMPLE, PlanFunctions, unique_times
 from redundancy_pin.planners.limits import (
     LIMIT_TOLERANCE,
+    QUANTITIES,
     LimitedQuantity,
     LimitEvent,
     ResolvedLimits,
+    States,
     limit_events,
     motion_quantities,
     range_quantities,
 )
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.singular_instant import SingularInstant
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import joint_ranges
@@ -250,7 +253,7 @@ class IntersampleCheck:
         touched: limits that are met, of every quantity.
         middle: (P,) middles of the pieces, s.
         ratio: (P,) largest effort over the largest at the samples.
-        use: (P, c) used fractions of the limits of efforts and forces, and of rates where the planner chose them.
+        use: (P, c) used fractions of limits, with the columns of ``ResolvedLimits.evaluated``.
     """
 
     peaks: IntersamplePeaks
@@ -275,6 +278,11 @@ class IntersampleCheck:
         """(P,) the larger of ratio and use."""
         return np.asarray(np.maximum(self.ratio, self.use.max(axis=1, initial=0.0)))
 
+    @property
+    def exceeding(self) -> BoolArray:
+        """(P,) where a limit of efforts, forces or rates is exceeded."""
+        return np.asarray((self.use > 1.0 + LIMIT_TOLERANCE).any(axis=1))
+
     def too_coarse(self, before: Sequence[float]) -> BoolArray:
         """Return (P,) where a finer grid is needed rather than lower limits at its nodes.
 
@@ -283,7 +291,7 @@ class IntersampleCheck:
         """
         coarse: BoolArray = self.worst > MARKED
         stuck = len(before) > 1 and before[-1] - 1.0 > 0.5 * (before[-2] - 1.0)
-        return np.asarray((self.use > 1.0 + LIMIT_TOLERANCE).any(axis=1)) if stuck and not coarse.any() else coarse
+        return self.exceeding if stuck and not coarse.any() else coarse
 
     def shares(self, t: Array, before: Array | None) -> Array:
         """Return (M, c) fractions of their limits that nodes at (M,) times, s, may use so that none is exceeded inside.
@@ -318,7 +326,7 @@ def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
         float(t[0]),
         float(t[-1]),
         planned.singular_instants,
-        limits.actuator_speed,
+        limits,
     )
     time, value = _with_samples(pieces, t, np.concatenate([samples.tau, planned.reduced.carrier_force], axis=1))
     size = np.abs(value)
@@ -331,23 +339,21 @@ def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
         force_peak=frozen(size.max(axis=0)[m : m + k]),
         ratio=max(float(size[:, :m].max(initial=0.0) / largest), 1.0),
     )
-    limited = np.flatnonzero(np.isfinite(limits.actuator_speed))
-    columns = (
-        ("effort", robot.actuated, limits.effort),
-        ("force", robot.carriers, limits.carrier_force),
-        ("speed", tuple(robot.actuated[j] for j in limited), limits.actuator_speed[limited]),
-    )
+    columns = limits.evaluated()
     rows, first = [], 0
-    for quantity, names, limit in columns:
-        own = slice(first, first + len(names))
-        rows.append(LimitedQuantity(quantity, names, time[:, own], value[:, own], -limit, limit))
-        first += len(names)
+    for key, joints in columns.items():
+        quantity, limit = QUANTITIES[key], limits.of(key)[joints]
+        names = tuple(getattr(robot, quantity.owner)[j] for j in joints)
+        own = slice(first, first + len(joints))
+        rows.append(LimitedQuantity(quantity.name, names, time[:, own], value[:, own], -limit, limit))
+        first += len(joints)
     rows += [*motion_quantities(limits, planned.functions.carriers, t), *joint_ranges_of(planned)]
     violated, touched = limit_events(rows)
     with np.errstate(invalid="ignore"):  # infinite efforts without a limit
-        use = np.nan_to_num(size / np.concatenate([limit for *_, limit in columns]), nan=0.0, posinf=np.inf)
-    if not planned.chooses_timing:
-        use = use[:, : m + k]  # nothing that the planner can change lowers the rates of a given motion
+        bounds = np.concatenate([limits.of(key)[joints] for key, joints in columns.items()])
+        use = np.nan_to_num(size / bounds, nan=0.0, posinf=np.inf)
+    # without the columns of what the planner cannot change, which come last
+    use = use[:, : sum(len(joints) for joints in limits.evaluated(planned.chooses_timing).values())]
     return IntersampleCheck(
         peaks=peaks,
         violated=violated,
@@ -411,15 +417,15 @@ def extremes_between(
     start: float,
     end: float,
     singular: Array | None = None,
-    rate: Array | None = None,
+    limits: ResolvedLimits | None = None,
 ) -> PieceExtremes:
-    """Return the extremes of efforts, forces and limited rates in pieces from ``start`` to ``end``, s.
+    """Return the extremes of efforts, forces and other limited quantities in pieces from ``start`` to ``end``, s.
 
     ``singular`` (q,) instants at which W lacks rank and the efforts are finite all the same, s: near them W⁻¹ f
-    magnifies rounding, so pieces that end there are not halved towards them; ``rate`` (m,) limits of the main
-    actuators' rates, m/s or rad/s: those that are finite have a column behind the forces.
+    magnifies rounding, so pieces that end there are not halved towards them; ``limits``: which quantities have columns
+    (``ResolvedLimits.evaluated``); efforts and forces alone when left out.
     """
-    limit = np.full(dynamics.robot.m, np.inf) if rate is None else rate
+    limits = Limits(effort=np.inf, actuator_speed=np.inf).resolved(dynamics.robot) if limits is None else limits
     fixed = np.empty(0) if singular is None else np.asarray(singular)
     edges = _edges(functions, start, end, fixed)
     ends = np.stack([edges[:-1], edges[1:]], axis=1)
@@ -427,8 +433,8 @@ def extremes_between(
     scale = None
     found: list[tuple[Array, ...]] = []
     for halving in range(HALVINGS + 1):
-        reduced, values = _values(dynamics, functions, ends, limit)
-        scale = _Scale.of(dynamics.robot, reduced, values, limit) if scale is None else scale
+        reduced, values = _values(dynamics, functions, ends, limits)
+        scale = _Scale.of(dynamics.robot, reduced, values, limits) if scale is None else scale
         finite = np.asarray(np.isfinite(values).all(axis=(1, 2)))
         series = chebyshev_series(np.where(finite[:, None, None], values, 0.0))
         settled = np.asarray((finite & scale.resolves(series, values)) | at_singularity)
@@ -459,12 +465,12 @@ class _Scale:
     rounding: Array
 
     @staticmethod
-    def of(robot: Robot, reduced: ReducedDynamics, values: Array, rate: Array) -> _Scale:
-        """Return the scale of (P, d, c) values; ``rate`` (m,) limits of the main actuators' rates."""
+    def of(robot: Robot, reduced: ReducedDynamics, values: Array, limits: ResolvedLimits) -> _Scale:
+        """Return the scale of (P, d, c) values."""
         size = np.abs(values).max(axis=(0, 1), initial=0.0, where=np.isfinite(values))
-        limited = rate[np.isfinite(rate)]  # an actuator that stands has a rate of rounding
         loads = robot.m + robot.k
-        size[loads:] = np.maximum(size[loads:], SMALL * limited)
+        limited = np.concatenate([limits.of(key)[joints] for key, joints in limits.evaluated().items()])[loads:]
+        size[loads:] = np.maximum(size[loads:], SMALL * limited)  # an actuator that stands has a rate of rounding
         return _Scale(size, np.append(_rounding(robot, reduced), np.zeros(len(limited))))
 
     def resolves(self, series: Array, values: Array) -> BoolArray:
@@ -502,17 +508,24 @@ def _edges(functions: PlanFunctions, start: float, end: float, singular: Array) 
     return edges
 
 
-def _values(dynamics: Dynamics, functions: PlanFunctions, ends: Array, rate: Array) -> tuple[ReducedDynamics, Array]:
+def _values(
+    dynamics: Dynamics, functions: PlanFunctions, ends: Array, limits: ResolvedLimits
+) -> tuple[ReducedDynamics, Array]:
     """Return the dynamics at the Chebyshev points of pieces with (P, 2) ends, s, and their values (P, d, c).
 
-    Values are main efforts, carrier forces and limited rates; NaN where there are none.
+    Columns are those of ``ResolvedLimits.evaluated``; NaN where there are no efforts.
     """
     times = chebyshev_points(ends[:, 0], ends[:, 1], PIECE_DEGREE)
-    motion = functions.platform.sample_at(times)
-    reduced = dynamics.along(motion).reduce(functions.carriers_at(times))
-    turning = np.einsum("nim,ni->nm", reduced.W, motion.xd)[:, np.isfinite(rate)]
-    values = np.concatenate([functions.efforts(reduced), np.asarray(reduced.carrier_force), turning], axis=1)
-    return reduced, values.reshape(len(ends), PIECE_DEGREE + 1, -1)
+    motion, carriers = functions.platform.sample_at(times), functions.carriers_at(times)
+    reduced = dynamics.along(motion).reduce(carriers)
+    rate: Array = np.einsum("nim,ni->nm", reduced.W, motion.xd)
+    states = States(functions.efforts(reduced), rate, reduced.carrier_force, carriers.s, carriers.sd, carriers.sdd)
+    values = []
+    for key, joints in limits.evaluated().items():
+        formula = QUANTITIES[key].formula
+        if formula is not None:
+            values.append(np.asarray(formula(states))[:, joints])
+    return reduced, np.concatenate(values, axis=1).reshape(len(ends), PIECE_DEGREE + 1, -1)
 
 
 def _rounding(robot: Robot, reduced: ReducedDynamics) -> Array:

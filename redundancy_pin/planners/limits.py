@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, ByValue, each, frozen, runs
+from redundancy_pin.arrays import Array, ByValue, IntArray, each, frozen, runs
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.robot.joint_ranges import joint_ranges
@@ -27,13 +29,66 @@ between them: no plan with more counts as within its limits. What comes as near 
 speed and acceleration of carriers are polynomials, which planners keep within limits to rounding (``EXCEEDING``)."""
 
 
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity of actuators or carriers that plans limit: an entry of ``QUANTITIES``.
+
+    Attributes:
+        name: of the quantity in ``LimitEvent`` and in refusals.
+        owner: "actuated" for the main actuators, or "carriers".
+        unit: from whether a joint turns to the unit of its limit.
+        formula: from a state to the values of all owners. States are matrices with a row for each node or instant:
+            ``tau`` and ``actuated_rate`` of the main actuators (N, m), ``force``, ``s``, ``sd`` and ``sdd`` of the
+            carriers (N, k), as numbers or expressions of the solver: use operators that both have, such as
+            ``q.tau * q.actuated_rate``. None for what ``motion_quantities`` evaluates.
+    """
+
+    name: str
+    owner: Literal["actuated", "carriers"]
+    unit: Callable[[bool], str]
+    formula: Callable[[Any], Any] | None = None
+
+
+def _motion_unit(per: str) -> Callable[[bool], str]:
+    return lambda turns: ("rad" if turns else "m") + per
+
+
+def _effort_unit(turns: bool) -> str:
+    return "N·m" if turns else "N"
+
+
+QUANTITIES: dict[str, Quantity] = {
+    "track": Quantity("track", "carriers", _motion_unit("")),
+    "speed": Quantity("speed", "carriers", _motion_unit("/s")),
+    "acceleration": Quantity("acceleration", "carriers", _motion_unit("/s²")),
+    "jerk": Quantity("jerk", "carriers", _motion_unit("/s³")),
+    "effort": Quantity("effort", "actuated", _effort_unit, lambda q: q.tau),
+    "carrier_force": Quantity("force", "carriers", _effort_unit, lambda q: q.force),
+    "actuator_speed": Quantity("speed", "actuated", _motion_unit("/s"), lambda q: q.actuated_rate),
+}
+"""Limited quantities by field of ``Limits``. An added entry is limited by ``Limits(further={key: limit})``: the optimal
+planners keep to it at the nodes, the inter-sample check evaluates it between them, for every planner."""
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """States of a motion at N instants, in the attributes that ``Quantity.formula`` reads."""
+
+    tau: Array
+    actuated_rate: Array
+    force: Array
+    s: Array
+    sd: Array
+    sdd: Array
+
+
 @dataclass(frozen=True, eq=False)
 class ResolvedLimits(ByValue):
     """The limits a planner keeps to, all of them arrays; infinite for none.
 
     ``names`` (k,) names of the carriers; ``track`` (k, 2) ends, m; ``speed``, ``acceleration``, ``carrier_force``,
     ``jerk`` (k,) m/s, m/s², N and m/s³; ``effort`` (m,) N or N·m; ``actuator_speed`` (m,) m/s or rad/s of the main
-    actuators.
+    actuators; ``further``: of other ``QUANTITIES`` by their key, one number for each owner.
     """
 
     names: tuple[str, ...]
@@ -44,6 +99,25 @@ class ResolvedLimits(ByValue):
     jerk: Array
     effort: Array
     actuator_speed: Array
+    further: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
+
+    def of(self, key: str) -> Array:
+        """Return the limits of one of ``QUANTITIES``."""
+        limit: Array = self.further[key] if key in self.further else getattr(self, key)
+        return limit
+
+    def evaluated(self, timed: bool = True) -> dict[str, IntArray]:
+        """Return the quantities that are evaluated from states, each with the joints that have a column in the check.
+
+        Efforts and forces, which plans report, have one for every joint, others where they are limited.
+
+        Args:
+            timed: whether the planner chooses the motion of the platform. If not, nothing that it can change lowers the
+                rates of the actuators.
+        """
+        rest = [*self.further, *(["actuator_speed"] if timed else [])]
+        limited = {key: np.flatnonzero(np.isfinite(self.of(key))) for key in rest}
+        return {"effort": np.arange(len(self.effort)), "carrier_force": np.arange(len(self.names)), **limited}
 
     @property
     def of_carriers(self) -> tuple[CarrierLimits, ...]:
@@ -53,7 +127,7 @@ class ResolvedLimits(ByValue):
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper limits (4, k) of the carriers, in the order of ``QUANTITIES``."""
+        """Lower and upper limits (4, k) of the carriers, in the order of ``OF_CARRIERS``."""
         lower, upper = self.track.T
         rates = np.stack([self.speed, self.acceleration, self.carrier_force])
         return np.vstack([lower, -rates]), np.vstack([upper, rates])
@@ -128,7 +202,7 @@ class LimitReport:
     judged_by: ResolvedLimits
 
 
-QUANTITIES = ("track", "speed", "acceleration", "force")
+OF_CARRIERS = ("track", "speed", "acceleration", "force")
 """Of a carrier, in the order of its position, its rates and its force."""
 
 
@@ -222,7 +296,7 @@ def motion_quantities(
             EXCEEDING,
             BINDING,
         )
-        for i, (name, part) in enumerate(zip(QUANTITIES, ("s", "sd", "sdd"), strict=False))
+        for i, (name, part) in enumerate(zip(OF_CARRIERS, ("s", "sd", "sdd"), strict=False))
     ]
     if np.isfinite(limits.jerk).any():
         sdd, (least, largest) = position.derivative(2), position.derivative(3).ranges()

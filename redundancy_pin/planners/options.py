@@ -10,6 +10,7 @@ import functools
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from types import MappingProxyType
 from typing import Any, Literal, ParamSpec, TypeVar
 
 import numpy as np
@@ -30,7 +31,7 @@ from redundancy_pin.arrays import (
 from redundancy_pin.dynamics.default import DynamicsLike
 from redundancy_pin.errors import InputError, did_you_mean, shown
 from redundancy_pin.planners.base_wrench import point_of
-from redundancy_pin.planners.limits import ResolvedLimits
+from redundancy_pin.planners.limits import QUANTITIES, ResolvedLimits
 from redundancy_pin.robot import Robot
 
 CALM = 0.01
@@ -65,6 +66,7 @@ class Limits(ByValue):
         carrier_force: scalar or (k,) largest force of the carriers' actuators, N.
         effort: scalar or (m,) largest |τ| of the main actuators, N or N·m.
         actuator_speed: scalar or (m,) largest rate of the main actuators, m/s or rad/s.
+        further: largest absolute values of other quantities, by their key in ``planners.limits.QUANTITIES``.
     """
 
     track: ArrayLike | None = None
@@ -74,6 +76,7 @@ class Limits(ByValue):
     carrier_force: ArrayLike | None = None
     effort: ArrayLike | None = None
     actuator_speed: ArrayLike | None = None
+    further: Mapping[str, ArrayLike] | None = None
 
     def __post_init__(self) -> None:
         """Copy the arrays."""
@@ -104,11 +107,27 @@ class Limits(ByValue):
             "effort": _declared_efforts(robot).tolist() if self.effort is None else [np.inf] * robot.m,
             "actuator_speed": robot.speed_limits.tolist(),
         }
-        for name, given in ((field.name, getattr(self, field.name)) for field in fields(self)[1:]):
+        for name, given in ((name, getattr(self, name)) for name in bounds):
             if given is not None:
                 bounds[name] = each(given, name, (len(bounds[name]),), above_zero=True).tolist()
         arrays = {name: frozen(values) for name, values in bounds.items()}
-        return ResolvedLimits(robot.carriers, frozen(track), **arrays)
+        further = self._further(robot.m, k)
+        return ResolvedLimits(robot.carriers, frozen(track), **arrays, further=further)
+
+    def _further(self, m: int, k: int) -> Mapping[str, Array]:
+        """Return the limits of further quantities, one number for each of m main actuators or k carriers."""
+        given = {} if self.further is None else self.further
+        require_type(given, Mapping, "A mapping of quantities to limits", 'Pass further={"power": 20.0}.')
+        known = sorted(QUANTITIES.keys() - {field.name for field in fields(self)})
+        for key in given:
+            if key not in known:
+                remedy = "Add an entry to planners.limits.QUANTITIES. "
+                remedy += f"Entries are {', '.join(known)}." if known else "It has none beside the other limits."
+                raise InputError(f"further limits {shown(key)}, which is no quantity.", remedy=remedy, name=key)
+        sizes = {key: m if QUANTITIES[key].owner == "actuated" else k for key in given}
+        return MappingProxyType(
+            {key: frozen(each(limit, key, (sizes[key],), above_zero=True)) for key, limit in given.items()}
+        )
 
 
 def _declared_efforts(robot: Robot) -> Array:

@@ -20,7 +20,7 @@ from redundancy_pin.loading import RobotLike
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import Findings, IntersamplePeaks
-from redundancy_pin.planners.limits import LimitEvent, LimitReport, ResolvedLimits
+from redundancy_pin.planners.limits import QUANTITIES, LimitEvent, LimitReport, ResolvedLimits
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus, SampleStatus
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 PLAN_FORMAT = "redundancy_pin plan"
 """What a saved plan calls itself."""
 
-PLAN_VERSION = 5
+PLAN_VERSION = 6
 """Version of the file format: counts up whenever the fields of the file change. 5: ``LimitEvent.joint``."""
 
 REVERSAL = 0.05
@@ -408,14 +408,16 @@ def _check(plan: Plan) -> None:
         "between.peak": (actuators,),
         "between.time": (actuators,),
         "between.force_peak": (carriers,),
-        "limits.judged_by.track": (carriers, 2),
-        "limits.judged_by.speed": (carriers,),
-        "limits.judged_by.acceleration": (carriers,),
-        "limits.judged_by.carrier_force": (carriers,),
-        "limits.judged_by.jerk": (carriers,),
-        "limits.judged_by.effort": (actuators,),
-        "limits.judged_by.actuator_speed": (actuators,),
     }
+    judged = plan.limits.judged_by
+    for key, quantity in QUANTITIES.items():
+        if key in judged.further or hasattr(judged, key):
+            ends = (2,) if key == "track" else ()
+            shape = (actuators if quantity.owner == "actuated" else carriers, *ends)
+            _require_array(f"limits.judged_by.{key}", judged.of(key), "f", shape)
+    for key in judged.further:
+        if key not in QUANTITIES:
+            raise InputError(f"it limits {shown(key)}, which is no entry of planners.limits.QUANTITIES")
     for name, shape in shapes.items():
         _require_array(name, attrgetter(name)(plan), "f", shape)
     for name in ("sample_status", "phase"):

@@ -20,6 +20,7 @@ from redundancy_pin.arrays import Frozen, assign
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, PlanFileError, RedundancyPinError, shown
 from redundancy_pin.io.schema import Schema, validated
 from redundancy_pin.loading import RobotLike, as_robot, load_with
+from redundancy_pin.planners.limits import QUANTITIES
 from redundancy_pin.robot import CarrierLimits, Coupling, Robot
 from redundancy_pin.robot.declaration import read_declaration
 from redundancy_pin.robot.formats.xacro_file import known_values
@@ -34,9 +35,6 @@ method: 1e-11, to which loops count as closed, at a margin of 1e-2."""
 
 _SAME_REFERENCE = 1e-6
 """Deviation, m or rad, of the reference configuration of a robot that is loaded again for a plan."""
-
-_RATES = {"track": "", "range": "", "speed": "/s", "acceleration": "/s²", "jerk": "/s³"}
-"""Limits of a motion, and what their units add to that of its position."""
 
 
 def _require_numbers(limits: tuple[CarrierLimits, ...]) -> tuple[CarrierLimits, ...]:
@@ -148,12 +146,11 @@ class RobotRecord(Frozen):
     def limit_unit(self, quantity: str, joint: str) -> str:
         """Return the unit of a limit of a joint.
 
-        ``quantity``: "track", "range", "speed", "acceleration" or "jerk" of its motion; anything else is an effort;
-        ``joint``: name of an actuated joint, a carrier or one that has a range.
+        ``quantity``: name of one of ``QUANTITIES``, or "range"; ``joint``: name of an actuated joint, a carrier or one
+        that has a range.
         """
-        if quantity not in _RATES:
-            return self.effort_unit(joint)
-        return ("rad" if joint in self.rotating else "m") + _RATES[quantity]
+        units = {one.name: one.unit for one in QUANTITIES.values()}
+        return units["track" if quantity == "range" else quantity](joint in self.rotating)
 
     def effort_unit(self, *joints: str) -> str:
         """Return the unit of the efforts of joints: N, N·m, or both where some slide and some rotate."""

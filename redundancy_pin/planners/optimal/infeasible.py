@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.limits import QUANTITIES
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
 from redundancy_pin.planners.optimal.problem import Problem
 from redundancy_pin.planners.optimal.solve import leaves_limits, solve
 from redundancy_pin.planners.optimal.transcription import (
     KIND_OF,
     KINDS,
+    Evaluation,
     half_range,
     objective_values,
     scaled_bounds,
@@ -40,9 +42,14 @@ TOUCHED = 1e-4
 
 
 def relax(
-    problem: Problem, robot: RobotRecord, guess: Mapping[str, Array], message: str, kinds: Sequence[str] = KINDS
-) -> Solution:
-    """Find the smallest relaxation of the limits that admits a plan, and return it where it is none.
+    problem: Problem,
+    robot: RobotRecord,
+    guess: Mapping[str, Array],
+    message: str,
+    kinds: Sequence[str] | None = None,
+    finer: Callable[[Problem, Solution], Problem | None] | None = None,
+) -> tuple[Problem, Solution]:
+    """Find the smallest relaxation of the limits that admits a plan; where it is none, return problem and solution.
 
     First all limits may give way at once, at the nodes alone. Then each of those that did, or that are touched, may by
     itself, as far as ``SPARED`` and ``AGAIN`` go: a limit that does by itself is found in one or two times the
@@ -50,7 +57,8 @@ def relax(
     they do.
 
     ``problem``: the numbers; ``robot``: names of carriers and actuators, and which of them rotate; ``guess``: first
-    guess; ``message``: how the solver ended on the ordinary problem; ``kinds``: limits that may give way.
+    guess; ``message``: how the solver ended on the ordinary problem; ``kinds``: limits that may give way; ``finer``:
+    returns the problem on a finer mesh where the nodes do not show the efforts of a relaxed motion, otherwise None.
 
     Raises:
         InfeasiblePlanError: limits have to give way. It carries ``constraint`` (the limit of the smallest relaxation),
@@ -62,16 +70,24 @@ def relax(
     """
     problem, settings = replace(problem, shares=None), problem.settings.solver  # messages state the limits themselves
     deadline = time.perf_counter() + settings.seconds
+    further = tuple(problem.settings.limits.further)
+    kinds = (*(KINDS if kinds is None else kinds), *further)
     # with limits at the nodes alone: most often one limit does by itself, and is held between the nodes then
     most = None if problem.timing is None else ITERATIONS_OF_TIMING
-    elastic = solve(problem, guess, settings.seconds, lambda _: True, elastic=kinds, most=most)
+    elastic = solve(problem, guess, settings.seconds, lambda *_: True, elastic=kinds, most=most)
     if elastic.feasible and not _exceeded(problem, elastic):
         elastic = solve(problem, elastic.values, deadline - time.perf_counter(), elastic=kinds)
+    for _ in range(problem.settings.refinements):
+        following = finer(problem, elastic) if finer is not None and elastic.feasible else None
+        if following is None:
+            break
+        values, problem = problem.resampled(elastic.values, following), following
+        elastic = solve(problem, values, deadline - time.perf_counter(), elastic=kinds, most=most)
     if not elastic.feasible:
         raise nothing_helps(problem, elastic, message)
     exceeded = _exceeded(problem, elastic)
     if not exceeded:
-        return elastic
+        return problem, elastic
     # one that is only touched may do as well by itself: with a price on all, others gave way in its place
     touched = [kind for kind in kinds if kind not in exceeded and is_touched(problem, robot, elastic, kind)]
     candidates = sorted([*exceeded, *touched], key=lambda kind: (exceeded != [kind], kind != "effort"))
@@ -87,7 +103,7 @@ def relax(
         solution = solve(problem, elastic.values, seconds, elastic=(kind,), most=left)
         left -= solution.iterations
         if solution.optimal and not _exceeded(problem, solution):
-            return solution  # nothing is in the way: with a price on several the solver ended elsewhere
+            return problem, solution  # nothing is in the way: with a price on several the solver ended elsewhere
         if solution.optimal:
             alone[kind] = solution
         elif not solution.infeasible:
@@ -119,8 +135,8 @@ _REMEDY = (
 )
 
 _REMEDY_OF_TIMING = (
-    "Widen these limits, by a few per cent more than that (they are those at the nodes), lead the path elsewhere, or "
-    "leave the ends free."
+    "Widen these limits, by 2 % more than that (the least leaves no room), lead the path elsewhere, or leave the ends "
+    "free."
 )
 
 
@@ -166,13 +182,19 @@ def _bound_event(problem: Problem, fractions: Mapping[str, float]) -> dict[str, 
     return {"constraint": "at_most", "objective": name, "time": float(problem.grid.t[0]), **numbers, "text": text}
 
 
+def name_of(kind: str) -> str:
+    """Return the name that users know of a kind of limit."""
+    return kind if kind in KINDS else QUANTITIES[kind].name
+
+
 def _slack(solution: Solution, kind: str) -> float:
     return float(solution.values[slack_name(kind)][0, 0])
 
 
 def _exceeded(problem: Problem, elastic: Solution) -> list[str]:
     """Return the kinds of limits that gave way; the fraction of one that is not there may have any value."""
-    slacks = {kind: slack_name(kind) for kind in KINDS if slack_name(kind) in elastic.values}
+    kinds = (*KINDS, *problem.settings.limits.further)
+    slacks = {kind: slack_name(kind) for kind in kinds if slack_name(kind) in elastic.values}
     return [kind for kind in slacks if _slack(elastic, kind) > NOTHING and _is_limited(problem, kind)]
 
 
@@ -183,8 +205,8 @@ def _is_limited(problem: Problem, kind: str) -> bool:
         return bool(settings.at_most)
     if kind == "end":
         return settings.end != "free"
-    if kind == "jerk":
-        return bool(np.isfinite(settings.limits.jerk).any())
+    if kind == "jerk" or kind in settings.limits.further:
+        return bool(np.isfinite(settings.limits.of(kind)).any())
     return bool(np.isfinite(scaled_bounds(problem)[_variable_of(kind)]).any())
 
 
@@ -245,7 +267,7 @@ def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind:
     upper = bool(values[i, j] - high[j] >= low[j] - values[i, j])
     # at the nodes less may be used than is needed between them
     amount = fraction * float(room[j])
-    limit, unit = float((high if upper else low)[j]), robot.limit_unit(kind, names[j])
+    limit, unit = float((high if upper else low)[j]), robot.limit_unit(name_of(kind), names[j])
     enough = limit + (amount if upper else -amount)
     if kind != "track" and low[j] == -high[j]:
         # a limit of the size, as users write it; the ends of a track are places
@@ -254,7 +276,7 @@ def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind:
     percent = f"{100.0 * fraction:.3g}" if fraction < 1.0 else f"{100.0 * fraction:.0f}"
     where = f"t = {t[i]:.6g} s" if problem.timing is None else f"{100.0 * problem.grid.t[i] / problem.grid.t[-1]:.3g} %"
     where += "" if problem.timing is None else " of the path"
-    text = f"the {kind} of {names[j]}, from {limit:.6g} to {enough:.6g} {unit} ({percent} %), most at {where}"
+    text = f"the {name_of(kind)} of {names[j]}, from {limit:.6g} to {enough:.6g} {unit} ({percent} %), most at {where}"
     return {
         "constraint": kind,
         "joint": names[j],
@@ -278,6 +300,10 @@ def _quantity(
         jerk = np.diff(elastic.values["sdd"], axis=0) * u.sdd / h
         limit = problem.settings.limits.jerk
         return jerk, -limit, limit, limit, robot.carriers
+    if kind in problem.settings.limits.further:
+        quantity, limit = QUANTITIES[kind], problem.settings.limits.of(kind)
+        value = quantity.formula and quantity.formula(Evaluation(problem, elastic.values))
+        return np.asarray(value), -limit, limit, limit, getattr(robot, quantity.owner)
     name = _variable_of(kind)
     size = np.broadcast_to(getattr(u, name), elastic.values[name].shape[1:])
     bounds = scaled_bounds(problem)[name]

@@ -43,7 +43,7 @@ class Planning:
 
     name: str
     task: Task
-    solve: Callable[[Problem, Mapping[str, Array] | None, Callable[[Solution], bool]], Multistart]
+    solve: Callable[[Problem, Mapping[str, Array] | None, Callable[[Problem, Solution], bool]], Multistart]
     platform: Callable[[Problem, Solution], Motion]
     finer: Callable[[Problem, Solution, IntersampleCheck, BoolArray, bool], Problem]
 
@@ -140,16 +140,23 @@ def plan_and_refine(planning: Planning, problem: Problem, guess: Mapping[str, Ar
 
     evaluated: list[tuple[Mapping[str, Array], PlannedMotion, IntersampleCheck]] = []
 
-    def check(solution: Solution) -> tuple[PlannedMotion, IntersampleCheck]:
+    def check(problem: Problem, solution: Solution) -> tuple[PlannedMotion, IntersampleCheck]:
         # what ``solve`` returns it has asked ``is_coarse`` about, with other counts of iterations
         if not evaluated or evaluated[-1][0] is not solution.values:
             motion = planning.planned(problem, solution)
             evaluated[:] = [(solution.values, motion, intersample_check(motion))]
         return evaluated[-1][1:]
 
-    def is_coarse(solution: Solution) -> bool:
-        _, found = check(solution)
+    def is_coarse(problem: Problem, solution: Solution) -> bool:
+        _, found = check(problem, solution)
         return refined < settings.refinements and not found.passed and bool(found.too_coarse([]).any())
+
+    def refine(coarse: Planned, marked: BoolArray) -> tuple[Problem, Mapping[str, Array]]:
+        nonlocal refined
+        old, solution = coarse.best.problem, coarse.best.solution
+        following = planning.finer(old, solution, coarse.check, marked, refined == 0)
+        refined += 1
+        return following, old.resampled(solution.values, following)
 
     while True:
         report(f"{len(problem.grid.t)} nodes, {len(problem.grid.singular)} of them singular: solving")
@@ -157,13 +164,17 @@ def plan_and_refine(planning: Planning, problem: Problem, guess: Mapping[str, Ar
             rest = with_seconds(problem, deadline - time.perf_counter())
             solutions = planning.solve(rest, guess, is_coarse)
         except InfeasiblePlanError:
-            if last is not None and time.perf_counter() > deadline:
-                return replace(last, out_of_time=True)
-            if last is None or not lowered:
+            late = time.perf_counter() > deadline
+            if last is None or (problem.shares is None and not late):
                 raise
-            return last  # nothing keeps the lower limits at the nodes: the last plan says what it exceeds
+            if late or refined == settings.refinements:
+                return replace(last, out_of_time=late)
+            # nothing keeps the lower limits at the nodes: finer nodes may keep the limits themselves
+            problem, guess = refine(last, last.check.exceeding)
+            continue
+        problem = replace(solutions.best.problem, settings=settings)
         solution = solutions.best.solution
-        motion, found = check(solution)
+        motion, found = check(problem, solution)
         at_nodes = np.abs(problem.tau(solution.values)).max()
         duration = motion.motion.t[-1] - motion.motion.t[0]
         report(f"{duration:.6g} s, peak effort {at_nodes:.4g} at the nodes, {found.peaks.peak.max():.4g} between them")
@@ -176,9 +187,7 @@ def plan_and_refine(planning: Planning, problem: Problem, guess: Mapping[str, Ar
         if time.perf_counter() > deadline:
             return replace(last, out_of_time=True)
         if finer:
-            following = planning.finer(problem, solution, found, marked, refined == 0)
-            refined += 1
-            guess, problem = problem.resampled(solution.values, following), following
+            problem, guess = refine(last, marked)
         else:
             lowered += 1
             shares = found.shares(problem.times(solution.values), problem.shares)

@@ -43,7 +43,7 @@ def solve(
     problem: Problem,
     guess: Mapping[str, Array],
     seconds: float,
-    stop: Callable[[Solution], bool] | None = None,
+    stop: Callable[[Problem, Solution], bool] | None = None,
     *,
     elastic: Sequence[str] = (),
     most: int | None = None,
@@ -92,7 +92,7 @@ def solve(
         if not solution.feasible or not (leaves.any() or beyond):
             break
         # forces beyond their limits at the nodes are no matter of the mesh
-        if solution.optimal and not beyond and stop is not None and stop(solution):
+        if solution.optimal and not beyond and stop is not None and stop(problem, solution):
             return replace(solution, iterations=iterations, seconds=spent)
         limit_force = limit_force or beyond
         between = between | widened(leaves, AROUND) if added < ROUNDS else np.ones_like(between)
@@ -211,7 +211,7 @@ def _is_same(one: Solution, other: Solution) -> bool:
 
 
 def multistart(
-    problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Solution], bool] | None = None
+    problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Problem, Solution], bool] | None = None
 ) -> Multistart:
     """Solve from all first guesses, as far as the time bound of the settings allows.
 

@@ -17,7 +17,7 @@ from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.intersample_check import IntersampleCheck
+from redundancy_pin.planners.intersample_check import IntersampleCheck, intersample_check
 from redundancy_pin.planners.optimal.infeasible import relax
 from redundancy_pin.planners.optimal.mesh import NEAR_SINGULAR, first_mesh, steps_around, with_nodes
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
@@ -42,6 +42,10 @@ NEIGHBOURS = 2
 CLOSED = 1e-9
 """Distance of the ends of a path, relative to its length, and difference of their directions, up to which it is closed:
 rounding of a path that is put together of arcs and lines."""
+
+HALVED_AGAIN = (0.0, 1.5, 8.0, 64.0)
+"""Ratios of efforts between the nodes to those at them, or to their limits, from which steps are halved once, twice,
+three and four times: at a cusp of the path, where the platform nearly stops, 1000 is usual on the first mesh."""
 
 LONGEST_STEP = 0.05
 """Of the whole time, that a step may last when others are refined: where the platform nearly stands still."""
@@ -182,8 +186,15 @@ def optimise_timing(task: PathTask) -> tuple[Plan, Outcome, Motion]:
     settings = task.settings
     nodes = first_mesh(task.dynamics, task.source, settings.dt, ends=not settings.lap)
     problem = read_path_problem(task, nodes)
-    platform = partial(platform_of, task.path)
-    planning = Planning("time_optimal", task, partial(_solve, task), platform, partial(_finer, task))
+
+    def finer_relaxed(problem: Problem, solution: Solution) -> Problem | None:
+        found = intersample_check(planning.planned(problem, solution))
+        found = replace(found, use=np.zeros_like(found.use))  # limits that give way are no reason
+        marked = found.too_coarse([])
+        return _finer(task, problem, solution, found, marked, False) if marked.any() else None
+
+    solve, platform = partial(_solve, task, finer_relaxed), partial(platform_of, task.path)
+    planning = Planning("time_optimal", task, solve, platform, partial(_finer, task))
     planned = plan_and_refine(planning, problem)
     parameters = {
         "begin": settings.begin,
@@ -199,20 +210,37 @@ def optimise_timing(task: PathTask) -> tuple[Plan, Outcome, Motion]:
     return finish_plan(motion, planned.check), planned.best, motion.functions.platform
 
 
+Finer = Callable[[Problem, Solution], Problem | None]
+
+
 def _solve(
-    task: Task, problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Solution], bool]
+    task: Task,
+    finer: Finer,
+    problem: Problem,
+    guess: Mapping[str, Array] | None,
+    stop: Callable[[Problem, Solution], bool],
 ) -> Multistart:
-    """Solve from a harmonic motion with parked carriers; ``guess``: scaled blocks by name in its place."""
+    """Solve from a harmonic motion with parked carriers; ``guess``: scaled blocks by name in its place.
+
+    ``finer``: as for ``relax``.
+    """
     deadline = time.perf_counter() + problem.settings.solver.seconds
     exceeded, first = required(problem.timing).exceeded_parked, guess
+
+    def within_limits(kinds: tuple[str, ...], message: str) -> tuple[Problem, Mapping[str, Array]]:
+        """Return a problem and a motion that keeps every limit; raises as ``relax`` where there is none."""
+        rest, robot = with_seconds(problem, deadline - time.perf_counter()), robot_record(task.dynamics.robot)
+        found, solution = relax(rest, robot, _parked(problem, kinds), message, kinds, finer)
+        return found, solution.values
+
     if guess is None and exceeded:
         # the weight is more than the motors hold: refuting that takes long, and this finds a motion where there is one
-        first = _within_limits(task, problem, exceeded, "").values
+        problem, first = within_limits(exceeded, "")
     solutions = multistart(with_seconds(problem, deadline - time.perf_counter()), first, stop)
     solution, seconds = solutions.best.solution, task.settings.solver.seconds
-    if guess is None and not exceeded and not solution.feasible and solution.message != OUT_OF_TIME:
-        rest, kinds = with_seconds(problem, deadline - time.perf_counter()), NEVER_KEPT
-        first = _within_limits(task, rest, kinds if task.dynamics.robot.k else kinds[:1], solution.message).values
+    is_new = first is guess and problem.shares is None  # neither relaxed above, nor an attempt with lower limits
+    if is_new and not solution.feasible and solution.message != OUT_OF_TIME:
+        problem, first = within_limits(exceeded or NEVER_KEPT[: 3 if task.dynamics.robot.k else 1], solution.message)
         solutions = multistart(with_seconds(problem, deadline - time.perf_counter()), first, stop)
         solution = solutions.best.solution
     if solution.feasible:
@@ -226,15 +254,6 @@ def _solve(
         time=0.0,
         amount=solution.violation,
     )
-
-
-def _within_limits(task: Task, problem: Problem, kinds: tuple[str, ...], message: str) -> Solution:
-    """Return a motion that keeps every limit; ``kinds``: limits that may be in the way, ``message``: as ``relax``.
-
-    Raises:
-        InfeasiblePlanError: there is none, as ``relax``.
-    """
-    return relax(problem, robot_record(task.dynamics.robot), _parked(problem, kinds), message, kinds)
 
 
 def _parked(problem: Problem, kinds: tuple[str, ...]) -> dict[str, Array]:
@@ -263,17 +282,24 @@ def platform_of(path: Path, problem: Problem, solution: Solution) -> Motion:
 def _finer(
     task: Task, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
 ) -> Problem:
-    """Return the problem with a node halfway in time in each step around the times that exceed, and in long ones.
+    """Return the problem with nodes halfway in time in the steps around the times that exceed, and in long ones.
 
-    Around those that exceed the jerk is continuous there: the efforts are seen, and no more is free.
+    In steps that are halved once the jerk is continuous there: the efforts are seen, and no more is free. Those that
+    are halved more often need more freedom, as at a cusp, where p̈ changes within a step of the first mesh.
     """
     grid, times = problem.grid, problem.times(solution.values)
     h = np.diff(times)
     is_long = h > LONGEST_STEP * times[-1]
-    steps = np.flatnonzero((steps_around(times, found.middle[marked], NEIGHBOURS) | is_long) & (h > 0.0))
+    halvings = is_long.astype(int)
+    for count, least in enumerate(HALVED_AGAIN, start=1):
+        halvings[steps_around(times, found.middle[marked & (found.worst > least)], NEIGHBOURS)] = count
+    halvings[h == 0.0] = 0
+    smooth = ~is_long & (halvings == 1)
+    steps = np.repeat(np.arange(len(h)), 2**halvings - 1)
+    share = np.concatenate([np.arange(1, 2**level) / 2**level for level in halvings.tolist()])
     # ṗ is quadratic in a step with Bézier points of at least zero: an eighth of the step, or more, is on either side
-    places = law_of(problem, solution)(0.5 * (times[steps] + times[steps + 1]))[:, 0]
-    return read_path_problem(task, with_nodes(grid, steps, places, ~is_long[steps]), problem)
+    places = law_of(problem, solution)(times[steps] + share * h[steps])[:, 0]
+    return read_path_problem(task, with_nodes(grid, steps, places, smooth[steps]), problem)
 
 
 def law_of(problem: Problem, solution: Solution) -> PiecewisePolynomial:

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, BoolArray, IntArray, each
 from redundancy_pin.dynamics.base import ExactAlongMotion
 from redundancy_pin.planners.carrier_model import terms
+from redundancy_pin.planners.limits import QUANTITIES
 from redundancy_pin.planners.optimal.nlp import NLP, Expression
 from redundancy_pin.planners.optimal.objectives import OBJECTIVES, Quantities
 from redundancy_pin.planners.optimal.problem import Problem, SingularNode, powers_of, required
@@ -34,7 +35,7 @@ LEAST_RANGE = 1e-3
 """Least scaled limit of efforts and forces that gives way by a fraction of itself; smaller ones by one of this."""
 
 KINDS = ("track", "speed", "acceleration", "jerk", "effort", "force", "end", "at_most")
-"""Limits that an elastic programme lets go."""
+"""Limits that an elastic programme lets go, beside those of further ``QUANTITIES``."""
 
 KIND_OF = {"s": "track", "sd": "speed", "sdd": "acceleration", "tau": "effort", "force": "force"}
 """Limit of each variable."""
@@ -351,6 +352,19 @@ class Transcription(Quantities):
         if settings.begin != "free":
             self.equal(self.sd[0, :], settings.start_speed[None], u.sd)
 
+    def further_limits(self) -> None:
+        """Keep the limits of further ``QUANTITIES`` at the nodes."""
+        problem, limits = self._problem, self._problem.settings.limits
+        first = 0
+        for key, joints in limits.evaluated().items():
+            formula, columns = QUANTITIES[key].formula, slice(first, first + len(joints))
+            first += len(joints)
+            if key in limits.further and formula is not None and len(joints):
+                share = 1.0 if problem.shares is None else problem.shares[:, columns]
+                used = formula(self)[:, joints.tolist()]
+                most = (1.0 - RESERVE) * share * np.ones(used.shape)
+                self.limit(key, used / _rows(limits.of(key)[joints], used.shape), -most, most)
+
     def limits_between_nodes(self, steps: BoolArray) -> None:
         """Keep track and speed limits inside some of the steps, (M − 1,).
 
@@ -426,14 +440,15 @@ class PathTranscription(Transcription):
         timing, nodes = required(problem.timing), len(problem.grid.t)
         fastest = timing.fastest / timing.speed * (1.0 - RESERVE)
         if problem.shares is not None:  # the last columns are those of the actuators' rates
-            m, k = problem.model.W.shape[2], problem.model.k
-            fastest = fastest * problem.shares[:, m + k :].min(axis=1, initial=1.0)
+            rates = len(problem.settings.limits.evaluated()["actuator_speed"])
+            fastest = fastest * problem.shares[:, problem.shares.shape[1] - rates :].min(axis=1, initial=1.0)
         if not problem.settings.lap:
             fastest[[0, -1]] = 0.0
         self._pace = (
             self.nlp.variable("pd", (nodes, 1), 0.0, fastest[:, None]) * timing.speed,
             self.nlp.variable("pdd", (nodes, 1)) * timing.acceleration,
         )
+        self.actuated_rate *= self._pace[0]
         moving = (problem.grid.h > 0.0)[:, None]
         bounds = np.where(moving, LEAST_STEP, 0.0), np.where(moving, np.inf, 0.0)
         self.h = self.nlp.variable("h", (nodes - 1, 1), *bounds) * timing.h[:, None]
@@ -465,6 +480,8 @@ class Evaluation(Quantities):
         for name, value in values.items():
             if name in KIND_OF:
                 setattr(self, name, ca.DM(value * getattr(problem.scales, name)))
+        if problem.timing is not None and "pd" in values:
+            self.actuated_rate *= ca.DM(values["pd"] * problem.timing.speed)
         if problem.base is not None:
             wrench = problem.base(problem.carriers(values))
             self.base_force, self.base_moment = ca.DM(wrench[:, :3]), ca.DM(wrench[:, 3:])
@@ -508,6 +525,7 @@ def transcribe(
     programme.dynamics()
     if limit_force and np.isfinite(problem.settings.limits.carrier_force).any():
         programme.force  # noqa: B018 # adds the forces as variables within their limits
+    programme.further_limits()
     programme.objective()
     programme.limits_between_nodes(np.ones(len(problem.grid.h), dtype=bool) if between is None else between)
     return programme.nlp

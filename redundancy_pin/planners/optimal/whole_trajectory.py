@@ -158,7 +158,7 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
 
 
 def _solve(
-    task: Task, problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Solution], bool]
+    task: Task, problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Problem, Solution], bool]
 ) -> Multistart:
     """Solve from all first guesses; ``guess``: scaled blocks by name, in place of parked carriers."""
     deadline = time.perf_counter() + problem.settings.solver.seconds
@@ -171,7 +171,7 @@ def _solve(
     # raises where limits are in the way; else what it returns keeps them, and the solver can begin there
     message = result.outcomes[0].solution.message
     rest = with_seconds(problem, deadline - time.perf_counter())
-    relaxed = relax(rest, robot_record(task.dynamics.robot), guess, message)
+    _, relaxed = relax(rest, robot_record(task.dynamics.robot), guess, message)
     last = solve(problem, relaxed.values, deadline - time.perf_counter())
     if not last.feasible:
         seconds = task.settings.solver.seconds

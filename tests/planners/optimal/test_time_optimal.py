@@ -22,10 +22,12 @@ from redundancy_pin import (
     plan_time_optimal,
     simulate,
 )
+from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.options import Limits, Mesh
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import Line, circle_path, reference
+from redundancy_pin.trajectory.waypoints import through_points
 
 pytest.importorskip("casadi")
 least_time = pytest.importorskip(
@@ -249,3 +251,19 @@ def test_a_motion_that_the_relaxed_limits_lead_to_is_a_plan() -> None:
     coarse, fine = (plan_time_optimal("3rrr", path, limits=limits, mesh=Mesh(steps=steps)) for steps in (20, 30))
     assert (coarse.status, fine.status) == (ResultStatus.OK, ResultStatus.OK)
     assert coarse.t[-1] == pytest.approx(fine.t[-1], rel=0.01)  # both within 1 % of a finer one's
+
+
+def test_what_is_said_to_suffice_under_gravity_suffices_at_a_sharp_turn_too() -> None:
+    """Where the platform nearly stops to turn, efforts between the first nodes are 1000 times those at the nodes."""
+    links = {"base_distance": 0.2, "proximal_length": 0.37, "distal_length": 0.51, "end_effector_mass": 2.94}
+    robot = load_robot("five_bar", gravity=(0.0, -9.81, 0.0), **links)
+    path = through_points([(-0.246, 0.471), (-0.107, 0.752), (0.154, 0.524), (-0.081, 0.82)])
+    with pytest.raises(InfeasiblePlanError) as caught:
+        plan_time_optimal(robot, path, limits=Limits(effort=1.0))
+    enough = caught.value.details["limit"]
+    for factor in (1.02, 2.0):
+        plan = plan_time_optimal(robot, path, limits=Limits(effort=factor * enough))
+        assert plan.status is ResultStatus.OK
+        dense = np.linspace(0.0, plan.t[-1], 5001)
+        efforts = distribute(RneaDynamics(robot).reduce(plan.platform_at(dense))).tau
+        assert np.abs(efforts).max() <= 1.001 * factor * enough
