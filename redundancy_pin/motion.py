@@ -197,12 +197,18 @@ measured rates passes."""
 SIX_DIGITS = 5e-6
 """Largest error of a number that is rounded to six digits, relative to the number."""
 
+_NOISE = 4.0
+"""Standard deviations of noise, estimated by fourth differences, by which a comparison may be off."""
+
 _NOTHING = 1e-9
 """Rounding of a rate, relative to the largest rate of any coordinate."""
 
 _FEW_STEPS = 8
-"""Fewer steps are not compared: the trapezoidal rule says too little of coarse ones. In so many a coordinate may change
-that is at rest at both ends."""
+"""Fewer steps must all contradict the rates. In so many a coordinate may change that is at rest at both ends."""
+
+_TOO_SLOW = 0.25
+"""Mean rate of the positions, relative to that of the rates, below which few steps contradict them: a factor of ten
+is found although the trapezoidal rule may be wrong by a factor of 2.5 in a coarse step."""
 
 _TURN = 2.0
 """Turn of a pose in a step, rad, from which rates are not compared: at half a turn its sense is not determined."""
@@ -214,17 +220,26 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
     For what takes samples as a motion: efforts along it, planners, the search of crossings. Where only poses count
     (``inverse_kinematics``, ``classify_motion``, ``along``) rates play no part.
 
-    One test, the trapezoidal rule: in each step of each coordinate the mean rate of the positions, Δx/h, is compared
-    with the mean of the rates at both ends. They may differ by the sum of
+    In each step of each coordinate the mean rate of the positions, Δx/h, is compared with the mean of the rates at both
+    ends, the trapezoidal rule; so is Δẋ/h with the mean of ẍ. They may differ by the sum of
 
-    - 3 % of the largest rate of the coordinate, which noise of measured motions must keep below;
-    - the error of the rule: half of |Δẋ| and half of h |ẍ|, generous for uneven steps;
-    - rounding of x to six digits, over h, and of rotations h² |ω| |ω̇|/6, as their axis tilts.
+    - 3 % of the largest rate of the coordinate;
+    - the error of the trapezoidal rule: half of |Δẋ| and a quarter of h |ẍ|; for accelerations |Δẍ|, and the change of
+      Δẋ/h from this step to the next or the last;
+    - rounding of x to six digits, over h, four times the noise that fourth differences of the comparison show, and of
+      rotations h² |ω| |ω̇|/6, as their axis tilts.
 
     From 9 samples and one period on this finds a wrong sign, milli and kilo, degrees for radians, a factor of 2 (10
-    samples per shortest period) or of 1.1 (20 samples), and positions that move while their rate is zero in more than
-    eight steps. Right motions pass from 2.2 samples in the shortest period on. Not found: smaller factors, wrong
-    accelerations, and anything in fewer than 9 samples.
+    samples per shortest period; of ẍ against ẋ 15) or of 1.1 (20 samples; of ẍ against ẋ 40), and positions that move
+    while their rate is zero in more than eight steps.
+
+    Fewer samples are refused if the positions move less than a quarter of what ẋ says, or backwards, in every step in
+    which ẋ exceeds the sum above, where h |ẍ| counts in full in a single step, half in two, and a third in three. A
+    wrong sign and a factor of ten are found where steps are not coarse; rates that are too small, and ẍ, are not
+    compared.
+
+    Right motions pass from 2.2 samples in the shortest period on. Not found: smaller factors; a bias of up to 3 %;
+    errors below the noise; one wrong ẋ or ẍ among right ones.
 
     Raises:
         InputError: rates that are not those of the positions, with ``column``, ``sample``, ``time``, the mean rate
@@ -233,39 +248,59 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
     require_carrier_motion(carriers)
     if motion.check_rates:
         _require_rates("x", motion.t, motion.x, motion.xd, motion.xdd)
+        _require_rates("xd", motion.t, motion.xd, motion.xdd, None)
         if carriers is not None and carriers.check_rates:
             _require_rates("s", motion.t, carriers.s, carriers.sd, carriers.sdd)
+            _require_rates("sd", motion.t, carriers.sd, carriers.sdd, None)
 
 
-def _require_rates(name: str, t: Array, values: Array, rates: Array, seconds: Array) -> None:
-    """Compare steps of values (N, n), or of poses, with their rates (N, n), whose own rates are (N, n)."""
+def _require_rates(name: str, t: Array, values: Array, rates: Array, seconds: Array | None) -> None:
+    """Compare steps of values (N, n), or of poses, with their rates (N, n), whose own rates are (N, n) or None."""
     later = np.diff(t) > 0.0
     h, steps = np.diff(t)[later], _steps(values)[:, later]
-    if not steps.size or len(h) < _FEW_STEPS:
+    few = len(h) < _FEW_STEPS
+    if not steps.size or not len(h) or (few and seconds is None):
         return
     rows = np.ascontiguousarray(rates.T)  # reductions along long rows take a tenth of the time
     first, last = rows[:, :-1][:, later], rows[:, 1:][:, later]
     found, given, top = steps / h, 0.5 * (first + last), np.abs(rows).max(axis=1, keepdims=True)
-    if (np.abs(found - given) <= RATE_TOLERANCE * top).all():  # as in most motions
+    apart = np.abs(found - given)
+    if (apart <= RATE_TOLERANCE * top).all():  # as in most motions
         return
-    second = np.maximum(np.abs(seconds[:-1]), np.abs(seconds[1:]))[later].T
-    allowed = RATE_TOLERANCE * top + 0.5 * np.abs(last - first) + 0.5 * h * second
-    size = np.abs(values).max(axis=0)
-    if values.ndim == 3:  # the rotation vector of a step differs from the mean of h ω by h³ ω̇ × ω/12
+    if values.ndim == 2 and seconds is not None:  # an angle may be written within a turn
+        turned = found - 2.0 * np.pi * np.sign(steps) / h
+        nearer = (np.abs(steps) > np.pi) & (np.abs(turned - given) < apart)
+        found = np.where(nearer & (np.ptp(values, axis=0) <= 2.0 * np.pi)[:, None], turned, found)
+        apart = np.abs(found - given)
+    change = np.abs(last - first)
+    if seconds is None:
+        jumps = np.pad(np.abs(np.diff(found)), ((0, 0), (1, 1)))
+        allowed = RATE_TOLERANCE * top + change + np.maximum(jumps[:, 1:], jumps[:, :-1])
+    else:
+        second = np.maximum(np.abs(seconds[:-1]), np.abs(seconds[1:]))[later].T
+        allowed = RATE_TOLERANCE * top + 0.5 * change + max(0.25, 1.0 / len(h)) * h * second
+    bends = np.diff(found - given, 4)
+    if bends.shape[1] >= 4:
+        allowed += _NOISE * np.sqrt((bends**2).mean(axis=1, keepdims=True) / 70.0)  # 70: of noise of size 1
+    if (
+        values.ndim == 3 and seconds is not None
+    ):  # the rotation vector of a step differs from the mean of h ω by h³ ω̇ × ω/12
         omega, alpha = (np.linalg.norm(part[:, 3:], axis=1) for part in (rates, seconds))
         turn = h * np.maximum(omega[1:], omega[:-1])[later]
         tilt = turn * h * np.maximum(alpha[1:], alpha[:-1])[later] / 6.0
         allowed[3:] += np.where(turn < _TURN, tilt, np.inf)
-        size = np.append(size[:3, 3], np.ones(3))
-    else:  # an angle may be written within a turn
-        turned = found - 2.0 * np.pi * np.sign(steps) / h
-        nearer = (np.abs(steps) > np.pi) & (np.abs(turned - given) < np.abs(found - given))
-        found = np.where(nearer & (np.ptp(values, axis=0) <= 2.0 * np.pi)[:, None], turned, found)
+        size = np.append(np.abs(values[:, :3, 3]).max(axis=0), np.ones(3))
+    else:
+        size = np.abs(values).max(axis=0)
     nothing = _NOTHING * top.max()
     allowed += nothing + 2.0 * SIX_DIGITS * size[:, None] / h
-    wrong = np.abs(found - given) > allowed
-    rests = wrong & (np.maximum(np.abs(first), np.abs(last)) <= nothing)
-    wrong &= ~(rests & (rests.sum(axis=1, keepdims=True) <= _FEW_STEPS))
+    wrong = apart > allowed
+    rests = np.maximum(np.abs(first), np.abs(last)) <= nothing
+    wrong &= ~(rests & ((wrong & rests).sum(axis=1, keepdims=True) <= _FEW_STEPS))
+    if few:  # a motion may hurry, or turn back once, between two of few samples
+        fast = np.abs(given) > allowed
+        wrong = fast & (found * np.sign(given) < _TOO_SLOW * np.abs(given))
+        wrong &= (wrong == fast).all()
     if not wrong.any():
         return
     step = int(wrong.any(axis=0).argmax())

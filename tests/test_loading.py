@@ -161,8 +161,11 @@ def test_a_condition_may_be_on_an_argument_whose_default_is_evaluated(tmp_path: 
         ("3rrr", {"base_radius": 0.0}, "base_radius > 0 does not hold"),
         ("2rpr", {"carrier_mass": -1.0}, "carrier_mass >= 0 does not hold"),
         ("3rrr", {"proximal_length": 0.1, "distal_length": 0.1}, r"does not close in working mode \+\+\+.*gap of"),
-        *(("3rrr", {"working_mode": mode}, "of 3 signs") for mode in (1, (1, 1), (1, 1, 0), (1, 1, 1, 1), "+++")),
-        ("excavator", {"working_mode": (1, 1)}, "declares no modes"),
+        *(
+            ("3rrr", {"working_mode": mode}, "the robot has 3 legs")
+            for mode in (1, (1, 1), (1, 1, 0), (1, 1, 1, 1), "+++")
+        ),
+        ("excavator", {"working_mode": (1, 1)}, "declares no working modes"),
         *(("3rrr", {"gravity": value}, "gravity") for value in ((0.0, -9.81), (0.0, float("nan"), 0.0), "down")),
     ],
 )

@@ -137,6 +137,7 @@ class _Builder:
         self.path, self.error, self.tags = path, error, tags
         self.lines: dict[str, int] = {}
         self.count = 0
+        self.around: list[yaml.Node] = []
 
     def require_bounded(self, text: str) -> None:
         """Refuse what would take PyYAML long, or its stack: deep nesting, many values, and definitions of tags."""
@@ -155,7 +156,9 @@ class _Builder:
         self.count += 1
         if self.count > MOST_VALUES:
             raise self.too_many(node.start_mark)
-        if depth > DEEPEST:  # by aliases, of values that hold themselves too
+        if node in self.around:
+            raise self.refused(node.start_mark, "a value holds itself through its alias", "Write it without the alias.")
+        if depth > DEEPEST:  # by aliases
             raise self.too_deep(node.start_mark)
         if key and len(key) <= _LONGEST_KEY:
             self.lines.setdefault(key, node.start_mark.line + 1)
@@ -163,9 +166,13 @@ class _Builder:
             return self.scalar(node, key)
         if node.tag not in (f"{_TAG}seq", f"{_TAG}map", "!"):
             raise self.strange(node, key)
+        self.around.append(node)
         if isinstance(node, yaml.MappingNode):
-            return self.mapping(node, key, depth)
-        return [self.value(each, f"{key}[{number}]", depth + 1) for number, each in enumerate(node.value)]
+            data: Any = self.mapping(node, key, depth)
+        else:
+            data = [self.value(each, f"{key}[{number}]", depth + 1) for number, each in enumerate(node.value)]
+        self.around.pop()
+        return data
 
     def mapping(self, node: yaml.MappingNode, key: str, depth: int) -> dict[str, Any]:
         """Return a mapping, with what ``<<`` merges into it behind its own keys."""
