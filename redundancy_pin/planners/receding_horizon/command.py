@@ -59,6 +59,8 @@ class Weights:
             weight = each(getattr(self, field.name), field.name, (1,), finite=True)[0]
             if weight < 0.0:
                 raise InputError(f"{field.name} weighs {weight:g}.", remedy="Pass a weight of zero or more.")
+        if self.missing == 0.0:  # relaxed programmes would have no dynamics
+            raise InputError("missing weighs 0.", remedy="Pass a positive weight; the default is 1e4.")
 
 
 GOALS = {"peak": Weights(), "effort": Weights(effort=1.0, peak=0.0)}

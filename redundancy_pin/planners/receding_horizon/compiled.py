@@ -98,9 +98,10 @@ class CompiledTick:
         horizon: float,
         weights: Weights,
         limits: ResolvedLimits,
+        guesses: int = 0,
     ) -> None:
         self._made_of = dict(sizes), step, horizon, weights
-        self._guesses = 0
+        self._guesses = guesses
         n, m, k, count = (sizes[name] for name in ("N", "M", "K", "COUNT"))
         library.rp_tick_work.restype = library.rp_tick_solution.restype = ctypes.c_long
         self._call, self._shape = library.rp_tick, (n, m, k, count)
@@ -131,7 +132,7 @@ class CompiledTick:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Make it again, in memory of its own, where it is copied or sent to."""
-        return _again, (*self._made_of, self._limits)
+        return _again, (*self._made_of, self._limits, self._guesses)
 
     def _point(self, name: str, array: Array) -> None:
         """Have an argument point to an array, which is kept as long."""
@@ -190,8 +191,8 @@ class CompiledTick:
         largest: float,
         *,
         strict: bool,
-    ) -> tuple[TickPlan | None, TickScales]:
-        """Return a plan about the last one, if there is any, and what is divided by.
+    ) -> tuple[TickPlan | None, TickScales | None]:
+        """Return a plan about the last one, if there is any, and what is divided by; None as long as there is no plan.
 
         Args:
             ahead: what is in sight.
@@ -230,10 +231,10 @@ class CompiledTick:
                 break
             places = self._places["missing_time"]
             ahead.at(self._result[places][: self._counts[3]])
-        if sizes is None:
-            sizes = TickScales(float(self._numbers[4]), frozen(self._result[self._places["row"]]))
         if status in (UNSOLVED, MISSING):
             return None, sizes
+        if sizes is None:
+            sizes = TickScales(float(self._numbers[4]), frozen(self._result[self._places["row"]]))
         self._guesses += int(self._counts[8])
         plan = self._made(t, ahead.roots, seconds)
         if status == OK:

@@ -137,9 +137,7 @@ CUT_OFF = _line("CUT_OFF", 1e-3, "1", "of f that limits of effort may cut off be
 SAME_SPEED = _line("SAME_SPEED", 1e-8, "1", "by which a speed may exceed its limit", "accuracy", False)
 
 # interior point method
-ITERATIONS = _line(
-    "ITERATIONS", 40, "1", "steps at most; 5 in the median, 52 over all programmes of an update", "trial"
-)
+ITERATIONS = _line("ITERATIONS", 40, "1", "steps of a programme at most; 5 in the median", "trial")
 RELAXED_ITERATIONS = _line("RELAXED_ITERATIONS", 80, "1", "of a relaxed programme: 15 in the median", "trial")
 PRECISION = _line(
     "PRECISION", 1e-9, "1", "by which bounds and rows of singular instants are missed, in units", "accuracy"

@@ -1,14 +1,14 @@
 /* One control update: programmes about the last plan until W tau = f is met, and what becomes of their solutions.
 
    In front of this stand N, M, K, TERMS and COUNT: coordinates, main actuators, carriers, terms of f, nodes; and the
-   constants of ``compiled.py``; then tick_sight.c, tick_programme.c and tick_solver.c.
+   constants of ``constants.py``; then tick_sight.c, tick_programme.c and tick_solver.c.
 
    The programme is condensed: with the motion before it given, W tau = f leaves of (sdd, tau) at a node the M + K - N
    directions of its null space, and s and sd follow. W alone may be singular: that [dW tau, df] is not is what carriers
    are for. What is left is a linear-quadratic problem with bounds, which an interior point method solves, a Riccati
    recursion in each of its steps; the largest effort and the rows of singular instants stand beside it as a border. */
 
-/* The carriers' motion, and a stop behind it (``with_stop``). */
+/* The carriers' motion, and a stop behind it. */
 static void set_pieces(const Given *g, const Work *w, Plan *plan) {
     double after[K + 1], duration[K];
     int stops = 1, last = COUNT - 1;
@@ -48,7 +48,7 @@ static void set_pieces(const Given *g, const Work *w, Plan *plan) {
     plan->edge[pieces] = w->node[last] + after[stops - 1];
 }
 
-/* Efforts and carriers' forces in the first steps (``_efforts``). */
+/* Efforts and carriers' forces in the first steps. */
 static void set_efforts(const Given *g, const Work *w, const double *t, int count, Plan *plan) {
     int fine[INSTANTS], at_node[COUNT];
     double value[INSTANTS][N + K], own[INSTANTS][M];

@@ -1,6 +1,6 @@
 /* The programme of a tick: linear about a plan, condensed to what W tau = f leaves free, its costs and bounds. */
 
-/* W tau = f and the rows of singular instants, linear about ``w->at`` (``Linearised.about``, ``Programme``). */
+/* W tau = f and the rows of singular instants, linear about ``w->at``. */
 static void linearise(const Given *g, Work *w) {
     const double *us = g->unit, *ud = us + K, *ua = ud + K;
     double ut = w->tau_unit;

@@ -264,7 +264,7 @@ static int solved(int n, int c, double *A, double *B) {
     return 1;
 }
 
-/* The nodes of a plan (``nodes_from``). */
+/* The nodes of a plan. */
 static void set_nodes(const Given *g, Work *w) {
     double step = g->step, start = w->start, chosen[BORDER * 4 + COUNT];
     int many = 0, begins = 1;

@@ -424,3 +424,16 @@ def test_jumps_of_a_preview_are_told_by_the_clock() -> None:
         along, curved = corner.sample_at([before, before]).xd, corner.sample_at([before, before]).xdd
         np.testing.assert_allclose(xd, rate * along, atol=1e-6)
         np.testing.assert_allclose(xdd, rate**2 * curved + bend * along, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("s", "sd"), [(0.1501, 0.0), (0.151, 0.0), (0.1, 0.31)], ids=["off the track", "far off the track", "too fast"]
+)
+def test_a_start_beyond_a_limit_leaves_a_planner_that_goes_on(s: float, sd: float) -> None:
+    """No slower motion keeps every limit at such a start; the first plan that is kept says what all is divided by."""
+    dynamics = rp.CompiledDynamics(rp.load_robot("2rpr", end_effector_mass=0.5, cylinder_mass=0.3))
+    planner = RecedingHorizon(dynamics, slow_down=True, limits=rp.Limits(track=(-0.15, 0.15), speed=0.3))
+    first = planner.update(0.0, CIRCLE, [s, s], [sd, sd])
+    assert first.status is UpdateStatus.RELAXED
+    later = [planner.update(0.02 * i, CIRCLE, [0.1, 0.1], [0.0, 0.0]) for i in range(1, 6)]
+    assert all(command.status in (UpdateStatus.OK, UpdateStatus.TIME_SCALED) for command in later)

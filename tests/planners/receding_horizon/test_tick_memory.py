@@ -16,6 +16,7 @@ import pytest
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.errors import InputError
 from redundancy_pin.machine_code import CACHE, find_compiler
 from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import Preview, RecedingHorizon, Weights
@@ -201,3 +202,18 @@ def test_a_solution_of_another_length_is_not_read() -> None:
     # behind the ten lies all of it: who read on would be warm
     assert counts(lambda solution: solution[:10]) == cold
     assert sum(warm) < sum(cold)
+
+
+def test_a_copy_of_a_planner_whose_updates_are_relaxed_makes_the_same_guesses() -> None:
+    planner = RecedingHorizon(dynamics(), limits=rp.Limits(effort=1.0, acceleration=2.0))
+    statuses = [planner.update(STEP * i, CIRCLE).status for i in range(6)]
+    assert UpdateStatus.RELAXED in statuses
+    other = copy.deepcopy(planner)
+    for i in range(6, 10):
+        command, again = planner.update(STEP * i, CIRCLE), other.update(STEP * i, CIRCLE)
+        np.testing.assert_allclose(again.efforts.coefficients, command.efforts.coefficients, atol=1e-6)
+
+
+def test_a_weight_of_zero_for_what_is_missed_is_refused() -> None:
+    with pytest.raises(InputError, match="missing weighs 0"):
+        Weights(missing=0.0)
