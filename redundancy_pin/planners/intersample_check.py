@@ -522,9 +522,7 @@ def _values(
     states = States(functions.efforts(reduced), rate, reduced.carrier_force, carriers.s, carriers.sd, carriers.sdd)
     values = []
     for key, joints in limits.evaluated().items():
-        formula = QUANTITIES[key].formula
-        if formula is not None:
-            values.append(np.asarray(formula(states))[:, joints])
+        values.append(np.asarray(QUANTITIES[key].values(states))[:, joints])
     return reduced, np.concatenate(values, axis=1).reshape(len(ends), PIECE_DEGREE + 1, -1)
 
 

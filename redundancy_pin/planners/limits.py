@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, ByValue, IntArray, each, frozen, runs
-from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.errors import InfeasiblePlanError, InputError, shown
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
@@ -47,6 +47,26 @@ class Quantity:
     owner: Literal["actuated", "carriers"]
     unit: Callable[[bool], str]
     formula: Callable[[Any], Any] | None = None
+
+    def values(self, state: Any) -> Any:
+        """Return the values of all owners, (N, m) or (N, k), numbers or expressions of the solver.
+
+        Raises:
+            InputError: the formula fails, or has not one column for each owner.
+        """
+        remedy = "Correct it: from tau, actuated_rate (N, m), force, s, sd and sdd (N, k) of a state to all owners."
+        wanted = state.tau.shape if self.owner == "actuated" else state.s.shape
+        try:
+            value = self.formula(state) if self.formula else None
+            shape = getattr(value, "shape", ())
+        except (ArithmeticError, AttributeError, NotImplementedError, RuntimeError, TypeError, ValueError) as error:
+            raise InputError(
+                f"The formula of {shown(self.name)} fails: {str(error).rstrip('.')}.", remedy=remedy
+            ) from error
+        if tuple(shape) != tuple(wanted):
+            message = f"The formula of {shown(self.name)} gives an array of shape {tuple(shape)}, not {tuple(wanted)}."
+            raise InputError(message, remedy=remedy)
+        return value
 
 
 def _motion_unit(per: str) -> Callable[[bool], str]:

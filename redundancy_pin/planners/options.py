@@ -124,6 +124,10 @@ class Limits(ByValue):
                 remedy = "Add an entry to planners.limits.QUANTITIES. "
                 remedy += f"Entries are {', '.join(known)}." if known else "It has none beside the other limits."
                 raise InputError(f"further limits {shown(key)}, which is no quantity.", remedy=remedy, name=key)
+            name = QUANTITIES[key].name
+            if [one.name for one in QUANTITIES.values() if one is not QUANTITIES["actuator_speed"]].count(name) > 1:
+                message = f"The quantity {shown(key)} has the name of another one, {shown(name)}."
+                raise InputError(message, remedy="Give its entry of planners.limits.QUANTITIES another name.", name=key)
         sizes = {key: m if QUANTITIES[key].owner == "actuated" else k for key in given}
         return MappingProxyType(
             {key: frozen(each(limit, key, (sizes[key],), above_zero=True)) for key, limit in given.items()}

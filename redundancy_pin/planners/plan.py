@@ -34,7 +34,7 @@ PLAN_FORMAT = "redundancy_pin plan"
 """What a saved plan calls itself."""
 
 PLAN_VERSION = 6
-"""Version of the file format: counts up whenever the fields of the file change. 5: ``LimitEvent.joint``."""
+"""Version of the file format: counts up whenever the fields of the file change. 6: limits of further quantities."""
 
 REVERSAL = 0.05
 """Change after a turning point, as a fraction of the peak effort, from which the turning point is a reversal."""
@@ -417,7 +417,9 @@ def _check(plan: Plan) -> None:
             _require_array(f"limits.judged_by.{key}", judged.of(key), "f", shape)
     for key in judged.further:
         if key not in QUANTITIES:
-            raise InputError(f"it limits {shown(key)}, which is no entry of planners.limits.QUANTITIES")
+            raise InputError(
+                f"it limits {shown(key)}, which is no entry of planners.limits.QUANTITIES (add it before loading)"
+            )
     for name, shape in shapes.items():
         _require_array(name, attrgetter(name)(plan), "f", shape)
     for name in ("sample_status", "phase"):

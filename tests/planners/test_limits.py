@@ -19,8 +19,10 @@ from redundancy_pin.planners.limits import (
     BINDING,
     EXCEEDING,
     LIMIT_TOLERANCE,
+    QUANTITIES,
     LimitedQuantity,
     LimitEvent,
+    Quantity,
     ResolvedLimits,
     limit_events,
     motion_quantities,
@@ -270,3 +272,20 @@ def test_places_are_on_a_track_up_to_its_ends(size):
             limits.on_track(size * np.array(places), "start")
         assert caught.value.details["joint"] == robot.carriers[carrier]
         assert caught.value.details["amount"] == pytest.approx(amount * size)
+
+
+@pytest.mark.parametrize(
+    ("name", "formula", "message"),
+    [
+        ("power", None, "gives an array of shape"),
+        ("power", lambda q: (q.tau * q.actuated_rate)[:, :1], "gives an array of shape"),
+        ("power", lambda q: q.no_such_quantity, "fails"),
+        ("speed", lambda q: q.tau * q.actuated_rate, "has the name of another one"),
+    ],
+)
+def test_a_quantity_of_a_user_that_cannot_be_limited_is_refused(monkeypatch, name, formula, message):
+    monkeypatch.setitem(QUANTITIES, "power", Quantity(name, "actuated", lambda turns: "W", formula))
+    dynamics = rp.CompiledDynamics(zoo.robot_of("2rpr", end_effector_mass=0.5, cylinder_mass=0.3))
+    for plan in (rp.plan_whole_trajectory, rp.plan_time_optimal):
+        with pytest.raises(rp.errors.InputError, match=message):
+            plan(dynamics, rp.trajectory.reference.circle(speed=0.5), limits=Limits(further={"power": 5.0}))

@@ -77,12 +77,17 @@ def relax(
     elastic = solve(problem, guess, settings.seconds, lambda *_: True, elastic=kinds, most=most)
     if elastic.feasible and not _exceeded(problem, elastic):
         elastic = solve(problem, elastic.values, deadline - time.perf_counter(), elastic=kinds)
+    iterations = elastic.iterations  # of all finer meshes: a refusal is to come in seconds
     for _ in range(problem.settings.refinements):
         following = finer(problem, elastic) if finer is not None and elastic.feasible else None
-        if following is None:
+        if following is None or iterations <= 0:
             break
-        values, problem = problem.resampled(elastic.values, following), following
-        elastic = solve(problem, values, deadline - time.perf_counter(), elastic=kinds, most=most)
+        values = problem.resampled(elastic.values, following)
+        found = solve(following, values, deadline - time.perf_counter(), elastic=kinds, most=iterations)
+        iterations -= found.iterations
+        if not found.feasible:  # what the coarser nodes need is known
+            break
+        problem, elastic = following, found
     if not elastic.feasible:
         raise nothing_helps(problem, elastic, message)
     exceeded = _exceeded(problem, elastic)
@@ -131,12 +136,13 @@ def relax(
 
 
 _REMEDY = (
-    "Widen these limits, by 2 % more than that (the least leaves no room), slow the motion down, or leave the end free."
+    "Widen these limits, by a few per cent more than that (the least leaves no room), slow the motion down, or leave the "
+    "end free."
 )
 
 _REMEDY_OF_TIMING = (
-    "Widen these limits, by 2 % more than that (the least leaves no room), lead the path elsewhere, or leave the ends "
-    "free."
+    "Widen these limits, by a few per cent more than that (the least leaves no room), lead the path elsewhere, or leave "
+    "the ends free."
 )
 
 
@@ -302,7 +308,7 @@ def _quantity(
         return jerk, -limit, limit, limit, robot.carriers
     if kind in problem.settings.limits.further:
         quantity, limit = QUANTITIES[kind], problem.settings.limits.of(kind)
-        value = quantity.formula and quantity.formula(Evaluation(problem, elastic.values))
+        value = quantity.values(Evaluation(problem, elastic.values))
         return np.asarray(value), -limit, limit, limit, getattr(robot, quantity.owner)
     name = _variable_of(kind)
     size = np.broadcast_to(getattr(u, name), elastic.values[name].shape[1:])

@@ -357,11 +357,11 @@ class Transcription(Quantities):
         problem, limits = self._problem, self._problem.settings.limits
         first = 0
         for key, joints in limits.evaluated().items():
-            formula, columns = QUANTITIES[key].formula, slice(first, first + len(joints))
+            columns = slice(first, first + len(joints))
             first += len(joints)
-            if key in limits.further and formula is not None and len(joints):
+            if key in limits.further and len(joints):
                 share = 1.0 if problem.shares is None else problem.shares[:, columns]
-                used = formula(self)[:, joints.tolist()]
+                used = QUANTITIES[key].values(self)[:, joints.tolist()]
                 most = (1.0 - RESERVE) * share * np.ones(used.shape)
                 self.limit(key, used / _rows(limits.of(key)[joints], used.shape), -most, most)
 
