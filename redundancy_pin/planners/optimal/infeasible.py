@@ -136,13 +136,13 @@ def relax(
 
 
 _REMEDY = (
-    "Widen these limits, by a few per cent more than that (the least leaves no room), slow the motion down, or leave the "
-    "end free."
+    "Widen these limits, by a few per cent more than that (the least leaves no room), slow the motion down, or leave "
+    "the end free."
 )
 
 _REMEDY_OF_TIMING = (
-    "Widen these limits, by a few per cent more than that (the least leaves no room), lead the path elsewhere, or leave "
-    "the ends free."
+    "Widen these limits, by a few per cent more than that (the least leaves no room), lead the path elsewhere, or "
+    "leave the ends free."
 )
 
 

@@ -26,8 +26,7 @@ from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.options import Limits, Mesh
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.trajectory import Line, circle_path, reference
-from redundancy_pin.trajectory.waypoints import through_points
+from redundancy_pin.trajectory import Line, circle_path, reference, through_points
 
 pytest.importorskip("casadi")
 least_time = pytest.importorskip(
