@@ -170,8 +170,9 @@ def parallel(
             pool = joblib.Parallel(**settings, batch_size=1, return_as=_kind(ordered))
     else:
         pool = joblib.Parallel(**settings, batch_size=1, return_as=_kind(ordered))
-    results = pool(joblib.delayed(function)(*given) for given in arguments)
+    results = None
     try:
+        results = pool(joblib.delayed(function)(*given) for given in arguments)
         yield from results
     except TerminatedWorkerError as error:
         raise RedundancyPinError(
@@ -182,7 +183,8 @@ def parallel(
             f"A worker process failed: {error}", remedy="Define the function in a module, or use jobs=1."
         ) from error
     finally:
-        results.close()
+        if results is not None:
+            results.close()
 
 
 def _kind(ordered: bool) -> str:

@@ -121,11 +121,16 @@ def check_parity(
 
 
 def _elsewhere(along: RneaAlongMotion, q: Array | None) -> BoolArray:
-    """Return (N,) whether q (N, nq) closes the loops elsewhere than RNEA: two branches come near each other between."""
-    if q is None:
+    """Return (N,) whether q (N, nq) closes the loops elsewhere than RNEA: two branches come near each other between.
+
+    Where working modes tell branches apart a backend has no choice.
+    """
+    if q is None or along.robot.working_modes is not None:
         return np.zeros(len(along.q), dtype=bool)
     residual = np.abs(constraint_system(along.robot).evaluate(q).phi).max(axis=1, initial=0.0)
-    differs = np.abs(q - along.q).max(axis=1) > SAME_CONFIGURATION
+    apart = q - along.q
+    apart -= 2.0 * np.pi * np.round(apart / (2.0 * np.pi))  # a joint may be whole turns away
+    differs = np.abs(apart).max(axis=1) > SAME_CONFIGURATION
     return np.asarray(differs & (residual < CLOSED * along.robot.characteristic_length))
 
 

@@ -50,6 +50,12 @@ _HEADER = "metadata"
 UNPACKED, _RATIO = 1 << 27, 20
 """Bytes that a file may have when it is unpacked: so many, and so many for each byte it has. Plans have 1.4 to 3."""
 
+_MOST_ARRAYS = 10_000
+"""Arrays in a file; plans have some 40."""
+
+_SURROGATES, _LAST_CODE = (0xD800, 0xDFFF), 0x10FFFF
+"""Codes that are no characters, and the last one that is."""
+
 
 class _Header(Schema):
     """The JSON text.
@@ -266,7 +272,10 @@ def _read_arrays(path: Path, word: str, damaged: Callable[[str], PlanFileError])
             if stream.read(4) != b"PK\x03\x04":
                 raise _foreign(path, word, f"is not an npz archive ({size} bytes)")
         with zipfile.ZipFile(path) as archive:
-            unpacked, largest = sum(member.file_size for member in archive.infolist()), UNPACKED + _RATIO * size
+            members = archive.infolist()
+            unpacked, largest = sum(member.file_size for member in members), UNPACKED + _RATIO * size
+        if len(members) > _MOST_ARRAYS:
+            raise ValueError(f"{len(members)} arrays, of at most {_MOST_ARRAYS}")
         if unpacked > largest:
             raise ValueError(f"{unpacked} bytes when unpacked, of at most {largest}")
         with np.load(path, allow_pickle=False) as file:
@@ -287,7 +296,9 @@ def _sound(name: str, array: Any) -> NDArray[Any]:
     if not isinstance(array, np.ndarray) or array.dtype.kind not in _KINDS or not array.dtype.itemsize:
         raise ValueError(f"{shown(name)} is {getattr(array, 'dtype', 'no array')}, not an array of numbers or text")
     if array.dtype.kind == "U":
-        "".join(array.ravel().tolist()).encode()  # codes that are no characters
+        codes = np.ascontiguousarray(array).view(np.dtype(np.uint32).newbyteorder(array.dtype.byteorder))
+        if ((codes > _LAST_CODE) | ((codes >= _SURROGATES[0]) & (codes <= _SURROGATES[1]))).any():
+            raise ValueError(f"{shown(name)} holds codes that are no characters")
     return read_only(array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("=")))
 
 

@@ -97,15 +97,14 @@ def replacing_folder(target: str | Path) -> Iterator[Path]:
         with refusing(path):
             if path.exists():
                 os.replace(path, earlier)
-            try:
-                os.replace(temporary, path)
-            except OSError:
-                if earlier.exists():
-                    os.replace(earlier, path)
-                raise
+            os.replace(temporary, path)
     finally:
-        for folder in (temporary, earlier):
-            shutil.rmtree(folder, ignore_errors=True)
+        if earlier.exists() and not path.exists():
+            with suppress(OSError):  # then it stays beside the target
+                os.replace(earlier, path)
+        if path.exists():
+            shutil.rmtree(earlier, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def require_writable(target: str | Path) -> Path:

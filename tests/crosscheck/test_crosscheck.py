@@ -499,7 +499,7 @@ def test_a_machine_with_too_few_motors_has_no_round_trip():
 def test_a_backend_on_another_branch_is_skipped_and_one_that_does_not_close_is_not():
     """The elbow of a four-bar the other way round, and joints that are off by a thousandth."""
     drawn = random_states("four_bar", 4, 0)
-    along = RneaDynamics(drawn.robot).along(drawn.motion)
+    along = RneaDynamics(replace(drawn.robot, working_modes=None, working_mode=())).along(drawn.motion)
     mirrored = np.array([folded(drawn.robot, q) for q in along.q])
     assert np.abs(mirrored - along.q).max() > 0.1
     assert physics._elsewhere(along, mirrored).all()
@@ -567,3 +567,20 @@ def test_a_motion_without_inertia_is_skipped_with_its_reason():
     drawn = random_states("2rpr", 3, 0, settings=(("carriers", False),))
     (row,) = physics.check_round_trip(drawn, RneaDynamics(drawn.robot).along(drawn.motion))
     assert (row.samples, row.skipped) == (0, {"massless": 3})
+
+
+@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
+def test_a_backend_in_another_working_mode_fails(monkeypatch, name: str) -> None:
+    def flipped(robot):
+        return CompiledDynamics(load_robot(name, working_mode=tuple(-sign for sign in robot.working_mode)))
+
+    monkeypatch.setattr(crosscheck, "CompiledDynamics", flipped)
+    report = crosscheck.run([name], samples=4)
+    assert not report.passed
+    assert not all(row.passed for row in report.rows if row.check == "parity: W (compiled)")
+
+
+def test_a_check_whose_every_state_is_on_another_branch_fails() -> None:
+    row = checked_row("machine", "parity", np.zeros(0), 1e-10, {"other_branch": 5})
+    assert (row.passed, row.note) == (False, "")
+    assert not CrossCheckReport((row,), 0).passed

@@ -267,3 +267,16 @@ def test_bombs_take_neither_time_nor_memory(names: list[str], tmp_path: Path) ->
     assert len(seconds) == len(paths)
     assert max(seconds) < MOST_SECONDS
     assert megabytes < MOST_MEGABYTES
+
+
+def test_many_characters_and_many_arrays_take_neither_memory_nor_time(tmp_path: Path) -> None:
+    text, many = tmp_path / "text.npz", tmp_path / "many.npz"
+    np.savez_compressed(text, a=np.full(33_000_000, "\u4e00"), metadata=np.array("{}"))
+    with zipfile.ZipFile(many, "w") as archive:
+        for i in range(20_000):
+            archive.writestr(f"{i}.npy", b"")
+    for path in (text, many):
+        before = time.process_time()
+        with pytest.raises(PlanFileError):
+            read_archive(path, "plan", 1, "plan", dict)
+        assert time.process_time() - before < 2.0

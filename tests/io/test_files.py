@@ -253,3 +253,25 @@ def test_a_killed_writer_leaves_the_old_file_whole(step: str, tmp_path: Path) ->
     assert target.read_text() == "old"
     write_text(target, "new")
     assert target.read_text() == "new"
+
+
+def test_results_survive_an_interrupt_between_the_two_renames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target, replace, sources = tmp_path / "results", os.replace, []
+
+    def interrupted(source: Path, place: Path) -> None:
+        sources.append(source)
+        if len(sources) == 2:
+            raise KeyboardInterrupt
+        replace(source, place)
+
+    def fill(text: str) -> None:
+        with replacing_folder(target) as folder:
+            (folder / "a.csv").write_text(text)
+            (folder / "summary.json").write_text(json.dumps({"files": ["a.csv"]}))
+
+    fill("first")
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        fill("second")
+    assert (target / "a.csv").read_text() == "first"
+    assert _names(tmp_path) == ["results"]
