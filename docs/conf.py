@@ -128,6 +128,11 @@ def escape_bars(app: Sphinx, what: str, name: str, subject: object, options: obj
                 for line in lines]  # fmt: skip
 
 
+def escape_bars_of_options(app: Sphinx, command: object, lines: list[str]) -> None:
+    """Keep |τ| in help texts an absolute value; the bars of choices, such as GIF|MP4, need nothing."""
+    lines[:] = [re.sub(r"\|(\w{1,2}\W?)\|", r"\\|\1\\|", line) for line in lines]
+
+
 def shorten_types(
     app: Sphinx, what: str, name: str, subject: object, options: object, signature: str | None, returned: str | None
 ) -> tuple[str | None, str | None]:
@@ -140,4 +145,5 @@ def setup(app: Sphinx) -> None:
     """Connect the hooks."""
     app.connect("source-read", fill_in_contents)
     app.connect("autodoc-process-docstring", escape_bars)
+    app.connect("sphinx-click-process-options", escape_bars_of_options)
     app.connect("autodoc-process-signature", shorten_types)
