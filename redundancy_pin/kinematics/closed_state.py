@@ -65,7 +65,7 @@ _NEWTON_STEPS = 10
 """Most steps of Newton's method, which doubles the correct digits: from 0.1 to rounding it takes five."""
 
 _LARGEST_BEND = 0.1
-"""Part of second order of a prediction, relative to the first, above which it is left out: the step is then too long."""
+"""Part of second order of a prediction, relative to the first, above which it is left out: the step is too long."""
 
 _COS_TURNED_OVER = math.cos(TURNED_OVER)
 
