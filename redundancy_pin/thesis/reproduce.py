@@ -42,7 +42,7 @@ from redundancy_pin.thesis.measures import CSV_DIGITS, MotionRun, run
 from redundancy_pin.thesis.statements import compare_motions, environment, thesis
 from redundancy_pin.thesis.table import Column, Link, Record, Table, grouped, mode_text, records_csv, span, table
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
-from redundancy_pin.visualisation.figures.style import require_matplotlib, save
+from redundancy_pin.visualisation.figures.style import save
 
 CROSS_CHECK_SEED = 0
 
@@ -101,9 +101,8 @@ def reproduce(
     Raises:
         CrossCheckError: the backends disagree.
         OutputError: the folder cannot be written or holds other files.
-        RedundancyPinError: an experiment cannot run, or matplotlib is not installed.
+        RedundancyPinError: an experiment cannot run.
     """
-    require_matplotlib()
     require_replaceable(folder)
     total, steps, notify = _count(extent), count(_CROSS_CHECK_STEPS + 1), progress or (lambda *_: None)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -71,8 +70,3 @@ def test_unwritable_output(tmp_path: Path) -> None:
     (tmp_path / "results" / "notes.txt").write_text("mine")
     assert "notes.txt" in refused("reproduce", "--out", tmp_path / "results")
     assert [path.name for path in (tmp_path / "results").iterdir()] == ["notes.txt"]
-
-
-def test_without_matplotlib(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert "redundancy_pin[plot]" in refused("reproduce", "--out", tmp_path / "results")
