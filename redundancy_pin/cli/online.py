@@ -15,7 +15,7 @@ from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.planners.summary import summary, warnings_of
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.view import show
-from redundancy_pin.visualisation.viewer.page import require_html, require_meshcat
+from redundancy_pin.visualisation.viewer.page import require_html
 
 _PLANNED = (UpdateStatus.OK.value, UpdateStatus.TIME_SCALED.value)
 """Updates that found a plan within every limit."""
@@ -56,7 +56,6 @@ def online(
     """
     output.require_outputs(out, (".npz",), inputs=(motion.file,))
     if html:
-        require_meshcat()
         require_html(html)
         require_writable(html)
     keywords = {name: value for name, value in given.items() if value is not None}

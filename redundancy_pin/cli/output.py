@@ -21,7 +21,7 @@ from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.io.json_data import json_data
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib
+from redundancy_pin.visualisation.figures.style import picture_format
 
 if TYPE_CHECKING:  # rich is imported where something is printed by it: `--help` and `--json` do without
     from rich.console import Console
@@ -168,7 +168,6 @@ def require_outputs(
     if out:
         require_writable(out)
     if plot:
-        require_matplotlib()
         picture_format(plot)
         require_writable(plot)
     given = [one for one in inputs if one]

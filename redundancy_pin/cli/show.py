@@ -14,7 +14,7 @@ from redundancy_pin.planners.plan import load_plan
 from redundancy_pin.simulation import load_simulation
 from redundancy_pin.view import show as view
 from redundancy_pin.visualisation.figures.video import require_video, save_video
-from redundancy_pin.visualisation.viewer.page import View, require_html, require_meshcat
+from redundancy_pin.visualisation.viewer.page import View, require_html
 
 VIDEO = "Write a video, drawn without a display; an MP4 needs ffmpeg or the extra video."
 
@@ -46,8 +46,6 @@ def show(out: str | None, video: str | None, open_browser: bool, as_json: bool, 
       redundancy-pin show --run run.npz --video run.gif
     """
     # before the robot is loaded
-    if out or not video:
-        require_meshcat()
     if video:
         require_video(video)
     if out:

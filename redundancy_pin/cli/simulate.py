@@ -42,6 +42,9 @@ CONTROLLERS = {"open-loop": "open loop", "computed-torque": "computed torque", "
 FRICTION = ("prismatic_coulomb", "prismatic_viscous", "revolute_coulomb", "revolute_viscous")
 """Keywords of ``joint_friction`` that ``--friction`` takes."""
 
+KEYWORDS = ("carriers", "effort_limit", "carrier_force_limit", "joint_stops", "duration")
+"""Those of ``rp.simulate`` that are flags as they are."""
+
 NEVER = "never"
 
 _LISTED = 8  # events that the table lists; the rest is counted
@@ -65,7 +68,9 @@ _LISTED = 8  # events that the table lists; the rest is counted
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, metavar="N", help="Of the noise.")
 @options.settings_option("--friction", "friction", f"Friction of the joints: {', '.join(FRICTION)}; N, N·m, s. "
                          "May be repeated.")  # fmt: skip
-@options.keyword_options(run_simulation, only=("carriers", "effort_limit", "carrier_force_limit", "duration"))
+@options.keyword_options(
+    run_simulation, only=("carriers", "effort_limit", "carrier_force_limit", "joint_stops", "duration")
+)
 @click.option("--stop-at", type=click.Choice([*KINDS, NEVER]), multiple=True, default=("track", "joint_limit"),
               show_default=True, help="Events at which it stops. May be repeated.")  # fmt: skip
 @click.option("--dt", type=float, metavar="SECONDS", help="Between the samples.  [default: --period, or 0.005]")
@@ -201,6 +206,7 @@ def _run(machine: Robot, reference: MotionReference, sampling: Sampling | None, 
         sampling=sampling,
         external=joint_friction(machine, **friction) if friction else None,
         stop_at=sorted(events - {NEVER}),
+        joint_stops=given["joint_stops"] or "end",
         **limits,
         **({} if sampling is None else digital),
     )

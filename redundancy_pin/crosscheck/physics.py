@@ -102,7 +102,7 @@ def check_parity(
     except (CompilerError, UnsupportedRobotError) as error:
         every = len(states.motion)
         yield checked_row(
-            states.robot.name, f"parity: W and f ({label})", np.zeros(0), PARITY, {"no_backend": every}, error.message
+            states.robot.name, f"parity: W and f ({label})", np.zeros(0), PARITY, {"no_backend": every}, str(error)
         )
         return
     keep, skipped = select(len(states.motion), near_type_i=~_regular(along), other_branch=_elsewhere(along, other.q))

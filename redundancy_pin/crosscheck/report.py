@@ -20,6 +20,9 @@ SCOPE = (
 )
 """What a cross-check cannot find out; printed below every report."""
 
+COLOURED = {"ok": "[green]ok[/green]", "FAILED": "[red]FAILED[/red]"}
+"""Verdicts as the terminal shows them."""
+
 
 @dataclass(frozen=True)
 class CheckRow:
@@ -51,9 +54,19 @@ class CheckRow:
         """Number of states, skipped ones included."""
         return self.samples + sum(self.skipped.values())
 
+    @property
+    def verdict(self) -> str:
+        """``ok``, ``FAILED``, or ``left out`` where there is a note."""
+        return "left out" if self.note else "ok" if self.passed else "FAILED"
+
+    @property
+    def title(self) -> str:
+        """What was compared, and why it is left out."""
+        return f"{self.check}: {self.note}" if self.note else self.check
+
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, for JSON and tables."""
-        return {**asdict(self), "total": self.total}
+        return {**asdict(self), "total": self.total, "verdict": self.verdict}
 
 
 @dataclass(frozen=True)
@@ -86,11 +99,8 @@ class CrossCheckReport:
             table.add_column(heading, justify="right")
         for row in self.rows:
             states = f"{row.samples} of {row.total}" if row.skipped else str(row.samples)
-            if row.note:
-                table.add_row(row.robot, f"{row.check}: {escape(row.note)}", states, "", "", "left out")
-            else:
-                verdict = "[green]ok[/green]" if row.passed else "[red]FAILED[/red]"
-                table.add_row(row.robot, row.check, states, f"{row.worst:.1e}", f"{row.tolerance:.0e}", verdict)
+            numbers = ("", "") if row.note else (f"{row.worst:.1e}", f"{row.tolerance:.0e}")
+            table.add_row(row.robot, escape(row.title), states, *numbers, COLOURED.get(row.verdict, row.verdict))
             for reason, count in row.skipped.items():
                 table.add_row("", f"  skipped: {REASONS[reason]}", str(count), "", "", "")
         return table

@@ -180,8 +180,11 @@ class Follower(LoopSolver):
             require_poses(x[None])
         return self.follow(here, x)
 
-    def follow(self, here: ClosedState, x: Array) -> ClosedState | BranchEnd:
-        """Return what ``advance`` does, for read-only coordinates that were checked: those of a ``PlatformMotion``."""
+    def follow(self, here: ClosedState, x: Array, bend: Array | None = None) -> ClosedState | BranchEnd:
+        """Return what ``advance`` does, for read-only coordinates that were checked: those of a ``PlatformMotion``.
+
+        ``bend`` is the one of ``extrapolate``, for where one step leads there.
+        """
         if here.interpolated and not np.isfinite(here.gamma).all():
             return BranchEnd(SampleStatus.NOT_FINITE, x, here, here.q, math.nan)
         self._require_own(here)
@@ -193,7 +196,7 @@ class Follower(LoopSolver):
         while done < 1.0:
             end = 1.0 if done + size >= 1.0 - 1e-12 else done + size
             target = x if end == 1.0 else read_only(moved(self.robot, start, whole * end))
-            reached = self.step(here, target) or self._at_rank_loss(here, target)
+            reached = self.step(here, target, bend if size == 1.0 else None) or self._at_rank_loss(here, target)
             if reached is not None:
                 here, done, size = reached, end, min(2.0 * size, longest)
                 continue
@@ -228,7 +231,7 @@ class Follower(LoopSolver):
             ends.append(BranchEnd(status, read_only(x[k].copy()), state, q, float(solved.residual[k]), rank_lost))
         return ends
 
-    def step(self, here: ClosedState, x: Array) -> ClosedState | None:
+    def step(self, here: ClosedState, x: Array, bend: Array | None = None) -> ClosedState | None:
         """Return the state at coordinates x nearby in one step, or None where it is not plainly on the branch.
 
         A step within which K may become singular is refused, except where the branch goes smoothly through a rank loss
@@ -237,12 +240,13 @@ class Follower(LoopSolver):
         Args:
             here: a state of the branch.
             x: (n,) coordinates, or a pose (4, 4).
+            bend: as of ``extrapolate``.
 
         Raises:
             InputError: coordinates of another shape, or a state of another robot.
         """
         self._require_own(here)
-        new = self.extrapolate(here, x)
+        new = self.extrapolate(here, x, bend)
         if new is None:
             return None
         same_side = self._same_sides(here.q, new.q)

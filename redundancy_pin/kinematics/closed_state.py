@@ -64,6 +64,9 @@ the largest inverse margin, 1e4, that is not treated as a rank loss."""
 _NEWTON_STEPS = 10
 """Most steps of Newton's method, which doubles the correct digits: from 0.1 to rounding it takes five."""
 
+_LARGEST_BEND = 0.1
+"""Part of second order of a prediction, relative to the first, above which it is left out: the step is too long."""
+
 _COS_TURNED_OVER = math.cos(TURNED_OVER)
 
 
@@ -286,14 +289,22 @@ class LoopSolver:
         arrays = _kept(x), _kept(q), _kept(gamma)
         return ClosedState(self.robot, *arrays, read_only(np.zeros((0, 0))), residual, 0.0, self.blocks, basis)
 
-    def extrapolate(self, here: ClosedState, x: Array) -> ClosedState | None:
+    def extrapolate(self, here: ClosedState, x: Array, bend: Array | None = None) -> ClosedState | None:
         """Return the state at coordinates x nearby by one step: predicted by Γ, corrected by Newton's method.
 
         None where Newton's method fails, where K is singular, or where the trapezoidal rule over Γ contradicts the
         step (``CONTINUITY``).
+
+        Args:
+            here: a state of the branch.
+            x: (n,) coordinates, or a pose (4, 4).
+            bend: (nv,) what the prediction gets beside Γ Δx, its part of second order; none where it is no small part.
         """
         increment = difference(self.robot, x, here.x)
-        new = self.close(self.integrate(here.q, here.gamma.dot(increment)), x, here.basis)
+        predicted = here.gamma.dot(increment)
+        if bend is not None and largest(bend) < _LARGEST_BEND * largest(predicted):
+            predicted += bend
+        new = self.close(self.integrate(here.q, predicted), x, here.basis)
         if new is None or not new.margin > 0.0:
             return None
         step = self.tangent(here.q, new.q)

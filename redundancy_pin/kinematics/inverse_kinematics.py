@@ -179,16 +179,27 @@ class MotionSolution:
             How many have a state, the last of the states, and why the branch ends there; None where all have one.
         """
         cache, motion = self._cache, self._motion
+        last: int | None = None
         for count, k in enumerate(order):
             key = b"" if cache is None else sample_key(motion, k)
             before = cache.get(key) if cache else None
-            reached = self._solved(here, k) if before is None or not self._continues(here, before.state) else before
+            if before is None or not self._continues(here, before.state):
+                reached = self._solved(here, k, None if last is None else self._bend(last, k))
+            else:
+                reached = before
             if isinstance(reached, BranchEnd):
                 return count, here, reached
             if cache is not None and len(cache) < _LARGEST_CACHE:
                 cache[key] = reached
-            here = self._keep(k, reached)
+            here, last = self._keep(k, reached), k
         return len(order), here, None
+
+    def _bend(self, last: int, k: int) -> Array:
+        """Return (nv,) the displacement of the tree from a solved sample to sample k beyond Γ Δx, to second order."""
+        motion = self._motion
+        time = motion.t[k] - motion.t[last]
+        bend: Array = (0.5 * time * time) * (self.a[last] - self.gamma[last].dot(motion.xdd[last]))
+        return bend
 
     def _continues(self, here: ClosedState, known: ClosedState) -> bool:
         """Return whether a state that was solved before is plainly on the branch of another, not whole turns away."""
@@ -253,12 +264,12 @@ class MotionSolution:
             ends = self._follower.diagnose_each([last] * len(samples), self._motion.x[samples])
             self.residual[samples] = [end.residual for end in ends]
 
-    def _solved(self, here: ClosedState, k: int) -> Rates | BranchEnd:
-        """Return a sample on the branch of a state, or why it is not there."""
+    def _solved(self, here: ClosedState, k: int, bend: Array | None = None) -> Rates | BranchEnd:
+        """Return a sample on the branch of a state, or why it is not there; ``bend`` as of ``extrapolate``."""
         follower, motion = self._follower, self._motion
         x, xd, xdd = motion.x[k], motion.xd[k], motion.xdd[k]
         # several joints go straight; of one alone whole turns are multiples of the first
-        reached = advance_turns(follower, here, x) if follower.robot.n == 1 else follower.follow(here, x)
+        reached = advance_turns(follower, here, x) if follower.robot.n == 1 else follower.follow(here, x, bend)
         if isinstance(reached, BranchEnd):
             return reached
         if reached.margin >= follower.near:

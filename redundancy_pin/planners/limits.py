@@ -239,7 +239,8 @@ class LimitedQuantity:
         upper: (j,) upper limits.
         exceeding: excess up to which a limit is kept, in ``unit``.
         touching: distance from a limit up to which it is touched, in ``unit``.
-        unit: (j,); when left out, for each limit the larger of its magnitude and half the distance of both limits.
+        unit: (j,); when left out, for each limit the larger of its magnitude and half the distance of both limits (of
+            one alone: and the largest value).
     """
 
     name: str
@@ -271,7 +272,9 @@ def limit_events(quantities: Iterable[LimitedQuantity]) -> tuple[Events, Events]
             for limit, excess in zip(ends, (value - ends[0], ends[1] - value), strict=True):
                 if not np.isfinite(limit):
                     continue
-                size = max(abs(limit), 0.5 * (ends[0] - ends[1])) if row.unit is None else row.unit[j]
+                half = 0.5 * (ends[0] - ends[1])
+                half = half if np.isfinite(half) else float(np.abs(value).max(initial=0.0))  # limited on one side
+                size = max(abs(limit), half) if row.unit is None else row.unit[j]
                 broken = excess > row.exceeding * size
                 near = (excess > -row.touching * size) & ~broken
                 for found, where in ((violated, broken), (touched, near)):

@@ -32,6 +32,9 @@ rank."""
 ONE_SIDED = ("track", "joint_limit")
 """Kinds that stand for a stop: only leaving the allowed side counts."""
 
+RELEASE = "release"
+"""Kind of the event at which a stop lets go of a joint that it held."""
+
 _ROUNDING = 1e-12
 """Values of functions other than stops, which have no unit, that are taken for zero at the start."""
 
@@ -68,40 +71,51 @@ class Event:
     """Something that happened during a simulation.
 
     Attributes:
-        kind: one of ``KINDS``.
+        kind: one of ``KINDS``, or ``RELEASE``.
         name: which one: "carrier_1 upper", "leg 2", or the kind itself.
         t: time, s, found as a root on the integrator's own interpolant.
         terminal: whether the simulation stopped there.
+        impulse: of a stop that pushes back, N·s or N·m·s.
     """
 
     kind: str
     name: str
     t: float
     terminal: bool
+    impulse: float = 0.0
 
 
 class EventFunctions:
     """The scalar functions of a robot whose zeros are events, with their kinds and names; the stops come first.
 
-    Joints that are at a limit at the ``start`` (nq,) may exceed it by nearly its slack.
+    Joints that are at a limit at the ``start`` (nq,) may exceed it by nearly its slack. ``push_back`` are kinds of
+    stops that do: a step ends there, whatever ``stop_at`` says. ``held`` joints (tree velocities) cannot leave.
     """
 
-    def __init__(self, chain: ClosedChain, stop_at: tuple[str, ...], start: Array | None = None) -> None:
+    def __init__(
+        self,
+        chain: ClosedChain,
+        stop_at: tuple[str, ...],
+        start: Array | None = None,
+        push_back: tuple[str, ...] = (),
+        held: Sequence[int] = (),
+    ) -> None:
         unknown = [kind for kind in stop_at if kind not in KINDS]
         if unknown:
             raise InputError(f"stop_at names {unknown[0]!r}.", remedy=f"Known kinds: {', '.join(KINDS)}.")
         robot = chain.robot
-        self.nq, self.stop_at = robot.model.nq, stop_at
+        self.nq, self.stop_at, self.push_back = robot.model.nq, stop_at, push_back
         labels, stops, slack = _stops(robot)
         self.stops = stops
         """(4, l) index in q and in v, side and bound of each stop; they come first among the functions."""
         indices = stops[:2].astype(np.intp)
         self._position, self._rate, self._side, self._bound = indices[0], self.nq + indices[1], stops[2], stops[3]
-        self._slack = slack
+        self._slack, self._limit = slack, stops[3].copy()
         if start is not None:
             # a joint that starts at its limit is within it, however it was rounded, and may stay there
             at_limit = np.abs(self._side * (self._bound - start[self._position])) <= slack
             self._bound += np.where(at_limit, _HELD * self._side * slack, 0.0)
+            self._bound += np.where(at_limit & np.isin(indices[1], held), np.inf * self._side, 0.0)
         legs = 0 if robot.working_modes is None else len(robot.working_modes.joints)
         self._by_legs = legs > 0
         self._square = robot.m == robot.n
@@ -109,7 +123,8 @@ class EventFunctions:
         labels += [("type_II", "type_II")] if self._square else []
         labels += [("closure_rank", "closures")]
         self.kinds, self.names = (tuple(part) for part in zip(*labels, strict=True))
-        self._terminal = np.array([kind in stop_at for kind in self.kinds])
+        self.pushes = np.array([kind in push_back for kind in self.kinds])
+        self._terminal = np.array([kind in stop_at for kind in self.kinds]) | self.pushes
         self._one_sided = np.array([kind in ONE_SIDED for kind in self.kinds])
         self._chain, self._columns = chain, chain.pose_columns
         self._unit = chain.system.step_unit
@@ -153,12 +168,18 @@ class EventFunctions:
         for i in np.flatnonzero(self._one_sided & self._terminal & (values < -rounding)):
             raise InputError(
                 f"The simulation starts {-values[i]:.3g} beyond the limit {self.names[i]!r}.",
-                remedy="Start within the limits, or leave the kind out of stop_at.",
+                remedy="Start within the limits, or leave the kind out of stop_at"
+                + (' (with joint_stops="end").' if self.pushes[i] else "."),
                 event=self.names[i],
                 amount=float(-values[i]),
             )
         values[np.where(self._one_sided, (values < 0.0) & (values >= -rounding), np.abs(values) <= rounding)] = 0.0
         return values
+
+    def touching(self, q: Array) -> BoolArray:
+        """Return (l,) which stops joints are at, at a configuration (nq,)."""
+        result: BoolArray = np.abs(self._limit - q.take(self._position)) <= self._slack
+        return result
 
     def sign_changes(self, before: Array, after: Array) -> BoolArray:
         """Return (..., w) which functions changed sign, or came to zero, between two points of time.
@@ -393,6 +414,10 @@ def _root(functions: EventFunctions, step: Step, index: int, left: float, right:
     def value(fraction: float) -> float:
         return float(functions(step.at(fraction)[None, : functions.nq])[0, index])
 
+    if index < functions.stops.shape[1] and functions.approach(step.at(left)[None])[0, index] > 0.0:
+        # from its stop inward and back: the root is not where it starts
+        first = next((x for x in left + (right - left) * 0.5 ** np.arange(1.0, 40.0) if value(x) > 0.0), left)
+        left = float(first)
     at_left, at_right = value(left), value(right)
     if at_left * at_right < 0.0:
         # secants crawl towards a root of third order or more

@@ -19,6 +19,7 @@ the choice looks at neither the platform nor the actuators.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,11 +92,13 @@ class Acceleration:
         closure_force: (r,) forces of the closure rows, N or N·m, on frame B along the axes of frame A.
         carrier_force: (k,) generalised forces on the carriers' joints, N: all of them where forces drive the carriers,
             what must be added to those given where motion does.
+        stop_force: (nv,) generalised forces of stops on the joints that they hold, N or N·m; zero elsewhere.
     """
 
     a: Array
     closure_force: Array
     carrier_force: Array
+    stop_force: Array
 
 
 class ForwardDynamics:
@@ -104,22 +107,28 @@ class ForwardDynamics:
     Args:
         robot: the robot.
         prescribed: whether the carriers' motion is given in place of their forces.
+        held: (h,) tree velocities that are zero, of joints at their stops.
+        q: (nq,) configuration at which the independent velocities are chosen first; the reference when left out.
     """
 
-    def __init__(self, robot: Robot, *, prescribed: bool = False) -> None:
+    def __init__(
+        self, robot: Robot, *, prescribed: bool = False, held: Sequence[int] = (), q: Array | None = None
+    ) -> None:
         self.robot = robot
         self.chain = ClosedChain(robot)
         self.prescribed = prescribed
         nothing = np.empty(0, dtype=np.intp)
         self._carriers = np.array(robot.carrier_velocity)
-        self._free: IntArray = nothing if prescribed else self._carriers
+        self.held: IntArray = np.array(held, dtype=np.intp)
+        self._free: IntArray = nothing if prescribed else np.setdiff1d(self._carriers, self.held)
+        self._moving = ~np.isin(self.chain.pose_columns, self.held)
         self._given: IntArray = self._carriers if prescribed else nothing
         self._scale, self._unit = velocity_scale(robot), velocity_unit(robot)
         self.least_inertia = 1.0
         """Smallest pivot of the mass matrix over the largest, in kg, at the last state."""
         self._fresh = False
         """Whether the independent velocities were chosen for the next configuration."""
-        self.use(self.choose_partition(np.array(robot.q_reference)))
+        self.use(self.choose_partition(np.array(robot.q_reference) if q is None else q))
 
     def choose_partition(self, q: Array) -> Partition:
         """Return the partition that suits a configuration (nq,).
@@ -128,7 +137,11 @@ class ForwardDynamics:
             SingularPoseError: the closures have lost rank there.
         """
         self.chain.update(q, np.zeros(self.robot.model.nv))
-        return choose(self.chain.closure_rows(), self.chain.pose_columns, self._free, self._given, q)
+        return self._choose(self.chain.closure_rows(), q)
+
+    def _choose(self, relative: Array, q: Array) -> Partition:
+        columns = self.chain.pose_columns[self._moving]
+        return choose(relative[:, self._moving], columns, self._free, self._given, q)
 
     def adapt(self, q: Array) -> None:
         """Choose the independent velocities anew for a configuration (nq,).
@@ -211,6 +224,9 @@ class ForwardDynamics:
         return self._solve(motion.q, motion.v, force, basis, motion.particular, inverse_scale)
 
     def _solve(self, q: Array, v: Array, force: Array, basis: Array, particular: Array, inverse_scale: Array) -> Array:
+        if not basis.shape[1]:  # every motion is held
+            self.least_inertia = 1.0
+            return particular.copy()
         model, data = self.robot.model, self.chain.data
         effort, mass = tree_equations(self.robot, data, q, v, particular)
         # the binding leaves the lower triangle alone, and dsymm reads the upper one only
@@ -240,15 +256,15 @@ class ForwardDynamics:
         missing = tree_equations(self.robot, chain.data, q, v, a)[0] - force
         # J_cᵀ λ = missing holds in all rows; those of the dependent velocities are square and well conditioned
         relative, closure = chain.closure_rows(), np.full(chain.rows, np.nan)
-        if sheet is None:
-            dependent = choose(relative, chain.pose_columns, self._free, self._given, q).dependent
-        else:
-            dependent = sheet.dependent
+        dependent = self._choose(relative, q).dependent if sheet is None else sheet.dependent
         block = relative[:, np.searchsorted(chain.pose_columns, dependent)]
         if sheet is None or rank_ratio(block[None])[0] > LOST:
             unit = chain.closure_unit
             closure = np.linalg.solve(block.T, missing[dependent] * self._unit[dependent]) / unit
-        return Acceleration(a, closure, missing[self._carriers] if self.prescribed else force[self._carriers])
+        stopped = np.zeros(len(v))
+        stopped[self.held] = (missing - chain.jacobian().T.dot(closure))[self.held]
+        carrier_force = missing[self._carriers] if self.prescribed else force[self._carriers]
+        return Acceleration(a, closure, carrier_force, stopped)
 
     def velocity_basis(self, q: Array) -> Array:
         """Return N (nv, d) at a configuration (nq,): the tree velocities that the closures allow.
@@ -261,6 +277,15 @@ class ForwardDynamics:
             dependent, independent = self.partition.dependent, self.partition.independent
             self._basis[dependent] = -np.linalg.solve(jacobian[:, dependent], jacobian[:, independent])
         return self._basis.copy()
+
+    def reduced_inertia(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return N (nv, d), see ``velocity_basis``, and Nᵀ M N (d, d) at a configuration (nq,) and velocity (nv,)."""
+        self.adapt(q)
+        basis = np.asfortranarray(self.velocity_basis(q))
+        self.chain.update(q, v)
+        mass = tree_equations(self.robot, self.chain.data, q, v, np.zeros(len(v)))[1]
+        reduced: Array = blas.dgemm(1.0, basis, blas.dsymm(1.0, mass, basis), trans_a=1)
+        return basis, reduced
 
     def _ill_posed(self, reduced: Array, basis: Array) -> IllPosedModelError:
         """Return the error that names the motion without inertia."""

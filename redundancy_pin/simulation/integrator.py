@@ -30,8 +30,18 @@ from redundancy_pin.dynamics.forward import ForwardKernel, Integration, Progress
 from redundancy_pin.errors import IllPosedModelError, InputError, RedundancyPinError, SingularPoseError
 from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.simulation.controllers.base import Command, Sampling
-from redundancy_pin.simulation.events import BETWEEN, BRIEF, Event, EventFunctions, Step, find_events, may_touch_zero
+from redundancy_pin.simulation.events import (
+    BETWEEN,
+    BRIEF,
+    RELEASE,
+    Event,
+    EventFunctions,
+    Step,
+    find_events,
+    may_touch_zero,
+)
 from redundancy_pin.simulation.rank_loss import BEYOND, NEAR, WIDEST, Sheet, sheet_ahead
+from redundancy_pin.simulation.stops import pushing, resolve_contact, sides_of
 from redundancy_pin.simulation.system import Machine
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -50,6 +60,12 @@ SHORTEST = 1e-8
 """Shortest ordinary step, share of the time scale: after many shorter ones in a row the integration is given up."""
 
 _MOST_SHORT = 20
+
+_MOST_SWITCHES = 50
+"""Changes of what stops hold at one time, after which the integration is given up."""
+
+_RELEASE_LOOKS = (0.25, 0.5, 0.75, 1.0)
+"""Where in a step the forces of stops are looked at."""
 
 _DIFFERENCE = 1e-7
 """Step of the differences for the Jacobian of an implicit integrator, share of a number or of its unit."""
@@ -120,7 +136,8 @@ class InitialValueProblem:
     """What is integrated, and how.
 
     Attributes:
-        machine: the differential equation.
+        machine: the differential equation, with the joints that stops hold.
+        free: the same without stops.
         functions: whose zeros are events.
         method: its name in ``INTEGRATORS``.
         settings: rtol, atol (nq + nv,) and max_step.
@@ -133,6 +150,7 @@ class InitialValueProblem:
     """
 
     machine: Machine
+    free: Machine
     functions: EventFunctions
     method: str
     settings: Mapping[str, Any]
@@ -161,6 +179,7 @@ class SimulationProgress(Progress):
     Attributes:
         sheet: what it is on where the closures lose rank, see ``rank_loss``.
         short: how many steps in a row were shorter than the shortest ordinary one.
+        switches: how often in a row stops have begun or ended to push, at ``switched``, s.
         seconds: see ``Statistics``.
         status: None while it goes on.
         reason: why it failed.
@@ -168,6 +187,8 @@ class SimulationProgress(Progress):
 
     sheet: Sheet | None = None
     short: int = 0
+    switches: int = 0
+    switched: float = -np.inf
     seconds: float = 0.0
     status: ResultStatus | None = None
     reason: str = ""
@@ -214,6 +235,8 @@ def integrate(
     kernel = machine.kernel if problem.method in EXPLICIT else None
     ordinary = None if kernel is None else OrdinarySteps(kernel, problem, parts)
     changed = -np.inf
+    held_first = None if problem.sampling is None else first
+    problem, progress = _past_stop(problem, progress, held_first, record) or (problem, progress)
     with np.errstate(all="ignore"):  # trial steps that overflow are given up for shorter ones
         for stretch in parts:
             if progress.t >= stretch.end:
@@ -222,6 +245,9 @@ def integrate(
                 commands.append(machine.amplifiers.command(machine.state(stretch.start, progress.y)))
             hold = None if stretch.acting is None else commands[stretch.acting]
             progress = _integrate_stretch(problem, progress, stretch, hold, record, ordinary)
+            while (past := _past_stop(problem, progress, hold, record)) is not None:
+                problem, progress = past
+                progress = _integrate_stretch(problem, progress, stretch, hold, record, ordinary)
             while (other := _with_all_rows(problem, progress, changed)) is not None:
                 (problem, progress), changed, ordinary = other, progress.t, None
                 progress = _integrate_stretch(problem, progress, stretch, hold, record, None)
@@ -245,9 +271,40 @@ def _with_all_rows(
     machine = problem.machine.with_all_rows(q)
     if machine is None:
         return None
-    functions = EventFunctions(machine.chain, problem.functions.stop_at, q)
+    functions = EventFunctions(machine.chain, problem.functions.stop_at, q, problem.functions.push_back)
     going_on = replace(progress, status=None, reason="", sheet=None, near=NEAR, next_step=None, short=0)
     going_on = replace(going_on, values=functions.at_start(q))
+    return replace(problem, machine=machine, free=machine, functions=functions), going_on
+
+
+def _past_stop(
+    problem: InitialValueProblem, progress: SimulationProgress, hold: Command | None, record: SimulationRecord
+) -> tuple[InitialValueProblem, SimulationProgress] | None:
+    """Return how to go on at a stop that pushes back, or lets go; None elsewhere."""
+    functions, last = problem.functions, record.events[-1:]
+    stopped = bool(last) and progress.status is ResultStatus.STOPPED and last[0].kind in (*functions.push_back, RELEASE)
+    if not functions.push_back or not (stopped or not progress.steps):
+        return None
+    released = last[0].name if stopped and last[0].kind == RELEASE else ""
+    switches = progress.switches + 1 if progress.t <= progress.switched + problem.shortest else 1
+    if switches > _MOST_SWITCHES:
+        return problem, progress.failed("joints meet their stops and leave them again, without end")
+    try:
+        contact = resolve_contact(problem.free, functions, progress.t, progress.y, hold, problem.time, released)
+    except (IllPosedModelError, SingularPoseError) as error:
+        return problem, progress.failed(str(error))
+    if contact is None:
+        return None
+    if stopped and not released:
+        record.events.pop()
+        hit = {event.name for event in contact.events}
+        record.events.extend([] if last[0].name in hit else [replace(last[0], terminal=False)])
+    record.events.extend(contact.events)
+    q = contact.y[: functions.nq]
+    machine = contact.machine
+    functions = EventFunctions(machine.chain, functions.stop_at, q, functions.push_back, machine.held.tolist())
+    going_on = replace(progress, y=contact.y, values=functions.at_start(q), status=None, reason="", next_step=None)
+    going_on = replace(going_on, short=0, switches=switches, switched=progress.t)
     return replace(problem, machine=machine, functions=functions), going_on
 
 
@@ -362,6 +419,7 @@ def _integrate_stretch(
 ) -> SimulationProgress:
     """Integrate over one stretch, and add its samples and events to the record."""
     while progress.status is None and progress.t < stretch.end:
+        ordinary = None if len(problem.machine.held) else ordinary
         if ordinary is not None and progress.sheet is None:
             progress = ordinary.take(progress, stretch, hold, record)
             if progress.t >= stretch.end:
@@ -378,7 +436,9 @@ def _integrate_stretch(
             if ordinary is not None and progress.sheet is None:
                 break  # the next one may be ordinary
         progress = replace(progress, next_step=solver.h_abs, evaluations=progress.evaluations + rate.evaluations)
-        if again is not None:
+        if again is not None and again.sheet is not None and len(problem.machine.held):
+            progress = progress.failed("its closures lose rank while a joint is held by its stop")
+        elif again is not None:
             progress = replace(progress, sheet=again.sheet, next_step=again.length)
             if again.reason and again.length < problem.shortest:
                 progress = progress.failed(again.reason)
@@ -432,6 +492,10 @@ def _step(
     rest = None if rate.sheet is None else _rest(problem, step, rate.sheet)
     if rest is not None and (stop is None or rest < stop):
         events, stop = [event for event in events if event.t < rest], rest
+    if len(machine.held):
+        release = _release(problem, step, hold)
+        if release is not None and (stop is None or release.t < stop):
+            events, stop = [*(event for event in events if event.t < release.t), release], release.t
     y, gap, left = machine.project(solver.t, solver.y, rate.sheet)
     _require_continuous(problem, solver, before, y, rate.sheet)
     record.events.extend(events)
@@ -471,6 +535,29 @@ def _rest(problem: InitialValueProblem, step: Step, sheet: Sheet) -> float | Non
     fraction = float(brentq(speed, 0.0, 1.0, xtol=1e-6)) if turns else 1.0
     lost = functions(step.at(fraction)[None, : functions.nq])[0, -1] < _AT
     return step.time(fraction) if lost and (turns or abs(speed(1.0)) * problem.time < _AT_REST) else None
+
+
+def _release(problem: InitialValueProblem, step: Step, hold: Command | None) -> Event | None:
+    """Return the event at which a stop would first have to pull the joint that it holds in a step, if it does."""
+    machine, functions = problem.machine, problem.functions
+    stops, side = sides_of(machine, functions, step.at(0.0)[: functions.nq])
+
+    def push(fraction: float) -> Array:
+        return pushing(machine, step.time(fraction), step.at(fraction), hold, side)
+
+    left, before = 0.0, push(0.0)
+    for right in _RELEASE_LOOKS:
+        after = push(right)
+        if (after < 0.0).any():
+            roots = [
+                float(brentq(lambda x, i=i: push(x)[i], left, right, xtol=1e-12)) if before[i] > 0.0 else left
+                for i in np.flatnonzero(after < 0.0)
+            ]
+            first = int(np.argmin(roots))
+            stop = stops[np.flatnonzero(after < 0.0)[first]]
+            return Event(RELEASE, functions.names[stop], step.time(roots[first]), terminal=False)
+        left, before = right, after
+    return None
 
 
 class RetryStep(Exception):  # noqa: N818 - it tells the integration to go back, and is no failure

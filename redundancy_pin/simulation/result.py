@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 FORMAT = "redundancy_pin simulation"
 """What a saved simulation calls itself."""
 
-VERSION = 2
-"""Version of the file format."""
+VERSION = 3
+"""Version of the file format. 3: forces and impulses of joint stops."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,7 @@ class Simulation(Frozen):
             motion took.
         actuated_rate: (N, m) rates of the main actuators, m/s or rad/s.
         closure_force: (N, r) forces of the closure rows on their second frame, along the axes of the first, N or N·m.
+        stop_force: (N, nv) generalised forces of stops on the joints that they hold, N or N·m; zero elsewhere.
         gap: (N,) largest closure residual, m; angles count times the characteristic length.
         energy: (N,) kinetic plus potential energy, J (zero height at the world origin).
         events: what happened, in order of time.
@@ -94,6 +95,7 @@ class Simulation(Frozen):
     carrier_force: Array
     actuated_rate: Array
     closure_force: Array
+    stop_force: Array
     gap: Array
     energy: Array
     events: tuple[Event, ...]
@@ -208,9 +210,17 @@ def _check(simulation: Simulation) -> None:
             raise InputError(f"{name} has shape {np.shape(getattr(simulation, name))}, which no simulation has")
     robot, (n, nv, r) = simulation.robot, (getattr(simulation, one).shape[1] for one in ("xd", "v", "closure_force"))
     m, k = len(robot.actuated), len(robot.carriers)
-    widths = {"t": (), "q": (len(robot.q_reference),), "v": (nv,), "a": (nv,), "xd": (n,), "closure_force": (r,)}
+    widths = {
+        "t": (),
+        "q": (len(robot.q_reference),),
+        "v": (nv,),
+        "a": (nv,),
+        "xd": (n,),
+        "closure_force": (r,),
+        "stop_force": (nv,),
+    }
     widths |= {"x": (4, 4) if simulation.x.ndim == 3 else (n,), "tau": (m,), "actuated_rate": (m,)}
-    widths |= {"s": (k,), "sd": (k,), "sdd": (k,), "carrier_force": (k,), "gap": (), "energy": ()}
+    widths |= {"s": (k,), "sd": (k,), "sdd": (k,), "carrier_force": (k,), "gap": (), "energy": (), "stop_force": (nv,)}
     for name, width in widths.items():
         value, shape = getattr(simulation, name), (len(simulation.t), *width)
         if not isinstance(value, np.ndarray) or value.dtype != np.float64:

@@ -34,7 +34,7 @@ from redundancy_pin.simulation.controllers.base import (
     kernel_of,
     load_limits,
 )
-from redundancy_pin.simulation.events import EventFunctions
+from redundancy_pin.simulation.events import ONE_SIDED, EventFunctions
 from redundancy_pin.simulation.integrator import (
     INTEGRATORS,
     InitialValueProblem,
@@ -75,6 +75,7 @@ def simulate(
     carrier_force_limit: ArrayLike | None = None,
     external: External | None = None,
     stop_at: Sequence[str] = ("track", "joint_limit"),
+    joint_stops: Literal["end", "inelastic"] = "end",
     rtol: float = RTOL,
     atol: float = ATOL,
     max_step: float = np.inf,
@@ -105,6 +106,9 @@ def simulate(
         carrier_force_limit: the same for the carriers, N.
         external: further generalised forces (nv,) as a function of the state: friction, disturbances.
         stop_at: kinds of events (``events.KINDS``) that end the simulation; all kinds are reported.
+        joint_stops: what limits of joints and ends of tracks do: "end", as ``stop_at`` says; or "inelastic", they push
+            back: a joint that comes to one stays there until it is drawn off (``stops``), whatever ``stop_at`` says.
+            Carriers that are driven by motion have none.
         rtol: relative tolerance of each step of the integrator.
         atol: its absolute tolerance, characteristic lengths or rad; for velocities over the shorter one of the duration
             and the time in which gravity or the start velocity moves the robot by its own length.
@@ -156,7 +160,9 @@ def simulate(
     machine.chain.place(first.q)
     if machine.chain.dependent_rows_restore_rank():
         machine = machine.with_all_rows(first.q) or machine
-    functions = EventFunctions(machine.chain, tuple(stop_at), first.q)
+    one_of(joint_stops, "joint_stops", ("end", "inelastic"))
+    push_back = () if joint_stops == "end" else ONE_SIDED if law is None else ONE_SIDED[1:]
+    functions = EventFunctions(machine.chain, tuple(stop_at), first.q, push_back)
     time = _time_scale(robot, first.v, float(grid[-1] - grid[0]))
     _require_closed(machine, first, time)  # before it is projected, which would close any start
     ratio = functions(first.q[None])[0, functions.kinds.index("closure_rank")]
@@ -171,7 +177,7 @@ def simulate(
     unit = np.concatenate([position_unit(robot), velocity_unit(robot) / time])
     settings = {"max_step": float(max_step), "rtol": rtol, "atol": atol * unit}
     problem = InitialValueProblem(
-        machine, functions, integrator, settings, time, unit, int(max_steps), grid, breaks, sampling
+        machine, machine, functions, integrator, settings, time, unit, int(max_steps), grid, breaks, sampling
     )
     record, progress = integrate(problem, y, values, command, sheet)
     parameters = {
@@ -182,6 +188,7 @@ def simulate(
         "carrier_force_limit": limits[1].tolist(),
         "external": external is not None,
         "stop_at": tuple(stop_at),
+        "joint_stops": joint_stops,
         "rtol": rtol,
         "atol": atol,
         "max_step": max_step,
@@ -311,7 +318,7 @@ def _simulation(
     q, v = np.split(np.array([sample.y for sample in samples]), [model.nq], axis=1)
     a, energy = np.full((count, model.nv), np.nan), np.empty(count)
     tau, carrier_force = np.full((count, robot.m), np.nan), np.full((count, robot.k), np.nan)
-    closure_force = np.full((count, machine.chain.rows), np.nan)
+    closure_force, stop_force = np.full((count, machine.chain.rows), np.nan), np.full((count, model.nv), np.nan)
     for i, sample in enumerate(samples):
         here = sample.machine or machine
         state = here.state(sample.t, sample.y)
@@ -326,7 +333,7 @@ def _simulation(
                 raise
             continue  # what blows up may leave a controller without an answer
         tau[i], carrier_force[i] = command[0], loads.carrier_force
-        a[i], closure_force[i] = loads.a, loads.closure_force
+        a[i], closure_force[i], stop_force[i] = loads.a, loads.closure_force, loads.stop_force
         if here.chain.basis is not None:  # of the same effect, in the rows of the robot
             own = system.evaluate(state.q[None]).Jc[0]
             here.chain.update(state.q, state.v)
@@ -349,6 +356,7 @@ def _simulation(
         carrier_force=read_only(carrier_force),
         actuated_rate=frozen(v[:, robot.actuated_velocity]),
         closure_force=read_only(closure_force),
+        stop_force=read_only(stop_force),
         gap=frozen(every.largest_residual(every.evaluate(q).phi)),
         energy=read_only(energy),
         events=tuple(record.events),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -30,16 +31,17 @@ class Manifold:
     """Projection of states onto closures and their rates, one state at a time.
 
     The steps are the shortest ones in scaled coordinates (rotations times the characteristic length), and leave the
-    carriers alone.
+    carriers alone, and joints that are ``held`` (tree velocities), which stand still.
 
     Attributes:
         tolerance: closure residual, m, at which the projection is done.
     """
 
-    def __init__(self, chain: ClosedChain) -> None:
-        self.chain = chain
-        self._columns = chain.pose_columns
-        self._unit = chain.system.step_unit
+    def __init__(self, chain: ClosedChain, held: Sequence[int] = ()) -> None:
+        self.chain, self._held = chain, np.array(held, dtype=np.intp)
+        self._moving = ~np.isin(chain.pose_columns, self._held)
+        self._columns = chain.pose_columns[self._moving]
+        self._unit = chain.system.step_unit[self._moving]
         self.tolerance = PROJECTION_TOLERANCE * chain.robot.characteristic_length
         self._turning_numbers = chain.model.nq != chain.model.nv
 
@@ -48,6 +50,7 @@ class Manifold:
         chain = self.chain
         q = pin.normalize(chain.model, q) if self._turning_numbers else q.copy()
         v = v.copy()
+        v[self._held] = 0.0
         largest, before = 0.0, -1.0
         for _ in range(_MOST_STEPS):
             chain.update(q, v)
@@ -56,10 +59,10 @@ class Manifold:
             if largest <= self.tolerance:
                 break
             step = np.zeros(len(v))
-            step[self._columns] = -self._shortest(chain.closure_rows(), chain.relative_residual())
+            step[self._columns] = -self._shortest(chain.closure_rows()[:, self._moving], chain.relative_residual())
             q = pin.integrate(chain.model, q, step)
         # velocities last: those that the closures allow are those of the projected configuration
-        jacobian = chain.closure_rows()
+        jacobian = chain.closure_rows()[:, self._moving]
         v[self._columns] -= self._shortest(jacobian, jacobian.dot(v[self._columns] / self._unit))
         return q, v, before, largest
 

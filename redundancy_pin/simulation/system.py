@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Literal, get_args
@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, one_of
+from redundancy_pin.arrays import Array, IntArray, one_of
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_energy, tree_loads
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError, UnsupportedRobotError
@@ -102,6 +102,7 @@ class Machine:
         external: further generalised forces.
         method: how accelerations are computed.
         kernel: machine code for it, and for the projection; what it refuses is computed here.
+        held: (h,) tree velocities of joints that stops hold; ``q`` (nq,) is where they do.
 
     Raises:
         InputError, UnsupportedRobotError: ``method`` is unknown, or cannot take prescribed carriers, or not the robot.
@@ -115,12 +116,14 @@ class Machine:
         external: External | None,
         method: Method,
         kernel: ForwardKernel | None = None,
+        held: Sequence[int] = (),
+        q: Array | None = None,
     ) -> None:
         self.robot = robot
         self.kernel = kernel
-        self.dynamics = ForwardDynamics(robot, prescribed=carrier_law is not None)
-        self.chain = self.dynamics.chain
-        self.manifold = Manifold(self.chain)
+        self.dynamics = ForwardDynamics(robot, prescribed=carrier_law is not None, held=held, q=q)
+        self.held, self.chain = self.dynamics.held, self.dynamics.chain
+        self.manifold = Manifold(self.chain, held)
         self.amplifiers, self._law, self._external = amplifiers, carrier_law, external
         self._tree_loads = tree_loads(robot)
         self._method: Method = method
@@ -142,6 +145,12 @@ class Machine:
             return None
         machine.dynamics.adapt(q)
         return machine
+
+    def holding(self, held: IntArray, q: Array) -> Machine:
+        """Return the machine with joints at rest at q (nq,) that stops hold, by their tree velocities (h,)."""
+        if not len(held):
+            return self
+        return Machine(self.robot, self.amplifiers, self._law, self._external, "projected", None, held.tolist(), q)
 
     def state(self, t: float, y: Array) -> State:
         """Return the state of y = (q, v) at time t, carriers where the law wants them."""
@@ -170,7 +179,8 @@ class Machine:
         if self.kernel is not None and sheet is None:
             solved = self.kernel.accelerations(state.q, state.v, force, self._given(state.t))
         if solved is not None:
-            loads = Acceleration(solved.a, solved.closure_force, solved.missing[self.robot.carrier_velocity])
+            carrier_force = solved.missing[self.robot.carrier_velocity]
+            loads = Acceleration(solved.a, solved.closure_force, carrier_force, np.zeros(len(solved.a)))
         else:
             a = self._acceleration(state, force, sheet)
             loads = self.dynamics.forces(state.q, state.v, force, a, sheet=sheet)

@@ -26,7 +26,7 @@ from markdown_it.token import Token
 
 import redundancy_pin
 from redundancy_pin import crosscheck
-from redundancy_pin.crosscheck import CrossCheckReport
+from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
 from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError, OutputError
 from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
@@ -42,7 +42,7 @@ from redundancy_pin.thesis.measures import CSV_DIGITS, MotionRun, run
 from redundancy_pin.thesis.statements import compare_motions, environment, thesis
 from redundancy_pin.thesis.table import Column, Link, Record, Table, grouped, mode_text, records_csv, span, table
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
-from redundancy_pin.visualisation.figures.style import require_matplotlib, save
+from redundancy_pin.visualisation.figures.style import save
 
 CROSS_CHECK_SEED = 0
 
@@ -101,9 +101,8 @@ def reproduce(
     Raises:
         CrossCheckError: the backends disagree.
         OutputError: the folder cannot be written or holds other files.
-        RedundancyPinError: an experiment cannot run, or matplotlib is not installed.
+        RedundancyPinError: an experiment cannot run.
     """
-    require_matplotlib()
     require_replaceable(folder)
     total, steps, notify = _count(extent), count(_CROSS_CHECK_STEPS + 1), progress or (lambda *_: None)
 
@@ -136,7 +135,7 @@ def require_agreement(
     """Run the cross-check with the seed of the job; CrossCheckError, with the failed rows, where a check fails."""
     check = crosscheck.run(robots, samples, CROSS_CHECK_SEED, progress, jobs if jobs > 0 else os.cpu_count() or 1)
     if not check.passed:
-        failed = [row for row in check.rows if not row.passed]
+        failed = [row for row in check.rows if row.verdict == "FAILED"]
         what = f"finds nothing to judge {', '.join(check.unjudged)} by"
         if failed:
             first = failed[0]
@@ -284,7 +283,7 @@ def tables(results: Results) -> dict[str, Table]:
     runs = [{**run.record(), "name": Link(run.case.name, f"{run.case.name}.csv")} for run in results.runs]
     chapters = results.chapters
     return {
-        "cross_check": table("cross_check", [vars(row) for row in results.check.rows]),
+        "cross_check": table("cross_check", [_check_record(row) for row in results.check.rows]),
         "motions": table("motions", runs, "experiments: Pinocchio (RNEA) against virtual work"),
         "thesis": table("thesis", results.compared, "what the thesis states (Parsa 2014), and what comes out here"),
         **(_planned(chapters["planned"], results.extent) if "planned" in chapters else {}),
@@ -296,6 +295,11 @@ def tables(results: Results) -> dict[str, Table]:
 
 RANGED = ("peak", "rms", "carrier_force", "main_energy", "energy")
 """What the comparison of machines shows as ranges over the working modes."""
+
+
+def _check_record(row: CheckRow) -> dict[str, Any]:
+    """Return a row of the cross-check for its table: without numbers, and with the reason, where it is left out."""
+    return {**row.as_dict(), "check": row.title, **({"worst": None, "tolerance": None} if row.note else {})}
 
 
 def _planned(chapter: Mapping[str, Any], extent: cases.Extent) -> dict[str, Table]:

@@ -1,1 +1,1 @@
-"""Pictures: loci, paths, efforts. Matplotlib is optional and imported when a picture is drawn."""
+"""Pictures: loci, paths, efforts. Matplotlib, which takes long, is imported when a picture is drawn."""

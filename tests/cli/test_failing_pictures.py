@@ -17,8 +17,6 @@ import redundancy_pin as rp
 from redundancy_pin.errors import OutputError
 from redundancy_pin.simulation import load_simulation
 
-pytest.importorskip("matplotlib")
-
 Fails = Callable[..., None]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 from command_line import call, refused
 
 from redundancy_pin.cli import reproduce as command
-from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
+from redundancy_pin.crosscheck import CheckRow, CrossCheckReport, run
 from redundancy_pin.thesis import reproduce as job
 from redundancy_pin.thesis.cases import BY_NAME, FULL
 from redundancy_pin.thesis.figures import Picture
@@ -65,14 +64,22 @@ def test_failed_cross_check_is_exit_code_1(tmp_path: Path, monkeypatch: pytest.M
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("no_compiler")
+def test_without_a_compiler_its_rows_are_left_out_with_the_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(job.crosscheck, "run", lambda *_: run(["2rpr"], 8))
+    assert call("reproduce", "--jobs", "1", "--out", tmp_path / "results").exit_code == 0
+    report = (tmp_path / "results" / "report.md").read_text()
+    (row,) = (line for line in report.splitlines() if line.endswith("| left out |"))
+    assert "there is no C compiler" in row
+    assert "pip install 'redundancy_pin[compiler]'" in row
+    assert "7 of 8 checks passed; the table says why the others are left out." in report
+
+
 def test_unwritable_output(tmp_path: Path) -> None:
     assert "no folder" in refused("reproduce", "--out", tmp_path / "no" / "results")
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "notes.txt").write_text("mine")
     assert "notes.txt" in refused("reproduce", "--out", tmp_path / "results")
     assert [path.name for path in (tmp_path / "results").iterdir()] == ["notes.txt"]
-
-
-def test_without_matplotlib(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert "redundancy_pin[plot]" in refused("reproduce", "--out", tmp_path / "results")

@@ -508,6 +508,11 @@ def test_how_a_simulation_ends_is_its_exit_code(saved: Path) -> None:
     assert (result.exit_code, last.kind, last.terminal) == (3, "track", True)
     assert result.stderr == f"warning: stopped at t = {last.t:.6g} s: track ({last.name})\n"
     facts_of(f"simulate --plan {saved} --machine carrier_mass=0.5 --stop-at never --duration {last.t + 0.01}")
+    pushed = facts_of(
+        f"simulate --plan {saved} --machine carrier_mass=0.5 --joint-stops inelastic --duration {last.t + 0.01}"
+    )
+    (hit,) = (event for event in pushed["events"] if event["name"] == last.name)
+    assert (hit["t"], hit["terminal"], hit["impulse"] > 0.0) == (pytest.approx(last.t, abs=1e-9), False, True)
     lengths = facts_of(f"simulate --plan {saved} --machine distal_length=1.003 --duration 0.02")
     assert (lengths["largest_closure_residual"] < 1e-9, lengths["largest_distance"] < 1e-4) == (True, True)
     rp.plan_switch_off(rp.RneaDynamics("2rpr"), reference.circle(speed=0.5), mesh=rp.Mesh(dt=0.005)).save("off.npz")

@@ -11,12 +11,10 @@ import urllib.request
 from pathlib import Path
 
 import pytest
-from command_line import call, refused, write_motion
+from command_line import call, write_motion
 
 import redundancy_pin as rp
 from redundancy_pin.trajectory import reference
-
-pytest.importorskip("meshcat")
 
 
 @pytest.fixture(scope="module")
@@ -52,11 +50,6 @@ def test_a_motion_is_read_as_inverse_dynamics_reads_it(tmp_path: Path) -> None:
     done = call("show", "--robot", "2rpr", "--motion", motion, "--html", tmp_path / "out.html", "--json")
     assert done.exit_code == 0
     assert json.loads(done.stdout)["duration"] == pytest.approx(trajectory.duration)
-
-
-def test_without_meshcat_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(sys.modules, "meshcat", None)
-    assert "redundancy_pin[show]" in refused("show", "--robot", "3rrr", "--html", tmp_path / "out.html")
 
 
 def test_a_live_view_runs_until_it_is_interrupted() -> None:

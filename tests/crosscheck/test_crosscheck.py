@@ -522,7 +522,7 @@ def test_without_a_compiler_the_comparison_is_left_out_with_its_reason(monkeypat
     report = crosscheck.run(["four_bar"], samples=4)
     assert report.passed
     (row,) = [row for row in report.rows if "compiled" in row.check]
-    assert (row.note, row.samples, row.skipped) == ("There is no C compiler.", 0, {"no_backend": 4})
+    assert (row.note, row.samples, row.skipped) == ("There is no C compiler. Install one.", 0, {"no_backend": 4})
 
 
 def test_a_state_is_skipped_for_the_first_reason_that_holds():

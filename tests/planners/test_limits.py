@@ -56,8 +56,9 @@ def by_a_loop(rows: list[LimitedQuantity]) -> tuple[set, set]:
             for edge, sign in ((high, 1.0), (low, -1.0)):
                 if not np.isfinite(edge):
                     continue
-                size = max(abs(edge), (high - low) / 2.0)
                 values = [x if np.isfinite(x) else 0.0 for x in row.values[:, i]]
+                both = np.isfinite(low) and np.isfinite(high)
+                size = max(abs(edge), (high - low) / 2.0 if both else max(map(abs, values)))
                 excess = [sign * (x - edge) for x in values]
                 over = [x > row.exceeding * size for x in excess]
                 near = [x > -row.touching * size and not far for x, far in zip(excess, over, strict=True)]
@@ -104,6 +105,26 @@ def test_events_are_those_of_a_loop_over_the_samples(size: float, most: float, n
     for events in (violated, binding):
         starts = [event.start for event in events]
         assert starts == sorted(starts)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_quantity_with_one_limit_is_judged_there(sign: float) -> None:
+    t, values = np.arange(4.0), sign * np.array([[0.0], [0.5], [0.7], [0.1]])
+    ends = sorted([np.array([sign * 0.4]), np.array([-sign * np.inf])])
+    (event,), _ = limit_events([LimitedQuantity("track", ("c",), t, values, *ends)])
+    assert (event.limit, event.start, event.end, event.worst) == (sign * 0.4, 1.0, 2.0, 2.0)
+    assert event.amount == pytest.approx(0.3)
+
+
+def test_a_track_with_one_end_is_judged_there() -> None:
+    edge = -0.05
+    limits = rp.Limits(track=(edge, np.inf), speed=np.inf, acceleration=np.inf)
+    plan = rp.plan_switch_off("2rpr", reference.circle(), threshold=5.0, limits=limits)
+    farthest = plan.carriers.s.min()
+    events = [event for event in plan.limits.violated if event.quantity == "track"]
+    assert plan.status is ResultStatus.LIMIT_VIOLATED
+    assert {event.limit for event in events} == {edge}
+    assert max(event.amount for event in events) == pytest.approx(abs(farthest - edge), rel=1e-6)
 
 
 def test_each_joint_may_have_times_of_its_own() -> None:

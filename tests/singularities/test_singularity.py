@@ -387,7 +387,6 @@ def test_numbers_of_no_sense_are_refused(poses: tuple[rp.Robot, Array, Array]) -
 
 @pytest.mark.parametrize("name", ["2rpr", "gough"])
 def test_figure_has_an_ellipse_a_pose_in_each_panel(name: str) -> None:
-    pytest.importorskip("matplotlib")
     robot = zoo.robot_of(name)
     performance = rp.performance(robot, zoo.random_closed(robot, 2, 3))
     drawn = rp.plot.ellipsoids(performance)

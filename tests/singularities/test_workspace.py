@@ -210,7 +210,6 @@ def test_gough_is_in_range_where_its_legs_are(free: tuple[str, ...]) -> None:
 
 
 def test_figures_keep_out_of_reach_and_best_apart(five_bar: Workspace) -> None:
-    pytest.importorskip("matplotlib")
     from matplotlib import colormaps
 
     drawn = rp.plot.workspace(five_bar)
@@ -228,7 +227,6 @@ def test_figures_keep_out_of_reach_and_best_apart(five_bar: Workspace) -> None:
 
 
 def test_islands_are_marked_in_clouds_and_on_lines() -> None:
-    pytest.importorskip("matplotlib")
     cloud = rp.workspace("gough", bounds=[(-0.1, 0.1), (-0.1, 0.1), (0.3, 0.5)], resolution=3)
     island = np.array(cloud.island)
     island[..., 2] = 1  # above

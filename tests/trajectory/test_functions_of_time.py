@@ -136,13 +136,18 @@ def test_a_held_platform_stays_where_it_is():
     assert not samples.xdd[2:].any()
 
 
-@pytest.mark.parametrize("make", [reference.corner, turning])
+def ends_moving():
+    return reference.corner().sample(0.01)[:90]
+
+
+@pytest.mark.parametrize("make", [reference.corner, turning, ends_moving])
 def test_states_are_the_values_of_the_samples(make):
     exact = as_motion(make())
     polynomials = type(exact)(
         exact.polynomials, exact.start, exact.end, exact.moves_until, exact.breaks, exact.knots, True
     )
-    for motion in (exact, polynomials, polynomials.prolonged_until(exact.end + 1.0)):
+    held = () if make is ends_moving else (polynomials.prolonged_until(exact.end + 1.0),)
+    for motion in (exact, polynomials, *held):
         end = exact.end
         for times in ([0.5, 0.7], [end - 0.2, motion.end], [end], [0.1, *exact.breaks], [end - 1e-9, end]):
             t = np.array(times)

@@ -29,7 +29,6 @@ from redundancy_pin.visualisation.viewer.scene import (
 )
 from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS
 
-pytest.importorskip("meshcat")
 pytest.importorskip("selenium", reason="selenium drives the browser: pip install 'redundancy_pin[dev]'")
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

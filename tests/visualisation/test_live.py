@@ -19,7 +19,7 @@ from redundancy_pin.errors import InputError, RedundancyPinError, SingularPoseEr
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.visualisation.viewer.live import LiveRobot
-from redundancy_pin.visualisation.viewer.page import require_meshcat
+from redundancy_pin.visualisation.viewer.meshcat_scene import import_meshcat
 
 pytest.importorskip("ipywidgets")
 
@@ -115,9 +115,7 @@ def test_a_notebook_gets_sliders_with_names_and_ranges_numbers_with_units_and_th
     assert (live.sliders["carrier_1"].min, live.sliders["carrier_1"].max) == (limits.lower, limits.upper)
     for text in ("base_1", "N·m", "carrier_3", f"{live.margin:.3g}", "working mode +++"):
         assert text in live._numbers.value
-    require_meshcat()
-    import meshcat
-
+    meshcat = import_meshcat()
     window = SimpleNamespace(send=lambda command: None, web_url="http://127.0.0.1:7000/static/")
     monkeypatch.setattr(meshcat, "Visualizer", partial(meshcat.Visualizer, window=window))
     assert "application/vnd.jupyter.widget-view+json" in live._repr_mimebundle_()

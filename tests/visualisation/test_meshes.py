@@ -119,7 +119,6 @@ def test_a_base_has_its_mesh_too_in_the_colour_of_the_urdf(tmp_path: Path) -> No
 
 
 def test_the_page_holds_every_vertex_of_a_mesh(tmp_path: Path) -> None:
-    pytest.importorskip("meshcat")
     from test_page import objects_in
 
     wedge().export(tmp_path / "wedge.stl")

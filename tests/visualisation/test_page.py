@@ -7,7 +7,6 @@ import html
 import json
 import logging
 import re
-import sys
 import urllib.error
 import urllib.request
 import webbrowser
@@ -25,7 +24,7 @@ import redundancy_pin as rp
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.visualisation.viewer import page as pages
 from redundancy_pin.visualisation.viewer.mechanism import prism
-from redundancy_pin.visualisation.viewer.meshcat_scene import AROUND, arc, arrow, tube
+from redundancy_pin.visualisation.viewer.meshcat_scene import AROUND, arc, arrow, import_meshcat, tube
 from redundancy_pin.visualisation.viewer.page import LiveView, View
 from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, make_scene, margin_classes
 
@@ -49,8 +48,7 @@ def commands_in(page: str) -> list[dict[str, Any]]:
 
 def commands_of(send: Callable[[Any], None]) -> list[dict[str, Any]]:
     """Return a list that what is sent to a meshcat viewer goes into, then and later."""
-    pages.require_meshcat()
-    import meshcat
+    meshcat = import_meshcat()
 
     sent: list[dict[str, Any]] = []
 
@@ -207,14 +205,6 @@ def test_a_notebook_gets_a_page_in_a_frame_and_a_file_is_whole_or_not_there(tmp_
     with pytest.raises(OutputError, match="no folder"):
         view.save(tmp_path / "none" / "out.html")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_without_meshcat_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    view = view_of("five_bar")
-    monkeypatch.setitem(sys.modules, "meshcat", None)
-    for call in (view.html, view.serve, view._repr_html_):
-        with pytest.raises(RedundancyPinError, match=r"pip install 'redundancy_pin\[show\]'"):
-            call()
 
 
 # --- shapes -----------------------------------------------------------------------------------------------------------

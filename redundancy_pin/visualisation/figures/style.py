@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from redundancy_pin.errors import OutputError, optional, shortened
+from redundancy_pin.errors import OutputError, shortened
 from redundancy_pin.io.files import refusing, replacing_file
 
 if TYPE_CHECKING:
@@ -100,7 +100,6 @@ def figure(width: float, height: float, title: str = "") -> Iterator[Figure]:
 
     When the block ends, long titles are broken, and long labels of axes lose their middle.
     """
-    require_matplotlib()
     from redundancy_pin.visualisation.figures.page import Page
 
     with _styled():
@@ -140,11 +139,6 @@ def _styled() -> Iterator[None]:
         # a letter that the font lacks is drawn as a box
         warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from")
         yield
-
-
-def require_matplotlib() -> None:
-    """Check that plots can be made."""
-    optional("matplotlib", "Plots need", "Install it with `pip install 'redundancy_pin[plot]'`.")
 
 
 def save(drawn: Figure, *paths: str | Path) -> None:

@@ -13,7 +13,7 @@ from redundancy_pin.arrays import IntArray, positive
 from redundancy_pin.errors import InputError, OutputError, optional
 from redundancy_pin.io.files import refusing, replacing_file, require_writable
 from redundancy_pin.visualisation.figures import paths
-from redundancy_pin.visualisation.figures.style import break_lines, figure, legend_below, require_matplotlib
+from redundancy_pin.visualisation.figures.style import break_lines, figure, legend_below
 from redundancy_pin.visualisation.viewer.page import View
 from redundancy_pin.visualisation.viewer.scene import Scene
 from redundancy_pin.visualisation.viewer.solids import extent_of
@@ -101,7 +101,6 @@ def _ffmpeg() -> str:
 
 def require_video(path: str | Path) -> None:
     """Check, before the work, that a video can be drawn and written there; raises as ``save_video``."""
-    require_matplotlib()
     suffix = Path(path).suffix.lower()
     if suffix not in (".gif", ".mp4"):
         raise OutputError(f"Cannot write {path}: it is no .gif and no .mp4.", remedy="Write video.gif.", path=str(path))

@@ -22,8 +22,7 @@ from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.types import slides
 from redundancy_pin.status import SampleStatus
-from redundancy_pin.visualisation.viewer.meshcat_scene import send_frame, send_scene
-from redundancy_pin.visualisation.viewer.page import require_meshcat
+from redundancy_pin.visualisation.viewer.meshcat_scene import import_meshcat, send_frame, send_scene
 from redundancy_pin.visualisation.viewer.scene import Scene, make_scene, placements
 
 By = Literal["platform", "actuators"]
@@ -112,10 +111,7 @@ class LiveRobot:
     @cached_property
     def widget(self) -> Any:
         """Sliders and numbers, and the picture beside them, from a meshcat server of this machine."""
-        require_meshcat()
-        import meshcat
-
-        self.send_to(meshcat.Visualizer())
+        self.send_to(import_meshcat().Visualizer())
         style = f"width: 100%; height: {self._height}px; border: none"
         picture = self._widgets.HTML(f'<iframe src="{self._viewer.url()}" style="{style}"></iframe>')
         picture.layout.width = "60%"

@@ -7,6 +7,8 @@ apart in a loop.
 
 from __future__ import annotations
 
+import importlib
+import warnings
 from typing import Any
 from urllib.parse import quote
 
@@ -33,6 +35,13 @@ _LAST = 3  # order in which arrows are drawn: after what is see-through (0) and 
 _ENDLESS = 2**31 - 1  # repetitions of the animation
 # Turns meshcat's cylinders, which stand on y, to z
 _Y_TO_Z = mechanism.place(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
+
+
+def import_meshcat() -> Any:
+    """Return the package meshcat; its first import warns of a name of pyzmq that is to go."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return importlib.import_module("meshcat")
 
 
 def send_scene(viewer: Any, scene: scenes.Scene, *, forces: bool = True) -> None:

@@ -12,7 +12,6 @@ import html
 import logging
 import math
 import os
-import warnings
 import webbrowser
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,10 +24,11 @@ from typing import Any
 import jinja2
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import OutputError, RedundancyPinError, optional
+from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.io.files import write_text
 from redundancy_pin.visualisation.viewer.meshcat_scene import (
     arrow_path,
+    import_meshcat,
     send_animation,
     send_scene,
     solid_path,
@@ -63,16 +63,9 @@ class View:
     height: int = 480
 
     def html(self) -> str:
-        """Return one self-contained HTML page, a megabyte and its meshes: it plays offline, at true speed, in a loop.
-
-        Raises:
-            RedundancyPinError: meshcat is not installed.
-        """
-        require_meshcat()
-        import meshcat
-
+        """Return one self-contained HTML page, a megabyte and meshes: it plays offline, at true speed, in a loop."""
         recorder = _Recorder()
-        viewer = meshcat.Visualizer(window=recorder)
+        viewer = import_meshcat().Visualizer(window=recorder)
         send_scene(viewer, self.scene, forces=self.forces)
         send_animation(viewer, self.scene)
         return _page(self.scene, recorder.commands, forces=self.forces)
@@ -82,7 +75,6 @@ class View:
 
         Raises:
             OutputError: the suffix is not .html, or the file cannot be written; an earlier one is as it was.
-            RedundancyPinError: meshcat is not installed.
         """
         require_html(path)
         write_text(path, self.html())
@@ -94,7 +86,7 @@ class View:
             open_browser: whether to open it in the default browser.
 
         Raises:
-            RedundancyPinError: meshcat is not installed, or no port can be opened.
+            RedundancyPinError: no port can be opened.
         """
         live = LiveView(self.html())
         if open_browser:
@@ -122,9 +114,7 @@ class _Recorder:
 
 def _page(scene: Scene, commands: Sequence[bytes], *, forces: bool) -> str:
     """Return the HTML of a scene from meshcat's packed messages, in order."""
-    import meshcat
-
-    folder = Path(meshcat.__file__).parent / "viewer"
+    folder = Path(import_meshcat().__file__).parent / "viewer"
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False}
     words = {"main": "effort of main actuators", "carrier": "effort of carriers"}
@@ -255,10 +245,3 @@ def require_html(path: str | Path) -> None:
             remedy="Give the file the suffix .html.",
             path=str(path),
         )
-
-
-def require_meshcat() -> None:
-    """Check that moving pictures can be made."""
-    with warnings.catch_warnings():  # it uses a name of pyzmq that is to go
-        warnings.simplefilter("ignore", DeprecationWarning)
-        optional("meshcat", "Moving pictures need", "Install it with `pip install 'redundancy_pin[show]'`.")

@@ -1,0 +1,151 @@
+"""Joint stops that push back: unilateral, inelastic, without friction.
+
+A stop allows a joint to move inward and pushes, never pulls. Where joints reach stops their velocities jump to the
+nearest ones that the stops allow, v⁺ = v⁻ + N δ, and at rest there accelerations are the nearest allowed ones to those
+without stops (Gauss's principle of least constraint):
+
+    min δᵀ (Nᵀ M N) δ   subject to   g + G δ ≥ 0,   G = −side N_i,
+
+g the inward velocities, or accelerations, of the stopped joints without the stops. The multipliers μ ≥ 0 are the
+impulses, or the forces, of the stops (J. J. Moreau, Unilateral contact and dry friction in finite freedom dynamics,
+1988). It is Lawson and Hanson's problem of least distance, which scipy's ``nnls`` solves. Stops that push hold their
+joints (``Machine.held``) until they would have to pull.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import nnls
+
+from redundancy_pin.arrays import Array, BoolArray, IntArray
+from redundancy_pin.errors import SingularPoseError
+from redundancy_pin.robot.scales import velocity_unit
+from redundancy_pin.simulation.controllers.base import Command
+from redundancy_pin.simulation.events import Event, EventFunctions
+from redundancy_pin.simulation.system import Machine
+
+_AT_REST = 1e-4
+"""Inward speed, characteristic lengths or rad in a time scale, up to which a joint rests at a stop that pushes it.
+
+A bar that rocks on two stops meets them infinitely often in finite time; within the slack of ``JointRange``, 1e-9 rad,
+and at this speed it is at rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """What the stops make of a state.
+
+    Attributes:
+        y: (nq + nv,) the state after the impact.
+        machine: the machine with the joints held that stops push.
+        events: an impact each, with its impulse.
+    """
+
+    y: Array
+    machine: Machine
+    events: tuple[Event, ...]
+
+
+def resolve_contact(
+    free: Machine,
+    functions: EventFunctions,
+    t: float,
+    y: Array,
+    hold: Command | None,
+    time: float,
+    released: str = "",
+) -> Contact | None:
+    """Return what the stops make of a closed state; None where no joint is at one.
+
+    Args:
+        free: the machine without stops.
+        functions: the event functions of the machine at this configuration.
+        t: time, s.
+        y: (nq + nv,) the state, from before an impact.
+        hold: command that is held; None where the controller answers at this instant.
+        time: time scale, s.
+        released: name of a stop that has just let go.
+
+    Raises:
+        IllPosedModelError, SingularPoseError: as ``Machine.rate``.
+    """
+    nq = functions.nq
+    at = functions.touching(y[:nq]) & functions.pushes[: functions.stops.shape[1]]
+    if not at.any():
+        return None
+    stops = np.flatnonzero(at)
+    columns, side = functions.stops[1, stops].astype(np.intp), functions.stops[2, stops]
+    q, v = y[:nq], y[nq:].copy()
+    basis, inertia = free.dynamics.reduced_inertia(q, v)
+    moves = -side[:, None] * basis[columns]
+    step, impulse = least_constraint(inertia, moves, -side * v[columns])
+    hit = impulse > 0.0
+    v += basis @ step
+    v[columns[hit]] = 0.0
+    y = np.concatenate([q, v])
+    events = tuple(
+        Event(functions.kinds[i], functions.names[i], t, terminal=False, impulse=float(size))
+        for i, size in zip(stops[hit], impulse[hit], strict=True)
+    )
+    rests = -side * v[columns] <= _AT_REST * velocity_unit(free.robot)[columns] / time
+    rests &= np.array([functions.names[i] != released for i in stops])
+    state = free.state(t, y)
+    command = free.amplifiers.command(state) if hold is None else hold
+    a = free.rate(state, command)[-len(v) :]
+    _, force = least_constraint(inertia, moves[rests], (-side * a[columns])[rests])
+    held, own = columns[rests][force > 0.0], moves[rests][force > 0.0]
+    if len(held):
+        response = np.linalg.solve(inertia, own.T)
+        v -= basis @ (response @ np.linalg.solve(own @ response, (-side * v[columns])[rests][force > 0.0]))
+        v[held] = 0.0
+    return Contact(np.concatenate([q, v]), free.holding(held, q), events)
+
+
+def least_constraint(inertia: Array, moves: Array, rate: Array) -> tuple[Array, Array]:
+    """Return δ (d,) and μ (l,): the least δ, by the inertia (d, d), with rate + moves δ ≥ 0, and its multipliers.
+
+    Args:
+        inertia: (d, d) of the free motions.
+        moves: (l, d) inward rates of the stopped joints that go with them.
+        rate: (l,) their inward rates as they are.
+
+    Raises:
+        SingularPoseError: no motion keeps all of the stops.
+    """
+    if not len(rate) or (rate >= 0.0).all():
+        return np.zeros(len(inertia)), np.zeros(len(rate))
+    lower = np.linalg.cholesky(inertia)
+    responses = solve_triangular(lower, moves.T, lower=True)
+    length = np.linalg.norm(responses, axis=0)
+    length[length == 0.0] = 1.0
+    wanted = -rate / length
+    size = np.abs(wanted).max()
+    responses /= length
+    weights, _ = nnls(np.vstack([responses, wanted / size]), np.append(np.zeros(len(inertia)), 1.0))
+    slack = 1.0 - float(wanted @ weights) / size
+    if not slack > np.finfo(float).eps:
+        raise SingularPoseError(
+            "Joints are driven into their stops: no motion keeps all of them.",
+            remedy="Limit what is driven by motion, or drive it by forces.",
+        )
+    scaled = weights * (size / slack)
+    return solve_triangular(lower, responses @ scaled, lower=True, trans=1), scaled / length
+
+
+def pushing(machine: Machine, t: float, y: Array, hold: Command | None, side: Array) -> Array:
+    """Return (h,) the forces with which stops push held joints inward, N or N·m; negative where they would pull."""
+    state = machine.state(t, y)
+    command = machine.amplifiers.command(state) if hold is None else hold
+    inward: Array = -side * machine.solve(state, command).stop_force[machine.held]
+    return inward
+
+
+def sides_of(machine: Machine, functions: EventFunctions, q: Array) -> tuple[IntArray, Array]:
+    """Return which stop holds each held joint, by its place among the functions, and its side."""
+    at: BoolArray = functions.touching(q)
+    table = functions.stops
+    held = [int(np.flatnonzero(at & (table[1] == column))[0]) for column in machine.held]
+    return np.array(held, dtype=np.intp), table[2, held]
