@@ -5,15 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.limits import QUANTITIES
-from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
+from redundancy_pin.planners.optimal.mesh import Grid
+from redundancy_pin.planners.optimal.nlp import ON_FINER_NODES, OUT_OF_TIME, RELAXED, Options, Solution
 from redundancy_pin.planners.optimal.problem import Problem
-from redundancy_pin.planners.optimal.solve import leaves_limits, solve
+from redundancy_pin.planners.optimal.solve import solve
 from redundancy_pin.planners.optimal.transcription import (
     KIND_OF,
     KINDS,
@@ -37,6 +39,15 @@ AGAIN = 2
 ITERATIONS_OF_TIMING = 500
 """Most iterations for the least relaxation that admits a timing: efforts alone take 30 to 230, with forces 300."""
 
+FINAL = 150
+"""Most iterations for the least relaxation at all nodes, from that at a few: they are 10 to 80."""
+
+SAME = 1e-3
+"""Relative difference of two relaxations on meshes of which the finer one shows nothing new."""
+
+ENOUGH = 150
+"""Nodes, beside those of events, that tell which limits are in the way."""
+
 TOUCHED = 1e-4
 """Fraction of its range within which a limit counts as reached."""
 
@@ -51,10 +62,10 @@ def relax(
 ) -> tuple[Problem, Solution]:
     """Find the smallest relaxation of the limits that admits a plan; where it is none, return problem and solution.
 
-    First all limits may give way at once, at the nodes alone. Then each of those that did, or that are touched, may by
-    itself, as far as ``SPARED`` and ``AGAIN`` go: a limit that does by itself is found in one or two times the
-    iterations of the first, one that does not in ten times as many. Efforts come first: where carriers can move at all,
-    they do.
+    First all limits may give way at once, at a few of the nodes (``coarser``). Then each of those that did, or that are
+    touched, may by itself, as far as ``SPARED`` and ``AGAIN`` go: a limit that does by itself is found in one or two
+    times the iterations of the first, one that does not in ten times as many. Efforts come first: where carriers can
+    move at all, they do. What is named is then relaxed once more, exactly, at all nodes and between them.
 
     ``problem``: the numbers; ``robot``: names of carriers and actuators, and which of them rotate; ``guess``: first
     guess; ``message``: how the solver ended on the ordinary problem; ``kinds``: limits that may give way; ``finer``:
@@ -70,56 +81,71 @@ def relax(
     """
     problem, settings = replace(problem, shares=None), problem.settings.solver  # messages state the limits themselves
     deadline = time.perf_counter() + settings.seconds
-    further = tuple(problem.settings.limits.further)
-    kinds = (*(KINDS if kinds is None else kinds), *further)
-    # with limits at the nodes alone: most often one limit does by itself, and is held between the nodes then
-    most = None if problem.timing is None else ITERATIONS_OF_TIMING
-    elastic = solve(problem, guess, settings.seconds, lambda *_: True, elastic=kinds, most=most)
-    if elastic.feasible and not _exceeded(problem, elastic):
-        elastic = solve(problem, elastic.values, deadline - time.perf_counter(), elastic=kinds)
+    kinds = (*(KINDS if kinds is None else kinds), *problem.settings.limits.further)
+    kinds = tuple(kind for kind in kinds if _is_limited(problem, kind))
+
+    def let_out(
+        nodes: Problem, values: Mapping[str, Array], kinds: tuple[str, ...], first: Options = RELAXED, **options: Any
+    ) -> Solution:
+        return solve(nodes, values, deadline - time.perf_counter(), elastic=kinds, first=first, **options)
+
+    for nodes in (coarser(problem), problem):
+        # with limits at the nodes alone: most often one limit does by itself, and is held between the nodes then
+        most = None if problem.timing is None else ITERATIONS_OF_TIMING
+        elastic = let_out(nodes, problem.resampled(guess, nodes), kinds, stop=lambda *_: True, most=most)
+        if elastic.feasible and not _exceeded(elastic):
+            elastic = let_out(nodes, elastic.values, kinds)
+        if nodes is problem or (elastic.feasible and _exceeded(elastic)):
+            break
     iterations = elastic.iterations  # of all finer meshes: a refusal is to come in seconds
     for _ in range(problem.settings.refinements):
-        following = finer(problem, elastic) if finer is not None and elastic.feasible else None
+        following = finer(nodes, elastic) if finer is not None and elastic.feasible else None
         if following is None or iterations <= 0:
             break
-        values = problem.resampled(elastic.values, following)
-        found = solve(following, values, deadline - time.perf_counter(), elastic=kinds, most=iterations)
+        found = let_out(following, nodes.resampled(elastic.values, following), kinds, most=iterations)
         iterations -= found.iterations
         if not found.feasible:  # what the coarser nodes need is known
             break
-        problem, elastic = following, found
+        same = all(abs(slack(found, kind) - slack(elastic, kind)) <= SAME * slack(found, kind) for kind in kinds)
+        problem = nodes = following
+        elastic = found
+        if same:
+            break
     if not elastic.feasible:
         raise nothing_helps(problem, elastic, message)
-    exceeded = _exceeded(problem, elastic)
+    exceeded = _exceeded(elastic)
     if not exceeded:
         return problem, elastic
     # one that is only touched may do as well by itself: with a price on all, others gave way in its place
-    touched = [kind for kind in kinds if kind not in exceeded and is_touched(problem, robot, elastic, kind)]
+    touched = [kind for kind in kinds if kind not in exceeded and is_touched(nodes, robot, elastic, kind)]
     candidates = sorted([*exceeded, *touched], key=lambda kind: (exceeded != [kind], kind != "effort"))
     alone: dict[str, Solution] = {}
     untried: list[str] = []
     in_vain: list[str] = []
-    left = max(AGAIN * elastic.iterations, SPARED // len(problem.grid.t))
-    for kind in candidates if len(candidates) > 1 else ():
-        seconds = deadline - time.perf_counter()
-        if left <= 0 or seconds <= 0.0:
+    left = max(AGAIN * elastic.iterations, SPARED // len(nodes.grid.t))
+    for kind in candidates:
+        if exceeded == [kind]:
+            alone[kind] = elastic
+            continue
+        if left <= 0 or time.perf_counter() > deadline:
             untried.append(kind)
             continue
-        solution = solve(problem, elastic.values, seconds, elastic=(kind,), most=left)
+        solution = let_out(nodes, elastic.values, (kind,), most=left)
         left -= solution.iterations
-        if solution.optimal and not _exceeded(problem, solution):
-            return problem, solution  # nothing is in the way: with a price on several the solver ended elsewhere
         if solution.optimal:
             alone[kind] = solution
         elif not solution.infeasible:
             (in_vain if solution.stalled else untried).append(kind)
-    seconds = deadline - time.perf_counter()
-    if not alone and seconds > 0.0 and leaves_limits(problem, elastic.values).any():
-        between = solve(problem, elastic.values, seconds, elastic=kinds)
-        elastic = between if between.feasible and _exceeded(problem, between) else elastic
-        exceeded = _exceeded(problem, elastic)
-    relaxed = alone or dict.fromkeys(exceeded, elastic)
-    order = sorted(relaxed, key=lambda kind: _slack(relaxed[kind], kind))
+    relaxed: dict[str, Solution] = {}
+    for group, solution in [((kind,), found) for kind, found in alone.items()] or [(tuple(exceeded), elastic)]:
+        if problem.timing is None:  # exactly, at all nodes and between them
+            values = nodes.resampled(_without_others(solution.values, group), problem)
+            between = let_out(problem, values, group, ON_FINER_NODES, most=FINAL)
+            if between.optimal and not _exceeded(between):
+                return problem, between  # nothing is in the way: with a price on several the solver ended elsewhere
+            solution = between if between.feasible else solution
+        relaxed |= dict.fromkeys(group, solution)
+    order = sorted(relaxed, key=lambda kind: slack(relaxed[kind], kind))
     events = [elastic_event(problem, robot, relaxed[kind], kind) for kind in order]
     text = ("; or " if alone else "; and ").join(str(event.pop("text")) for event in events)
     rest = f" Not tried to the end: {', '.join(untried)} alone." if untried else ""
@@ -193,15 +219,46 @@ def name_of(kind: str) -> str:
     return kind if kind in KINDS else QUANTITIES[kind].name
 
 
-def _slack(solution: Solution, kind: str) -> float:
+def slack(solution: Solution, kind: str) -> float:
+    """Return the fraction by which a kind of limits gives way."""
     return float(solution.values[slack_name(kind)][0, 0])
 
 
-def _exceeded(problem: Problem, elastic: Solution) -> list[str]:
-    """Return the kinds of limits that gave way; the fraction of one that is not there may have any value."""
-    kinds = (*KINDS, *problem.settings.limits.further)
-    slacks = {kind: slack_name(kind) for kind in kinds if slack_name(kind) in elastic.values}
-    return [kind for kind in slacks if _slack(elastic, kind) > NOTHING and _is_limited(problem, kind)]
+def _exceeded(elastic: Solution) -> list[str]:
+    """Return the kinds of limits that gave way."""
+    return [kind for kind in elastic.rows["elastic"] if slack(elastic, kind) > NOTHING]
+
+
+def _without_others(values: Mapping[str, Array], kinds: tuple[str, ...]) -> dict[str, Array]:
+    """Return variables without the fractions by which other kinds of limits gave way."""
+    kept = {slack_name(kind) for kind in kinds}
+    return {name: value for name, value in values.items() if name in kept or not name.startswith(slack_name(""))}
+
+
+def coarser(problem: Problem) -> Problem:
+    """Return a problem on at most ``ENOUGH`` of its nodes, beside those on jumps, singular instants and both ends.
+
+    Along a path, and where f is an expression, these are all nodes.
+    """
+    grid = problem.grid
+    free = np.flatnonzero(~grid.smooth)  # the others let the carriers do no more than without them
+    every = -(-len(free) // ENOUGH)
+    if problem.timing is not None or problem.exact is not None or every == 1:
+        return problem
+    kept = np.zeros(len(grid.t), dtype=bool)
+    kept[free[::every]] = kept[-1] = kept[grid.singular] = True
+    jumps = np.flatnonzero(grid.h == 0.0)
+    kept[jumps] = kept[jumps + 1] = True
+    at, model, base = np.flatnonzero(kept), problem.model, problem.base
+    return replace(
+        problem,
+        grid=Grid(read_only(grid.t[at]), np.searchsorted(at, grid.singular), grid.smooth[at]),
+        model=model[at],
+        singular=tuple(replace(node, index=int(np.searchsorted(at, node.index))) for node in problem.singular),
+        actuated_rate=problem.actuated_rate[at],
+        target=problem.target[at],
+        base=base and replace(base, w0=base.w0[at], by_term=base.by_term[at]),
+    )
 
 
 def _is_limited(problem: Problem, kind: str) -> bool:
@@ -252,7 +309,7 @@ def nothing_helps(problem: Problem, elastic: Solution, message: str) -> Infeasib
 
 def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> dict[str, object]:
     """Return what is exceeded most, where, and what would suffice."""
-    fraction = _slack(elastic, kind)
+    fraction = slack(elastic, kind)
     t = problem.times(elastic.values)
     if kind == "at_most":
         costs, bounds = objective_values(problem, elastic.values), problem.settings.at_most

@@ -91,6 +91,15 @@ def _from_optimum(barrier: float, push: float) -> Options:
 WARM: Options = {**_EXACT, **_from_optimum(1e-4, 1e-4), "ipopt.max_iter": 250}
 """Options from the optimum of the same task on other nodes, or with fewer rows."""
 
+RELAXED: Options = {**_EXACT, **LINEAR_SYSTEM, "ipopt.mu_target": 1e-5, "ipopt.max_iter": 250}
+"""Options where limits give way: fractions of a limit are then within 2e-4.
+
+Flat optima, as under gravity, where slower motions hardly need less, take up to 150 iterations more to a parameter of
+1e-10. The parameter decreases monotonically: an adaptive one may oscillate about this value without end."""
+
+ON_FINER_NODES: Options = {**_EXACT, **_from_optimum(1e-2, 1e-2), "ipopt.max_iter": 250}
+"""Options from an optimum on nodes so few that they do not show every effort."""
+
 CALMING: Options = {
     **_from_optimum(1e-2, 0.1),
     # Mehrotra's probing step: a third fewer iterations than monotone barrier parameters

@@ -47,14 +47,15 @@ def solve(
     *,
     elastic: Sequence[str] = (),
     most: int | None = None,
+    first: Options | None = None,
     warm: Options = WARM,
 ) -> Solution:
     """Solve a problem with every limit held at the nodes and between them.
 
     ``guess``: first guess, scaled blocks by name; with efforts, an optimum of the same task; ``seconds``: time bound,
     s; ``stop``: says of an optimum with limits at the nodes that it will do, as where it asks for other nodes anyway;
-    ``elastic``: kinds of limits that give way (``transcribe``); ``most``: bound of the iterations;
-    ``warm``: options from an optimum.
+    ``elastic``: kinds of limits that give way (``transcribe``); ``most``: bound of the iterations; ``first``: options
+    from the first guess, ``FIRST`` or, with efforts, ``warm`` when left out; ``warm``: those from an optimum.
 
     Returns:
         An optimum that keeps every limit; or where that is not reached, the outcome with ``feasible`` as found.
@@ -72,13 +73,12 @@ def solve(
     iterations, spent = 0, 0.0
     for added in range(ROUNDS + 2):
         nlp = transcribe(problem, elastic, between=between, limit_force=limit_force)
-        # where limits give way at a price that was another, the last solution is no optimum to begin with
-        first = warm if added or ("tau" in guess and not elastic) else FIRST
+        begin = warm if added else first or (warm if "tau" in guess else FIRST)
         if most is not None:
-            first = {**first, "ipopt.max_iter": most - iterations}
+            begin = {**begin, "ipopt.max_iter": most - iterations}
         # a bound below the least there is takes long to refute here, and one solution elsewhere (``require_bounds``)
         attempts: list[Solution] = []
-        for options in (first,) if problem.settings.at_most or elastic else (first, FALLBACK):
+        for options in (begin,) if problem.settings.at_most or elastic else (begin, FALLBACK):
             left = max(deadline - time.perf_counter(), LEAST_SECONDS)
             attempt = solve_nlp(nlp, guess, left, options, problem.settings.solver.progress, patience)
             iterations, spent = iterations + attempt.iterations, spent + attempt.seconds

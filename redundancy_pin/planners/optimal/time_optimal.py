@@ -266,7 +266,7 @@ def _parked(problem: Problem, kinds: tuple[str, ...]) -> dict[str, Array]:
     for name, kind in KIND_OF.items():
         if kind in kinds and name in ("tau", "force"):
             use = np.abs(guess[name]) / bounds[name][1]
-            guess[slack_name(kind)] = np.full((len(tau), 1), max(float(use.max(initial=0.0)) - 1.0, 0.0))
+            guess[slack_name(kind)] = np.array([[max(float(use.max(initial=0.0)) - 1.0, 0.0)]])
     return guess
 
 

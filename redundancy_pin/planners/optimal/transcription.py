@@ -134,8 +134,8 @@ class Transcription(Quantities):
         self._pace: tuple[Expression, ...] = ()
         self._slack: dict[str, Expression] = {}
         for kind in elastic:
-            self._slack[kind] = self._copies(slack_name(kind), len(problem.grid.t))
-            self.nlp.cost += self._slack[kind][0]
+            self._slack[kind], mean = self._copies(slack_name(kind), len(problem.grid.t))
+            self.nlp.cost += mean
         self.s, self.sd, self.sdd = (
             self._variable(name, problem.model.k, getattr(u, name)) for name in ("s", "sd", "sdd")
         )
@@ -151,11 +151,15 @@ class Transcription(Quantities):
             block = self.nlp.variable(name, shape, *self._bounds[name])
         return block * _rows(size, shape)
 
-    def _copies(self, name: str, count: int) -> Expression:
-        """Add copies of one variable, all equal: a single one in every row would fill the solver's factors."""
-        copies = self.nlp.variable(name, (count, 1), 0.0)
+    def _copies(self, name: str, nodes: int) -> tuple[Expression, Expression]:
+        """Add copies of one variable ≥ 0, all equal; return the copy for each node (M, 1), and their mean.
+
+        A single variable in every row would fill the solver's factors. The mean gives all copies a slope: the solver
+        scales the whole objective by the largest one.
+        """
+        copies = self.nlp.variable(name, (-(-nodes // SHARED), 1), 0.0)
         self.nlp.within(copies[1:] - copies[:-1])
-        return copies
+        return copies[(np.arange(nodes) // SHARED).tolist()], ca.sum1(copies) / copies.shape[0]
 
     @cached_property
     def force(self) -> Expression:
@@ -223,14 +227,20 @@ class Transcription(Quantities):
         """Require expression = value, over a size."""
         self.nlp.within(expression / _rows(size, expression.shape), value / size, value / size)
 
-    def limit(self, kind: str, expression: Expression, lower: Expression, upper: Expression) -> None:
-        """Keep lower ≤ expression ≤ upper, all of them scaled; in an elastic programme let out by its fraction."""
+    def limit(
+        self, kind: str, expression: Expression, lower: Expression, upper: Expression, at: IntArray | None = None
+    ) -> None:
+        """Keep lower ≤ expression ≤ upper, all of them scaled; in an elastic programme let out by its fraction.
+
+        ``at``: the node of each row; 0, 1, 2 and so on when left out.
+        """
         if kind not in self._slack:
             self.nlp.within(expression, lower, upper)
             return
         lower, upper = (np.broadcast_to(bound, expression.shape) for bound in (lower, upper))
         half = half_range(kind, lower, upper)
-        slack = ca.repmat(self._slack[kind][: expression.shape[0]], 1, expression.shape[1])
+        at = np.arange(expression.shape[0]) if at is None else at
+        slack = ca.repmat(self._slack[kind][at.tolist()], 1, expression.shape[1])
         self.nlp.within(expression + half * slack, lower, np.inf)
         self.nlp.within(expression - half * slack, -np.inf, upper)
 
@@ -315,7 +325,7 @@ class Transcription(Quantities):
             most = self.h * np.broadcast_to((settings.limits.jerk / u.sdd)[limited], change.shape)
             steps = np.flatnonzero(self._problem.grid.h).tolist()
             jumps = np.flatnonzero(self._problem.grid.h == 0.0).tolist()
-            self.limit("jerk", change[steps, :], -most[steps, :], most[steps, :])
+            self.limit("jerk", change[steps, :], -most[steps, :], most[steps, :], np.array(steps))
             self.nlp.within(change[jumps, :])  # no limit of the jerk, however wide, lets s̈ jump
         self._start()
         first, last = ({name: self.nlp.blocks[name][i, :] for name in ("s", "sd", "sdd")} for i in (0, -1))
@@ -380,7 +390,7 @@ class Transcription(Quantities):
             ("s", self.s[at, :] + h / 3.0 * self.sd[at, :]),
             ("s", self.s[at + 1, :] - h / 3.0 * self.sd[at + 1, :]),
         ):
-            self.limit(KIND_OF[name], inner / _rows(getattr(self.scales, name), inner.shape), *self._bounds[name])
+            self.limit(KIND_OF[name], inner / _rows(getattr(self.scales, name), inner.shape), *self._bounds[name], at)
 
     def objective(self) -> None:
         """Add the weighted objectives over their common size, bounds of objectives, and the regularisation."""
@@ -422,13 +432,11 @@ class Transcription(Quantities):
 
     def largest(self, values: Expression, size: ArrayLike) -> Expression:
         """Bound all |values| by one variable, of which there is a copy every few nodes."""
-        copies = self._copies(f"{PEAK}_{len(self.nlp.blocks)}", -(-values.shape[0] // SHARED))
-        top = ca.repmat(copies[np.arange(values.shape[0]) // SHARED], 1, values.shape[1])
+        copies, mean = self._copies(f"{PEAK}_{len(self.nlp.blocks)}", values.shape[0])
+        top = ca.repmat(copies, 1, values.shape[1])
         rows = _rows(_sizes(values, size), values.shape)
         for sign in (1.0, -1.0):
             self.nlp.within(sign * values / rows - top, -np.inf, 0.0)
-        # the mean, so that all copies have a slope: the solver scales the whole objective by the largest one
-        mean: Expression = ca.sum1(copies) / copies.shape[0]
         return mean if np.ndim(size) else size * mean
 
 
