@@ -16,7 +16,7 @@ from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.planners.intersample_check import intersample_check
 from redundancy_pin.planners.optimal.mesh import NEAR_SINGULAR, Grid, resample, singular_ratio, with_middles
 from redundancy_pin.planners.optimal.nlp import CALMING
-from redundancy_pin.planners.optimal.problem import Reader, Task, read_problem
+from redundancy_pin.planners.optimal.problem import Task, read_problem
 from redundancy_pin.planners.optimal.refine import Planned, Planning
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, solve
 from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
@@ -33,13 +33,12 @@ LEAST_COST = 1e-9
 """Least cost over the size of the objective below which it counts as zero, and no fraction of it can be spent."""
 
 
-def calmed(planning: Planning, planned: Planned, read: Reader, seconds: float) -> tuple[Planned, dict[str, object]]:
+def calmed(planning: Planning, planned: Planned, seconds: float) -> tuple[Planned, dict[str, object]]:
     """Return a calmer plan than the one of least cost, or that one itself; and what was found, as plain data.
 
     Args:
         planning: the planner, whose task has the fraction ``calm`` that may be spent.
         planned: its least-cost plan.
-        read: what reads the coefficients, as ``read_problem`` takes it.
         seconds: time bound, s; none is tried without any left.
 
     Returns:
@@ -58,7 +57,7 @@ def calmed(planning: Planning, planned: Planned, read: Reader, seconds: float) -
     for name, bound in task.settings.at_most.items():
         bounds[name] = min(bound, bounds.get(name, np.inf))
     calmer = replace(task, settings=replace(task.settings, objective={"ripple": 1.0}, at_most=bounds))
-    found = _solve(calmer, best, read, seconds)
+    found = _solve(calmer, best, seconds)
     after = _most_reversals(found)
     chosen, solution = planned, found.solution
     if solution.feasible and solution.optimal and after < before:
@@ -81,11 +80,11 @@ def _most_reversals(outcome: Outcome) -> int:
     return max(len(samples) for samples in effort_reversals(efforts))
 
 
-def _solve(task: Task, outcome: Outcome, read: Reader, seconds: float) -> Outcome:
+def _solve(task: Task, outcome: Outcome, seconds: float) -> Outcome:
     """Solve on denser nodes, from an optimum."""
     old = outcome.problem
     nodes = _denser(task, old.grid)
-    problem, _ = read_problem(task, nodes, read, old.scales)
+    problem = read_problem(task, nodes, old)
     if old.shares is not None:
         problem = replace(problem, shares=resample({"shares": old.shares}, old.grid.t, nodes.t)["shares"])
     guess = old.resampled(outcome.solution.values, problem)

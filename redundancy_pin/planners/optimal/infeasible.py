@@ -137,7 +137,8 @@ def relax(
         elif not solution.infeasible:
             (in_vain if solution.stalled else untried).append(kind)
     relaxed: dict[str, Solution] = {}
-    for group, solution in [((kind,), found) for kind, found in alone.items()] or [(tuple(exceeded), elastic)]:
+    groups: dict[tuple[str, ...], Solution] = {(kind,): found for kind, found in alone.items()}
+    for group, solution in (groups or {tuple(exceeded): elastic}).items():
         if problem.timing is None:  # exactly, at all nodes and between them
             values = nodes.resampled(_without_others(solution.values, group), problem)
             between = let_out(problem, values, group, ON_FINER_NODES, most=FINAL)
@@ -253,7 +254,7 @@ def coarser(problem: Problem) -> Problem:
     return replace(
         problem,
         grid=Grid(read_only(grid.t[at]), np.searchsorted(at, grid.singular), grid.smooth[at]),
-        model=model[at],
+        model=model[at],  # type: ignore[index]  # indices do as well as a slice
         singular=tuple(replace(node, index=int(np.searchsorted(at, node.index))) for node in problem.singular),
         actuated_rate=problem.actuated_rate[at],
         target=problem.target[at],

@@ -322,7 +322,7 @@ def _objectives(
     task: Task, plan: Plan, grid: Grid, fixed: IntArray
 ) -> tuple[dict[str, float], tuple[Array, Array, Array, float]]:
     """Return the objectives by name, and the derivatives of ``FollowedCost.by``."""
-    problem, _ = read_problem(task, grid)
+    problem = read_problem(task, grid)
     symbols, objective = _Symbols(problem, fixed), task.settings.objective
     formulas = {name: OBJECTIVES[name].value(symbols) for name in {**objective, **task.settings.at_most}}
     cost = sum(weight * formulas[name] for name, weight in objective.items())

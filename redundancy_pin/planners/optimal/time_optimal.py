@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import get_args
 
@@ -21,8 +21,8 @@ from redundancy_pin.planners.intersample_check import IntersampleCheck, intersam
 from redundancy_pin.planners.optimal.infeasible import relax
 from redundancy_pin.planners.optimal.mesh import NEAR_SINGULAR, first_mesh, steps_around, with_nodes
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
-from redundancy_pin.planners.optimal.path_problem import read_path_problem
-from redundancy_pin.planners.optimal.problem import Problem, Task, at_pace, required
+from redundancy_pin.planners.optimal.path_problem import PathTask
+from redundancy_pin.planners.optimal.problem import Problem, Task, at_pace, read_problem, required
 from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
 from redundancy_pin.planners.optimal.settings import Begin, End, Settings
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, with_seconds
@@ -113,13 +113,6 @@ def plan_time_optimal(
     return optimise_timing(path_task(as_dynamics(dynamics), path, limits, mesh, solver, begin, end, datum, lap))[0]
 
 
-@dataclass(frozen=True, eq=False)
-class PathTask(Task):
-    """A path whose timing is planned; the motion of the task runs along it at unit speed."""
-
-    path: Path
-
-
 def path_task(
     dynamics: Dynamics,
     path: Path | Trajectory,
@@ -185,7 +178,7 @@ def optimise_timing(task: PathTask) -> tuple[Plan, Outcome, Motion]:
     began = time.perf_counter()
     settings = task.settings
     nodes = first_mesh(task.dynamics, task.source, settings.dt, ends=not settings.lap)
-    problem = read_path_problem(task, nodes)
+    problem = read_problem(task, nodes)
 
     def finer_relaxed(problem: Problem, solution: Solution) -> Problem | None:
         found = intersample_check(planning.planned(problem, solution))
@@ -299,7 +292,7 @@ def _finer(
     share = np.concatenate([np.arange(1, 2**level) / 2**level for level in halvings.tolist()])
     # ṗ is quadratic in a step with Bézier points of at least zero: an eighth of the step, or more, is on either side
     places = law_of(problem, solution)(times[steps] + share * h[steps])[:, 0]
-    return read_path_problem(task, with_nodes(grid, steps, places, smooth[steps]), problem)
+    return read_problem(task, with_nodes(grid, steps, places, smooth[steps]), problem)
 
 
 def law_of(problem: Problem, solution: Solution) -> PiecewisePolynomial:

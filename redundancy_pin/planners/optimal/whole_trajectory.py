@@ -138,7 +138,7 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     """
     began = time.perf_counter()
     nodes = first_mesh(task.dynamics, task.source, task.settings.dt)
-    problem, read = read_problem(task, nodes)
+    problem = read_problem(task, nodes)
     guess = None if position is None else problem.scaled(carriers_at(position, nodes.t))
 
     def finer(problem: Problem, _: Solution, found: IntersampleCheck, marked: BoolArray, first: bool) -> Problem:
@@ -146,12 +146,12 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
         nodes = problem.grid
         for least in (0.0,) if first else (0.0, TWICE):
             nodes = with_middles(nodes, steps_around(nodes.t, found.middle[marked & (found.worst > least)], NEIGHBOURS))
-        return read_problem(task, nodes, read, problem.scales)[0]
+        return read_problem(task, nodes, problem)
 
     planning = Planning("whole_trajectory", task, partial(_solve, task), lambda *_: task.source, finer)
     planned = plan_and_refine(planning, problem, guess)
     left = began + task.settings.solver.seconds - time.perf_counter()
-    chosen, calming = calmed(planning, planned, read, left)
+    chosen, calming = calmed(planning, planned, left)
     plan = _plan(task, planned, chosen)
     found = {"calm": calming, "seconds": time.perf_counter() - began}
     return replace(plan, diagnostics={**plan.diagnostics, **found}), planned.best
