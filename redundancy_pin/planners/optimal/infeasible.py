@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -52,14 +52,20 @@ TOUCHED = 1e-4
 """Fraction of its range within which a limit counts as reached."""
 
 
-def relax(
-    problem: Problem,
-    robot: RobotRecord,
-    guess: Mapping[str, Array],
-    message: str,
-    kinds: Sequence[str] | None = None,
-    finer: Callable[[Problem, Solution], Problem | None] | None = None,
-) -> tuple[Problem, Solution]:
+@dataclass(frozen=True, eq=False)
+class Relaxation:
+    """From where, and of which limits, the smallest relaxation is sought.
+
+    ``guess``: first guess, scaled blocks by name; ``kinds``: limits that may give way, all when left out; ``finer``:
+    returns the problem on a finer mesh where the nodes do not show the efforts of a relaxed motion, otherwise None.
+    """
+
+    guess: Mapping[str, Array]
+    kinds: Sequence[str] = KINDS
+    finer: Callable[[Problem, Solution], Problem | None] = lambda *_: None
+
+
+def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str) -> tuple[Problem, Solution]:
     """Find the smallest relaxation of the limits that admits a plan; where it is none, return problem and solution.
 
     First all limits may give way at once, at a few of the nodes (``coarser``). Then each of those that did, or that are
@@ -67,9 +73,8 @@ def relax(
     times the iterations of the first, one that does not in ten times as many. Efforts come first: where carriers can
     move at all, they do. What is named is then relaxed once more, exactly, at all nodes and between them.
 
-    ``problem``: the numbers; ``robot``: names of carriers and actuators, and which of them rotate; ``guess``: first
-    guess; ``message``: how the solver ended on the ordinary problem; ``kinds``: limits that may give way; ``finer``:
-    returns the problem on a finer mesh where the nodes do not show the efforts of a relaxed motion, otherwise None.
+    ``problem``: the numbers; ``robot``: names of carriers and actuators, and which of them rotate; ``sought``: from
+    where; ``message``: how the solver ended on the ordinary problem.
 
     Raises:
         InfeasiblePlanError: limits have to give way. It carries ``constraint`` (the limit of the smallest relaxation),
@@ -81,7 +86,7 @@ def relax(
     """
     problem, settings = replace(problem, shares=None), problem.settings.solver  # messages state the limits themselves
     deadline = time.perf_counter() + settings.seconds
-    kinds = (*(KINDS if kinds is None else kinds), *problem.settings.limits.further)
+    kinds = (*sought.kinds, *problem.settings.limits.further)
     kinds = tuple(kind for kind in kinds if _is_limited(problem, kind))
 
     def let_out(
@@ -92,14 +97,14 @@ def relax(
     for nodes in (coarser(problem), problem):
         # with limits at the nodes alone: most often one limit does by itself, and is held between the nodes then
         most = None if problem.timing is None else ITERATIONS_OF_TIMING
-        elastic = let_out(nodes, problem.resampled(guess, nodes), kinds, stop=lambda *_: True, most=most)
+        elastic = let_out(nodes, problem.resampled(sought.guess, nodes), kinds, stop=lambda *_: True, most=most)
         if elastic.feasible and not _exceeded(elastic):
             elastic = let_out(nodes, elastic.values, kinds)
         if nodes is problem or (elastic.feasible and _exceeded(elastic)):
             break
     iterations = elastic.iterations  # of all finer meshes: a refusal is to come in seconds
     for _ in range(problem.settings.refinements):
-        following = finer(nodes, elastic) if finer is not None and elastic.feasible else None
+        following = sought.finer(nodes, elastic) if elastic.feasible else None
         if following is None or iterations <= 0:
             break
         found = let_out(following, nodes.resampled(elastic.values, following), kinds, most=iterations)

@@ -105,6 +105,11 @@ class PathTask(Task):
 
     path: Path
 
+    @property
+    def slows_at_ends(self) -> bool:
+        """Whether nodes are closer together towards both ends: all but laps begin and end at rest."""
+        return not self.settings.lap
+
     @cached_property
     def read(self) -> Reader:
         """What reads the coefficients off the backend."""

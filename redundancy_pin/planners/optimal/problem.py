@@ -63,6 +63,11 @@ class Task:
     source: Motion
     settings: Settings
 
+    @property
+    def slows_at_ends(self) -> bool:
+        """Whether nodes are closer together towards both ends, where the timing is planned and begins at rest."""
+        return False
+
     @cached_property
     def read(self) -> Reader:
         """What reads the coefficients off the backend."""

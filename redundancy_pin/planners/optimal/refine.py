@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -18,34 +19,105 @@ from redundancy_pin.planners.intersample_check import (
     PlannedMotion,
     intersample_check,
 )
-from redundancy_pin.planners.optimal.nlp import Solution
-from redundancy_pin.planners.optimal.problem import Problem, Task
-from redundancy_pin.planners.optimal.solve import Multistart, Outcome, with_seconds
+from redundancy_pin.planners.optimal.infeasible import Relaxation, relax, require_bounds
+from redundancy_pin.planners.optimal.mesh import first_mesh
+from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
+from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
+from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, solve, with_seconds
+from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory.continuous_motion import Motion
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 PHASES = ("optimised",)
 
 
-@dataclass(frozen=True, eq=False)
-class Planning:
-    """What the two planners do differently.
+class Planning(ABC):
+    """One planning of a task: what least time does differently from a whole trajectory is in the subclasses.
 
     Attributes:
         name: of the planner.
         task: robot, motion and settings.
-        solve: returns solutions of a problem from a guess (scaled blocks by name; None for parked carriers), one of
-            them feasible, or raises an ``InfeasiblePlanError``; the last argument is the ``stop`` of ``solve.solve``.
-        platform: returns the motion of the platform of a solution.
-        finer: returns the problem on a finer mesh, of a solution, what is between its nodes, which (P,) pieces of that
-            the nodes do not show, and whether no mesh was finer before.
     """
 
     name: str
-    task: Task
-    solve: Callable[[Problem, Mapping[str, Array] | None, Callable[[Problem, Solution], bool]], Multistart]
-    platform: Callable[[Problem, Solution], Motion]
-    finer: Callable[[Problem, Solution, IntersampleCheck, BoolArray, bool], Problem]
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+
+    @abstractmethod
+    def platform(self, problem: Problem, solution: Solution) -> Motion:
+        """Return the motion of the platform of a solution."""
+
+    @abstractmethod
+    def finer(
+        self, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
+    ) -> Problem:
+        """Return the problem on a finer mesh.
+
+        Args:
+            problem: on the present one.
+            solution: its solution.
+            found: what is between the nodes.
+            marked: (P,) pieces of that which the nodes do not show.
+            first: whether no mesh was finer before.
+        """
+
+    def relaxation(self, problem: Problem) -> Relaxation:
+        """Return from where, and of which limits, the smallest relaxation is sought."""
+        return Relaxation(first_guess(problem))
+
+    def solve(
+        self, problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Problem, Solution], bool]
+    ) -> Multistart:
+        """Return solutions from all first guesses, one of them feasible.
+
+        Where there is none the limits give way: either that names those in the way, or it finds a motion that keeps
+        them all, from which the solver begins once more.
+
+        Args:
+            problem: the numbers, with the time that is left.
+            guess: scaled blocks by name, in place of parked carriers.
+            stop: as for ``solve.solve``.
+
+        Raises:
+            InfeasiblePlanError: limits have to give way (``relax``), or there is no plan for another reason.
+        """
+        deadline = time.perf_counter() + problem.settings.solver.seconds
+        first = guess
+
+        def rest() -> Problem:
+            return with_seconds(problem, deadline - time.perf_counter())
+
+        def within_limits(message: str) -> tuple[Problem, Mapping[str, Array]]:
+            found, solution = relax(rest(), robot_record(self.task.dynamics.robot), self.relaxation(problem), message)
+            return found, solution.values
+
+        if guess is None and problem.timing is not None and problem.timing.exceeded_parked:
+            # the weight is more than the motors hold: refuting that takes long, and this finds a motion where there is
+            # one
+            problem, first = within_limits("")
+        solutions = multistart(rest(), first, stop)
+        # neither relaxed above, nor an attempt with lower limits
+        if not solutions.feasible and first is guess and problem.shares is None:
+            if problem.settings.at_most:
+                require_bounds(rest(), first_guess(problem))
+            problem, first = within_limits(solutions.outcomes[0].solution.message)
+            again = Outcome(problem, solve(problem, first, deadline - time.perf_counter(), stop))
+            solutions = replace(solutions, outcomes=(*solutions.outcomes, again))
+        if solutions.feasible:
+            return solutions
+        last, seconds = solutions.outcomes[-1].solution, self.task.settings.solver.seconds
+        late = last.message == OUT_OF_TIME
+        raise InfeasiblePlanError(
+            f"No plan was found{f' within {seconds:g} s' if late else ''} (the solver says {last.message}; unbalanced "
+            f"by {last.violation:.2g}), although none of the limits is known to be in the way.",
+            remedy="Allow more seconds, or a coarser mesh."
+            if late
+            else "Widen the limits a little, or start elsewhere.",
+            constraint="seconds" if late else "balance",
+            time=float(problem.times(last.values)[0]),
+            amount=seconds if late else last.violation,
+        )
 
     def planned(self, problem: Problem, solution: Solution) -> PlannedMotion:
         """Return what a solution plans.
@@ -117,21 +189,25 @@ class Planned:
         }
 
 
-def plan_and_refine(planning: Planning, problem: Problem, guess: Mapping[str, Array] | None = None) -> Planned:
+def plan_and_refine(planning: Planning, position: PiecewisePolynomial | None = None) -> Planned:
     """Return a plan whose nodes show its efforts, and that keeps every limit between them, as far as that is reached.
 
     Where the nodes do not show the efforts between them the mesh is refined; where a limit is exceeded by less, the
     limits at the adjacent nodes are lowered.
 
     Args:
-        planning: the planner.
-        problem: the numbers on the first mesh.
-        guess: scaled blocks by name to begin with in place of parked carriers.
+        planning: the task, and what its planner does differently.
+        position: of the carriers, to begin with in place of parked ones.
 
     Raises:
         InfeasiblePlanError: as ``Planning.solve``.
     """
-    settings = planning.task.settings
+    task, settings = planning.task, planning.task.settings
+    nodes = first_mesh(task.dynamics, task.source, settings.dt, task.slows_at_ends)
+    problem = read_problem(task, nodes)
+    guess: Mapping[str, Array] | None = None
+    if position is not None:
+        guess = problem.scaled(carriers_at(position, nodes.t))
     deadline = time.perf_counter() + settings.solver.seconds
     report = settings.solver.progress or (lambda line: None)
     ratios: list[float] = []

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from typing import get_args
 
 import numpy as np
@@ -14,22 +12,21 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, BoolArray, frozen, one_of
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
-from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.errors import InputError
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import IntersampleCheck, intersample_check
-from redundancy_pin.planners.optimal.infeasible import relax
-from redundancy_pin.planners.optimal.mesh import NEAR_SINGULAR, first_mesh, steps_around, with_nodes
-from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
+from redundancy_pin.planners.optimal.infeasible import Relaxation
+from redundancy_pin.planners.optimal.mesh import NEAR_SINGULAR, steps_around, with_nodes
+from redundancy_pin.planners.optimal.nlp import Solution
 from redundancy_pin.planners.optimal.path_problem import PathTask
-from redundancy_pin.planners.optimal.problem import Problem, Task, at_pace, read_problem, required
+from redundancy_pin.planners.optimal.problem import Problem, at_pace, read_problem, required
 from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
 from redundancy_pin.planners.optimal.settings import Begin, End, Settings
-from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, with_seconds
+from redundancy_pin.planners.optimal.solve import Outcome, first_guess
 from redundancy_pin.planners.optimal.transcription import KIND_OF, scaled_bounds, slack_name
 from redundancy_pin.planners.options import FEWEST_STEPS, Limits, Mesh, Solver, group_of, refuse_fields, takes_groups
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory.continuous_motion import Motion, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Path
@@ -177,18 +174,7 @@ def optimise_timing(task: PathTask) -> tuple[Plan, Outcome, Motion]:
     """
     began = time.perf_counter()
     settings = task.settings
-    nodes = first_mesh(task.dynamics, task.source, settings.dt, ends=not settings.lap)
-    problem = read_problem(task, nodes)
-
-    def finer_relaxed(problem: Problem, solution: Solution) -> Problem | None:
-        found = intersample_check(planning.planned(problem, solution))
-        found = replace(found, use=np.zeros_like(found.use))  # limits that give way are no reason
-        marked = found.too_coarse([])
-        return _finer(task, problem, solution, found, marked, False) if marked.any() else None
-
-    solve, platform = partial(_solve, task, finer_relaxed), partial(platform_of, task.path)
-    planning = Planning("time_optimal", task, solve, platform, partial(_finer, task))
-    planned = plan_and_refine(planning, problem)
+    planned = plan_and_refine(LeastTime(task))
     parameters = {
         "begin": settings.begin,
         "end": settings.end,
@@ -203,50 +189,52 @@ def optimise_timing(task: PathTask) -> tuple[Plan, Outcome, Motion]:
     return finish_plan(motion, planned.check), planned.best, motion.functions.platform
 
 
-Finer = Callable[[Problem, Solution], Problem | None]
+class LeastTime(Planning):
+    """A plan of the timing along a path."""
 
+    name = "time_optimal"
+    task: PathTask
 
-def _solve(
-    task: Task,
-    finer: Finer,
-    problem: Problem,
-    guess: Mapping[str, Array] | None,
-    stop: Callable[[Problem, Solution], bool],
-) -> Multistart:
-    """Solve from a harmonic motion with parked carriers; ``guess``: scaled blocks by name in its place.
+    def platform(self, problem: Problem, solution: Solution) -> Motion:
+        """Return the motion of the platform along the path by the law of a solution."""
+        law, t = law_of(problem, solution), problem.times(solution.values)
+        breaks = t[:-1][problem.grid.h == 0.0]
+        knots = frozen(np.setdiff1d(law.edges[1:-1], breaks))
+        timed = Trajectory(self.task.path, TimingLaw.of(law, self.task.path.length))
+        return Motion(timed, law.start, law.end, law.end, frozen(breaks), knots, True)
 
-    ``finer``: as for ``relax``.
-    """
-    deadline = time.perf_counter() + problem.settings.solver.seconds
-    exceeded, first = required(problem.timing).exceeded_parked, guess
+    def finer(
+        self, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
+    ) -> Problem:
+        """Return the problem with nodes halfway in time in the steps around the times that exceed, and in long ones.
 
-    def within_limits(kinds: tuple[str, ...], message: str) -> tuple[Problem, Mapping[str, Array]]:
-        """Return a problem and a motion that keeps every limit; raises as ``relax`` where there is none."""
-        rest, robot = with_seconds(problem, deadline - time.perf_counter()), robot_record(task.dynamics.robot)
-        found, solution = relax(rest, robot, _parked(problem, kinds), message, kinds, finer)
-        return found, solution.values
+        In steps that are halved once the jerk is continuous there: the efforts are seen, and no more is free. Those
+        that are halved more often need more freedom, as at a cusp, where p̈ changes within a step of the first mesh.
+        """
+        grid, times = problem.grid, problem.times(solution.values)
+        h = np.diff(times)
+        is_long = h > LONGEST_STEP * times[-1]
+        halvings = is_long.astype(int)
+        for count, least in enumerate(HALVED_AGAIN, start=1):
+            halvings[steps_around(times, found.middle[marked & (found.worst > least)], NEIGHBOURS)] = count
+        halvings[h == 0.0] = 0
+        smooth = ~is_long & (halvings == 1)
+        steps = np.repeat(np.arange(len(h)), 2**halvings - 1)
+        share = np.concatenate([np.arange(1, 2**level) / 2**level for level in halvings.tolist()])
+        # ṗ is quadratic in a step with Bézier points of at least zero: an eighth of the step or more is on either side
+        places = law_of(problem, solution)(times[steps] + share * h[steps])[:, 0]
+        return read_problem(self.task, with_nodes(grid, steps, places, smooth[steps]), problem)
 
-    if guess is None and exceeded:
-        # the weight is more than the motors hold: refuting that takes long, and this finds a motion where there is one
-        problem, first = within_limits(exceeded, "")
-    solutions = multistart(with_seconds(problem, deadline - time.perf_counter()), first, stop)
-    solution, seconds = solutions.best.solution, task.settings.solver.seconds
-    is_new = first is guess and problem.shares is None  # neither relaxed above, nor an attempt with lower limits
-    if is_new and not solution.feasible and solution.message != OUT_OF_TIME:
-        problem, first = within_limits(exceeded or NEVER_KEPT[: 3 if task.dynamics.robot.k else 1], solution.message)
-        solutions = multistart(with_seconds(problem, deadline - time.perf_counter()), first, stop)
-        solution = solutions.best.solution
-    if solution.feasible:
-        return solutions
-    late = solution.message == OUT_OF_TIME
-    raise InfeasiblePlanError(
-        f"No timing was found{f' within {seconds:g} s' if late else ''} (the solver says {solution.message}; "
-        f"unbalanced by {solution.violation:.2g}), although none of the limits is known to be in the way.",
-        remedy="Allow more seconds." if late else "Raise the limits of efforts or carriers, or leave the end free.",
-        constraint="seconds" if late else "effort",
-        time=0.0,
-        amount=solution.violation,
-    )
+    def relaxation(self, problem: Problem) -> Relaxation:
+        """Return a relaxation of the loads from the motion with parked carriers."""
+        kinds = required(problem.timing).exceeded_parked or NEVER_KEPT[: 3 if self.task.dynamics.robot.k else 1]
+        return Relaxation(_parked(problem, kinds), kinds, self._finer_relaxed)
+
+    def _finer_relaxed(self, problem: Problem, solution: Solution) -> Problem | None:
+        found = intersample_check(self.planned(problem, solution))
+        found = replace(found, use=np.zeros_like(found.use))  # limits that give way are no reason
+        marked = found.too_coarse([])
+        return self.finer(problem, solution, found, marked, False) if marked.any() else None
 
 
 def _parked(problem: Problem, kinds: tuple[str, ...]) -> dict[str, Array]:
@@ -261,38 +249,6 @@ def _parked(problem: Problem, kinds: tuple[str, ...]) -> dict[str, Array]:
             use = np.abs(guess[name]) / bounds[name][1]
             guess[slack_name(kind)] = np.array([[max(float(use.max(initial=0.0)) - 1.0, 0.0)]])
     return guess
-
-
-def platform_of(path: Path, problem: Problem, solution: Solution) -> Motion:
-    """Return the motion of the platform along the path by the law of a solution."""
-    law, t = law_of(problem, solution), problem.times(solution.values)
-    breaks = t[:-1][problem.grid.h == 0.0]
-    knots = frozen(np.setdiff1d(law.edges[1:-1], breaks))
-    timed = Trajectory(path, TimingLaw.of(law, path.length))
-    return Motion(timed, law.start, law.end, law.end, frozen(breaks), knots, True)
-
-
-def _finer(
-    task: Task, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
-) -> Problem:
-    """Return the problem with nodes halfway in time in the steps around the times that exceed, and in long ones.
-
-    In steps that are halved once the jerk is continuous there: the efforts are seen, and no more is free. Those that
-    are halved more often need more freedom, as at a cusp, where p̈ changes within a step of the first mesh.
-    """
-    grid, times = problem.grid, problem.times(solution.values)
-    h = np.diff(times)
-    is_long = h > LONGEST_STEP * times[-1]
-    halvings = is_long.astype(int)
-    for count, least in enumerate(HALVED_AGAIN, start=1):
-        halvings[steps_around(times, found.middle[marked & (found.worst > least)], NEIGHBOURS)] = count
-    halvings[h == 0.0] = 0
-    smooth = ~is_long & (halvings == 1)
-    steps = np.repeat(np.arange(len(h)), 2**halvings - 1)
-    share = np.concatenate([np.arange(1, 2**level) / 2**level for level in halvings.tolist()])
-    # ṗ is quadratic in a step with Bézier points of at least zero: an eighth of the step, or more, is on either side
-    places = law_of(problem, solution)(times[steps] + share * h[steps])[:, 0]
-    return read_problem(task, with_nodes(grid, steps, places, smooth[steps]), problem)
 
 
 def law_of(problem: Problem, solution: Solution) -> PiecewisePolynomial:

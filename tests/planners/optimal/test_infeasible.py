@@ -12,7 +12,7 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.optimal import infeasible, nlp, solve, whole_trajectory
+from redundancy_pin.planners.optimal import infeasible, nlp, refine, solve
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
@@ -382,7 +382,7 @@ def test_a_bound_below_the_least_there_is_names_that_least_without_a_search(monk
     least = rp.plan_whole_trajectory(
         dynamics, trajectory, objective=rp.Objective("energy", calm=0.0), mesh=rp.Mesh(dt=dt, refinements=0)
     ).least_cost
-    monkeypatch.setattr(whole_trajectory, "relax", None)
+    monkeypatch.setattr(refine, "relax", None)
     with pytest.raises(InfeasiblePlanError, match="What would suffice: energy at most") as caught:
         rp.plan_whole_trajectory(
             dynamics, trajectory, objective="peak", at_most={"energy": 0.5 * least}, mesh=rp.Mesh(dt=dt, refinements=0)
