@@ -17,8 +17,8 @@ from redundancy_pin.planners.optimal.nlp import ON_FINER_NODES, OUT_OF_TIME, REL
 from redundancy_pin.planners.optimal.problem import Problem
 from redundancy_pin.planners.optimal.solve import solve
 from redundancy_pin.planners.optimal.transcription import (
-    KIND_OF,
     KINDS,
+    VARIABLES,
     Evaluation,
     half_range,
     objective_values,
@@ -154,6 +154,7 @@ def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str
     order = sorted(relaxed, key=lambda kind: slack(relaxed[kind], kind))
     events = [elastic_event(problem, robot, relaxed[kind], kind) for kind in order]
     text = ("; or " if alone else "; and ").join(str(event.pop("text")) for event in events)
+    untried, in_vain = ([name_of(kind) for kind in given] for given in (untried, in_vain))
     rest = f" Not tried to the end: {', '.join(untried)} alone." if untried else ""
     rest += f" Tried without a motion, which is no proof: {', '.join(in_vain)} alone." if in_vain else ""
     what = "motion of the carriers" if problem.timing is None else "timing"
@@ -202,7 +203,7 @@ def require_bounds(problem: Problem, guess: Mapping[str, Array]) -> None:
             remedy=_REMEDY,
             relaxations=tuple(events),
             together=len(events) > 1,
-            untried=tuple(kind for kind in KINDS if kind != "at_most"),
+            untried=tuple(name_of(kind) for kind in KINDS if kind != "at_most"),
             **events[0],
         )
 
@@ -222,7 +223,7 @@ def _bound_event(problem: Problem, fractions: Mapping[str, float]) -> dict[str, 
 
 def name_of(kind: str) -> str:
     """Return the name that users know of a kind of limit."""
-    return kind if kind in KINDS else QUANTITIES[kind].name
+    return QUANTITIES[kind].name if kind in QUANTITIES else kind
 
 
 def slack(solution: Solution, kind: str) -> float:
@@ -270,25 +271,15 @@ def coarser(problem: Problem) -> Problem:
 def _is_limited(problem: Problem, kind: str) -> bool:
     """Return whether there is any limit of a kind."""
     settings = problem.settings
-    if kind == "at_most":
-        return bool(settings.at_most)
-    if kind == "end":
-        return settings.end != "free"
-    if kind == "jerk" or kind in settings.limits.further:
+    if kind in QUANTITIES:
         return bool(np.isfinite(settings.limits.of(kind)).any())
-    return bool(np.isfinite(scaled_bounds(problem)[_variable_of(kind)]).any())
-
-
-def _variable_of(kind: str) -> str:
-    return next(name for name, limit in KIND_OF.items() if limit == kind)
+    return bool(settings.at_most) if kind == "at_most" else settings.end != "free"
 
 
 def is_touched(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> bool:
     """Return whether a limit is reached somewhere."""
-    if kind == "at_most":
-        return bool(problem.settings.at_most)
-    if kind == "end" or (kind == "force" and "force" not in elastic.values):
-        return False
+    if kind not in QUANTITIES:
+        return kind == "at_most"
     values, low, high, *_ = _quantity(problem, robot, elastic, kind)
     with np.errstate(invalid="ignore"):
         near = TOUCHED * np.where(np.isfinite(high - low), high - low, 0.0)
@@ -347,7 +338,7 @@ def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind:
     where += "" if problem.timing is None else " of the path"
     text = f"the {name_of(kind)} of {names[j]}, from {limit:.6g} to {enough:.6g} {unit} ({percent} %), most at {where}"
     return {
-        "constraint": kind,
+        "constraint": name_of(kind),
         "joint": names[j],
         "time": float(t[i]),
         "amount": amount,
@@ -362,19 +353,17 @@ def _quantity(
     problem: Problem, robot: RobotRecord, elastic: Solution, kind: str
 ) -> tuple[Array, Array, Array, Array, tuple[str, ...]]:
     """Return the values of a limited quantity at the nodes, its bounds, their half ranges, and whose they are."""
-    u = problem.scales
+    quantity, limit = QUANTITIES[kind], problem.settings.limits.of(kind)
+    owners: tuple[str, ...] = getattr(robot, quantity.owner)
+    if kind in VARIABLES:
+        variable = elastic.values[VARIABLES[kind]]
+        size = np.broadcast_to(getattr(problem.scales, VARIABLES[kind]), variable.shape[1:])
+        bounds = scaled_bounds(problem)[kind]
+        low, high, room = (bound * size for bound in (*bounds, half_range(kind, *bounds)))
+        return variable * size, low, high, room, owners
     if kind == "jerk":
         h = np.diff(problem.times(elastic.values))
-        h = np.where(h > 0.0, h, np.inf)[:, None]
-        jerk = np.diff(elastic.values["sdd"], axis=0) * u.sdd / h
-        limit = problem.settings.limits.jerk
-        return jerk, -limit, limit, limit, robot.carriers
-    if kind in problem.settings.limits.further:
-        quantity, limit = QUANTITIES[kind], problem.settings.limits.of(kind)
-        value = quantity.values(Evaluation(problem, elastic.values))
-        return np.asarray(value), -limit, limit, limit, getattr(robot, quantity.owner)
-    name = _variable_of(kind)
-    size = np.broadcast_to(getattr(u, name), elastic.values[name].shape[1:])
-    bounds = scaled_bounds(problem)[name]
-    low, high, room = (bound * size for bound in (*bounds, half_range(kind, *bounds)))
-    return elastic.values[name] * size, low, high, room, robot.actuated if kind == "effort" else robot.carriers
+        value = np.diff(elastic.values["sdd"], axis=0) * problem.scales.sdd / np.where(h > 0.0, h, np.inf)[:, None]
+    else:
+        value = np.asarray(quantity.values(Evaluation(problem, elastic.values)))
+    return value, -limit, limit, limit, owners

@@ -160,7 +160,7 @@ def _first_speed(
     # under gravity the load at rest may be more than that: the fastest speed that hardly needs more than the slowest
     speed = float(speeds[np.flatnonzero(uses <= max(USED, AT_REST * uses.min()))[-1]])
     if (np.abs(model.force0[..., 0]) > settings.limits.carrier_force).any():
-        return speed, ("effort", "force")
+        return speed, ("effort", "carrier_force")
     return speed, () if uses.min() <= 1.0 else ("effort",)
 
 

@@ -103,7 +103,7 @@ class PathTiming:
 
     ``speed``, ``acceleration``: sizes of ṗ and p̈, m/s and m/s²; ``h`` (M − 1,) of the durations of the steps, s;
     ``fastest`` (M,) largest ṗ that limits of the actuators' rates allow, m/s; ``exceeded_parked``: kinds of limits
-    ("effort", "force") of which the robot with parked carriers exceeds one at any speed, as under gravity.
+    ("effort", "carrier_force") of which the robot with parked carriers exceeds one at any speed, as under gravity.
     """
 
     speed: float

@@ -27,7 +27,7 @@ from redundancy_pin.planners.optimal.nlp import (
     solve_nlp,
 )
 from redundancy_pin.planners.optimal.problem import PathTiming, Problem
-from redundancy_pin.planners.optimal.transcription import RESERVE, relaxed_bounds, transcribe
+from redundancy_pin.planners.optimal.transcription import RESERVE, VARIABLES, scaled_bounds, transcribe
 
 ROUNDS = 4
 """Rounds of adding rows, after which all steps have them."""
@@ -122,9 +122,9 @@ def leaves_limits(problem: Problem, values: Mapping[str, Array], by: float = 0.0
     exceeded = np.zeros(len(problem.grid.h), dtype=bool)
     if not problem.model.k:
         return exceeded
-    bounds, position = relaxed_bounds(problem, values), problem.position(values)
-    for name, function in (("s", position), ("sd", position.derivative())):
-        (lower, upper), size = bounds[name], getattr(problem.scales, name)
+    bounds, position = scaled_bounds(problem, values), problem.position(values)
+    for kind, function in (("track", position), ("speed", position.derivative())):
+        (lower, upper), size = bounds[kind], getattr(problem.scales, VARIABLES[kind])
         width = upper - lower
         spare = by + 0.25 * RESERVE * np.where(np.isfinite(width), width, 0.0)
         least, most = function.ranges()
@@ -134,7 +134,7 @@ def leaves_limits(problem: Problem, values: Mapping[str, Array], by: float = 0.0
 
 def exceeds_force(problem: Problem, solution: Solution) -> bool:
     """Return whether a carrier needs more force at a node than its limit."""
-    low, high = relaxed_bounds(problem, solution.values)["force"]
+    low, high = scaled_bounds(problem, solution.values)["carrier_force"]
     force = problem.carrier_force(solution.values) / problem.scales.force
     return bool(((force > high) | (force < low)).any())
 

@@ -24,7 +24,7 @@ from redundancy_pin.planners.optimal.problem import Problem, at_pace, read_probl
 from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
 from redundancy_pin.planners.optimal.settings import Begin, End, Settings
 from redundancy_pin.planners.optimal.solve import Outcome, first_guess
-from redundancy_pin.planners.optimal.transcription import KIND_OF, scaled_bounds, slack_name
+from redundancy_pin.planners.optimal.transcription import VARIABLES, scaled_bounds, slack_name
 from redundancy_pin.planners.options import FEWEST_STEPS, Limits, Mesh, Solver, group_of, refuse_fields, takes_groups
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.trajectory.continuous_motion import Motion, as_motion
@@ -47,7 +47,7 @@ three and four times: at a cusp of the path, where the platform nearly stops, 10
 LONGEST_STEP = 0.05
 """Of the whole time, that a step may last when others are refined: where the platform nearly stands still."""
 
-NEVER_KEPT = ("effort", "force", "track")
+NEVER_KEPT = ("effort", "carrier_force", "track")
 """Limits that a motion may exceed however slow it is, as under gravity beside a singularity."""
 
 
@@ -244,10 +244,9 @@ def _parked(problem: Problem, kinds: tuple[str, ...]) -> dict[str, Array]:
     tau: Array = np.einsum("nmi,ni->nm", np.linalg.pinv(loads.W, rcond=NEAR_SINGULAR), loads.f0)
     guess |= {"tau": tau / u.tau, "force": loads.force0 / u.force}
     bounds = scaled_bounds(problem)
-    for name, kind in KIND_OF.items():
-        if kind in kinds and name in ("tau", "force"):
-            use = np.abs(guess[name]) / bounds[name][1]
-            guess[slack_name(kind)] = np.array([[max(float(use.max(initial=0.0)) - 1.0, 0.0)]])
+    for kind in set(kinds) & {"effort", "carrier_force"}:
+        use = np.abs(guess[VARIABLES[kind]]) / bounds[kind][1]
+        guess[slack_name(kind)] = np.array([[max(float(use.max(initial=0.0)) - 1.0, 0.0)]])
     return guess
 
 
