@@ -13,7 +13,7 @@ from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.limits import QUANTITIES
 from redundancy_pin.planners.optimal.mesh import Grid
-from redundancy_pin.planners.optimal.nlp import ON_FINER_NODES, OUT_OF_TIME, RELAXED, Options, Solution
+from redundancy_pin.planners.optimal.nlp import ON_FINER_NODES, OUT_OF_TIME, RELAXED, RELAXED_AGAIN, Options, Solution
 from redundancy_pin.planners.optimal.problem import Problem
 from redundancy_pin.planners.optimal.solve import solve
 from redundancy_pin.planners.optimal.transcription import (
@@ -107,7 +107,7 @@ def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str
         following = sought.finer(nodes, elastic) if elastic.feasible else None
         if following is None or iterations <= 0:
             break
-        found = let_out(following, nodes.resampled(elastic.values, following), kinds, most=iterations)
+        found = let_out(following, nodes.resampled(elastic.values, following), kinds, RELAXED_AGAIN, most=iterations)
         iterations -= found.iterations
         if not found.feasible:  # what the coarser nodes need is known
             break

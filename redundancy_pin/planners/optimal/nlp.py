@@ -97,6 +97,9 @@ RELAXED: Options = {**_EXACT, **LINEAR_SYSTEM, "ipopt.mu_target": 1e-5, "ipopt.m
 Flat optima, as under gravity, where slower motions hardly need less, take up to 150 iterations more to a parameter of
 1e-10. The parameter decreases monotonically: an adaptive one may oscillate about this value without end."""
 
+RELAXED_AGAIN: Options = {**WARM, "ipopt.mu_target": 1e-5}
+"""The same from the least relaxation on other nodes."""
+
 ON_FINER_NODES: Options = {**_EXACT, **_from_optimum(1e-2, 1e-2), "ipopt.max_iter": 250}
 """Options from an optimum on nodes so few that they do not show every effort."""
 
