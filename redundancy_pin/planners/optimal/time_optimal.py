@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, frozen, one_of
+from redundancy_pin.arrays import Array, BoolArray, frozen
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
@@ -22,10 +22,10 @@ from redundancy_pin.planners.optimal.nlp import Solution
 from redundancy_pin.planners.optimal.path_problem import PathTask
 from redundancy_pin.planners.optimal.problem import Problem, at_pace, read_problem, required
 from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
-from redundancy_pin.planners.optimal.settings import Begin, End, Settings
+from redundancy_pin.planners.optimal.settings import REFUSED_ON_A_PATH, Begin, End, checked_settings
 from redundancy_pin.planners.optimal.solve import Outcome, first_guess
 from redundancy_pin.planners.optimal.transcription import VARIABLES, scaled_bounds, slack_name
-from redundancy_pin.planners.options import FEWEST_STEPS, Limits, Mesh, Solver, group_of, refuse_fields, takes_groups
+from redundancy_pin.planners.options import Limits, Mesh, Solver, takes_groups
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.trajectory.continuous_motion import Motion, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -51,14 +51,7 @@ NEVER_KEPT = ("effort", "carrier_force", "track")
 """Limits that a motion may exceed however slow it is, as under gravity beside a singularity."""
 
 
-REFUSED = {
-    "dt": "the timing is planned, and steps is the least number of steps along the path",
-    "starts": "there is one first guess, a harmonic motion along the path",
-}
-"""Fields of groups that the planner does not take, and why."""
-
-
-@takes_groups(REFUSED)
+@takes_groups(REFUSED_ON_A_PATH)
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_time_optimal(
     dynamics: DynamicsLike,
@@ -107,26 +100,16 @@ def plan_time_optimal(
             names those that would suffice, as ``plan_whole_trajectory``. Or a singularity is touched.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
-    return optimise_timing(path_task(as_dynamics(dynamics), path, limits, mesh, solver, begin, end, datum, lap))[0]
+    options = {"limits": limits, "mesh": mesh, "solver": solver, "begin": begin, "end": end, "datum": datum, "lap": lap}
+    return optimise_timing(path_task(as_dynamics(dynamics), path, **options))[0]
 
 
-def path_task(
-    dynamics: Dynamics,
-    path: Path | Trajectory,
-    limits: Limits | None = None,
-    mesh: Mesh | None = None,
-    solver: Solver | None = None,
-    begin: Begin = "datum",
-    end: End = "datum",
-    datum: ArrayLike = 0.0,
-    lap: bool = False,
-) -> PathTask:
+def path_task(dynamics: Dynamics, path: Path | Trajectory, **options: Any) -> PathTask:
     """Return the task of ``plan_time_optimal`` after checking every option.
 
     Raises:
         InputError: as ``plan_time_optimal``.
     """
-    robot = dynamics.robot
     path = path.path if isinstance(path, Trajectory) else path
     if not (hasattr(path, "evaluate") and hasattr(path, "length")):
         raise InputError(
@@ -134,35 +117,18 @@ def path_task(
             remedy="Pass a path or a trajectory: samples have a timing of their own.",
             name="path",
         )
-    one_of(begin, "begin", get_args(Begin))
-    one_of(end, "end", get_args(End))
-    mesh, solver = group_of(mesh, Mesh), group_of(solver, Solver)
-    refuse_fields(REFUSED, mesh, solver)
-    resolved = group_of(limits, Limits).resolved(robot)
-    if not (np.isfinite(resolved.effort).any() or np.isfinite(resolved.actuator_speed).any()):
+    settings = checked_settings(dynamics.robot, length=path.length, **options)
+    if not (np.isfinite(settings.limits.effort).any() or np.isfinite(settings.limits.actuator_speed).any()):
         raise InputError(
             "Nothing limits the time.",
             remedy="Limit the efforts, as by effort=2.0, or the rates of the actuators, as by actuator_speed=1.0.",
             name="effort",
         )
-    park, count = resolved.on_track(datum, "datum"), FEWEST_STEPS if mesh.steps is None else mesh.steps
-    if robot.k:
-        require_carriers(robot)
+    if dynamics.robot.k:
+        require_carriers(dynamics.robot)
     unit = as_motion(Trajectory(path, uniform_law(path.length, path.length)))
-    if lap:
+    if settings.lap:
         _require_closed(unit)
-    settings = Settings(
-        limits=resolved,
-        start=park,
-        start_speed=np.zeros(robot.k),
-        end=end,
-        datum=park,
-        dt=path.length / count,
-        refinements=mesh.refinements,
-        solver=solver,
-        begin=begin,
-        lap=lap,
-    )
     return PathTask(dynamics, unit, settings, path)
 
 

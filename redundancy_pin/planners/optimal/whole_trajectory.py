@@ -122,7 +122,7 @@ def plan_whole_trajectory(
     source = as_motion(motion)
     require_carriers(dynamics.robot)
     settings = checked_settings(
-        dynamics.robot, objective, limits, mesh, solver, start, start_speed, end, datum, at_most
+        dynamics.robot, objective, limits, mesh, solver, start, start_speed, end=end, datum=datum, at_most=at_most
     )
     return optimise(Task(dynamics, source, settings))[0]
 
