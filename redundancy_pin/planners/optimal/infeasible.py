@@ -15,7 +15,7 @@ from redundancy_pin.planners.limits import QUANTITIES
 from redundancy_pin.planners.optimal.mesh import Grid
 from redundancy_pin.planners.optimal.nlp import ON_FINER_NODES, OUT_OF_TIME, RELAXED, RELAXED_AGAIN, Options, Solution
 from redundancy_pin.planners.optimal.problem import Problem
-from redundancy_pin.planners.optimal.solve import solve
+from redundancy_pin.planners.optimal.solve import Outcome, solve
 from redundancy_pin.planners.optimal.transcription import (
     KINDS,
     VARIABLES,
@@ -84,77 +84,27 @@ def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str
             or one of them is enough; and ``untried``, limits of which it is not known whether they do by themselves.
             Or nothing admits a plan, or the time ran out.
     """
-    problem, settings = replace(problem, shares=None), problem.settings.solver  # messages state the limits themselves
-    deadline = time.perf_counter() + settings.seconds
-    kinds = (*sought.kinds, *problem.settings.limits.further)
-    kinds = tuple(kind for kind in kinds if _is_limited(problem, kind))
-
-    def let_out(
-        nodes: Problem, values: Mapping[str, Array], kinds: tuple[str, ...], first: Options = RELAXED, **options: Any
-    ) -> Solution:
-        return solve(nodes, values, deadline - time.perf_counter(), elastic=kinds, first=first, **options)
-
-    for nodes in (coarser(problem), problem):
-        # with limits at the nodes alone: most often one limit does by itself, and is held between the nodes then
-        most = None if problem.timing is None else ITERATIONS_OF_TIMING
-        elastic = let_out(nodes, problem.resampled(sought.guess, nodes), kinds, stop=lambda *_: True, most=most)
-        if elastic.feasible and not _exceeded(elastic):
-            elastic = let_out(nodes, elastic.values, kinds)
-        if nodes is problem or (elastic.feasible and _exceeded(elastic)):
-            break
-    iterations = elastic.iterations  # of all finer meshes: a refusal is to come in seconds
-    for _ in range(problem.settings.refinements):
-        following = sought.finer(nodes, elastic) if elastic.feasible else None
-        if following is None or iterations <= 0:
-            break
-        found = let_out(following, nodes.resampled(elastic.values, following), kinds, RELAXED_AGAIN, most=iterations)
-        iterations -= found.iterations
-        if not found.feasible:  # what the coarser nodes need is known
-            break
-        same = all(abs(slack(found, kind) - slack(elastic, kind)) <= SAME * slack(found, kind) for kind in kinds)
-        problem = nodes = following
-        elastic = found
-        if same:
-            break
-    if not elastic.feasible:
-        raise nothing_helps(problem, elastic, message)
-    exceeded = _exceeded(elastic)
+    problem = replace(problem, shares=None)  # messages state the limits themselves
+    limited = (*sought.kinds, *problem.settings.limits.further)
+    search = _Search(robot, tuple(kind for kind in limited if _is_limited(problem, kind)), problem)
+    least = search.together(sought)
+    problem = problem if problem.timing is None else least.problem
+    if not least.solution.feasible:
+        raise nothing_helps(problem, least.solution, message)
+    exceeded = _exceeded(least.solution)
     if not exceeded:
-        return problem, elastic
-    # one that is only touched may do as well by itself: with a price on all, others gave way in its place
-    touched = [kind for kind in kinds if kind not in exceeded and is_touched(nodes, robot, elastic, kind)]
-    candidates = sorted([*exceeded, *touched], key=lambda kind: (exceeded != [kind], kind != "effort"))
-    alone: dict[str, Solution] = {}
-    untried: list[str] = []
-    in_vain: list[str] = []
-    left = max(AGAIN * elastic.iterations, SPARED // len(nodes.grid.t))
-    for kind in candidates:
-        if exceeded == [kind]:
-            alone[kind] = elastic
-            continue
-        if left <= 0 or time.perf_counter() > deadline:
-            untried.append(kind)
-            continue
-        solution = let_out(nodes, elastic.values, (kind,), most=left)
-        left -= solution.iterations
-        if solution.optimal:
-            alone[kind] = solution
-        elif not solution.infeasible:
-            (in_vain if solution.stalled else untried).append(kind)
-    relaxed: dict[str, Solution] = {}
-    groups: dict[tuple[str, ...], Solution] = {(kind,): found for kind, found in alone.items()}
-    for group, solution in (groups or {tuple(exceeded): elastic}).items():
-        if problem.timing is None:  # exactly, at all nodes and between them
-            values = nodes.resampled(_without_others(solution.values, group), problem)
-            between = let_out(problem, values, group, ON_FINER_NODES, most=FINAL)
-            if between.optimal and not _exceeded(between):
-                return problem, between  # nothing is in the way: with a price on several the solver ended elsewhere
-            solution = between if between.feasible else solution
-        relaxed |= dict.fromkeys(group, solution)
-    order = sorted(relaxed, key=lambda kind: slack(relaxed[kind], kind))
-    events = [elastic_event(problem, robot, relaxed[kind], kind) for kind in order]
+        return problem, least.solution
+    alone = search.alone(least, exceeded)
+    relaxed: dict[str, Outcome] = {}
+    for kinds, found in (alone or {tuple(exceeded): least}).items():
+        exact = found if problem.timing is not None else search.exactly(problem, found, kinds)
+        if exact.problem is problem and exact.solution.optimal and not _exceeded(exact.solution):
+            return exact.problem, exact.solution  # with a price on several limits the solver ended elsewhere
+        relaxed |= dict.fromkeys(kinds, exact)
+    order = sorted(relaxed, key=lambda kind: slack(relaxed[kind].solution, kind))
+    events = [elastic_event(relaxed[kind].problem, robot, relaxed[kind].solution, kind) for kind in order]
     text = ("; or " if alone else "; and ").join(str(event.pop("text")) for event in events)
-    untried, in_vain = ([name_of(kind) for kind in given] for given in (untried, in_vain))
+    untried, in_vain = ([name_of(kind) for kind in kinds] for kinds in (search.untried, search.in_vain))
     rest = f" Not tried to the end: {', '.join(untried)} alone." if untried else ""
     rest += f" Tried without a motion, which is no proof: {', '.join(in_vain)} alone." if in_vain else ""
     what = "motion of the carriers" if problem.timing is None else "timing"
@@ -166,6 +116,85 @@ def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str
         untried=(*untried, *in_vain),
         **events[0],
     )
+
+
+class _Search:
+    """The search for the smallest relaxation.
+
+    ``untried``: limits of which it is not known whether they do by themselves; ``in_vain``: those of which a search
+    that came no closer tells that they hardly do.
+    """
+
+    def __init__(self, robot: RobotRecord, kinds: tuple[str, ...], problem: Problem) -> None:
+        self.robot, self.kinds, self.problem = robot, kinds, problem
+        self.untried: list[str] = []
+        self.in_vain: list[str] = []
+        self._deadline = time.perf_counter() + problem.settings.solver.seconds
+
+    def _solve(
+        self, nodes: Problem, values: Mapping[str, Array], kinds: tuple[str, ...], first: Options, **options: Any
+    ) -> Outcome:
+        seconds = self._deadline - time.perf_counter()
+        return Outcome(nodes, solve(nodes, values, seconds, elastic=kinds, first=first, **options))
+
+    def together(self, sought: Relaxation) -> Outcome:
+        """Return the smallest relaxation of all limits at once, with limits at the nodes.
+
+        Most often one limit does by itself, and is held between the nodes then.
+        """
+        most = None if self.problem.timing is None else ITERATIONS_OF_TIMING
+        for nodes in (coarser(self.problem), self.problem):
+            guess = self.problem.resampled(sought.guess, nodes)
+            found = self._solve(nodes, guess, self.kinds, RELAXED, stop=lambda *_: True, most=most)
+            if found.solution.feasible and not _exceeded(found.solution):
+                found = self._solve(nodes, found.solution.values, self.kinds, RELAXED)
+            if nodes is self.problem or (found.solution.feasible and _exceeded(found.solution)):
+                break
+        iterations = found.solution.iterations  # of all finer meshes: a refusal is to come in seconds
+        for _ in range(self.problem.settings.refinements if found.solution.feasible else 0):
+            nodes, before = found.problem, found.solution
+            following = sought.finer(nodes, before)
+            if following is None or iterations <= 0:
+                break
+            values = nodes.resampled(before.values, following)
+            finer = self._solve(following, values, self.kinds, RELAXED_AGAIN, most=iterations)
+            iterations -= finer.solution.iterations
+            if not finer.solution.feasible:  # what the coarser nodes need is known
+                break
+            found, slacks = finer, [(slack(one, kind) for one in (before, finer.solution)) for kind in self.kinds]
+            if all(abs(now - then) <= SAME * now for then, now in slacks):
+                break
+        return found
+
+    def alone(self, least: Outcome, exceeded: list[str]) -> dict[tuple[str, ...], Outcome]:
+        """Return the relaxations of one kind of limits that do by themselves, of those that gave way or are touched."""
+        nodes, solution = least.problem, least.solution
+        # one that is only touched may do as well: with a price on all, others gave way in its place
+        touched = [one for one in self.kinds if one not in exceeded and is_touched(nodes, self.robot, solution, one)]
+        left = max(AGAIN * solution.iterations, SPARED // len(nodes.grid.t))
+        relaxed: dict[tuple[str, ...], Outcome] = {}
+        for kind in sorted([*exceeded, *touched], key=lambda kind: (exceeded != [kind], kind != "effort")):
+            if exceeded == [kind]:
+                relaxed[(kind,)] = least
+                continue
+            if left <= 0 or time.perf_counter() > self._deadline:
+                self.untried.append(kind)
+                continue
+            found = self._solve(nodes, solution.values, (kind,), RELAXED, most=left)
+            left -= found.solution.iterations
+            if found.solution.optimal:
+                relaxed[(kind,)] = found
+            elif not found.solution.infeasible:
+                (self.in_vain if found.solution.stalled else self.untried).append(kind)
+        return relaxed
+
+    def exactly(self, problem: Problem, found: Outcome, kinds: tuple[str, ...]) -> Outcome:
+        """Return a relaxation at all nodes and between them; the one found where none is."""
+        kept = {slack_name(kind) for kind in kinds}
+        values = found.problem.resampled(found.solution.values, problem)
+        values = {name: value for name, value in values.items() if name in kept or not name.startswith(slack_name(""))}
+        exact = self._solve(problem, values, kinds, ON_FINER_NODES, most=FINAL)
+        return exact if exact.solution.feasible else found
 
 
 _REMEDY = (
@@ -234,12 +263,6 @@ def slack(solution: Solution, kind: str) -> float:
 def _exceeded(elastic: Solution) -> list[str]:
     """Return the kinds of limits that gave way."""
     return [kind for kind in elastic.rows["elastic"] if slack(elastic, kind) > NOTHING]
-
-
-def _without_others(values: Mapping[str, Array], kinds: tuple[str, ...]) -> dict[str, Array]:
-    """Return variables without the fractions by which other kinds of limits gave way."""
-    kept = {slack_name(kind) for kind in kinds}
-    return {name: value for name, value in values.items() if name in kept or not name.startswith(slack_name(""))}
 
 
 def coarser(problem: Problem) -> Problem:
