@@ -11,6 +11,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import (
     LOWERED,
@@ -24,6 +25,7 @@ from redundancy_pin.planners.optimal.mesh import first_mesh
 from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, solve, with_seconds
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory.continuous_motion import Motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
@@ -187,6 +189,12 @@ class Planned:
             "dense_ratios": list(self.ratios),
             "out_of_time": self.out_of_time,
         }
+
+    def plan(self, parameters: Mapping[str, object], findings: Findings, **found: object) -> Plan:
+        """Return the plan, with what is known of it; ``found``: diagnostics beside, or in place of, those of both."""
+        known = {**self.diagnostics, **found}
+        motion = replace(self.motion, parameters=parameters, findings=findings, diagnostics=known)
+        return finish_plan(motion, self.check)
 
 
 def plan_and_refine(planning: Planning, position: PiecewisePolynomial | None = None) -> Planned:

@@ -14,7 +14,6 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.carrier_model import require_carriers
-from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import IntersampleCheck, intersample_check
 from redundancy_pin.planners.optimal.infeasible import Relaxation
 from redundancy_pin.planners.optimal.mesh import NEAR_SINGULAR, steps_around, with_nodes
@@ -150,9 +149,8 @@ def optimise_timing(task: PathTask) -> tuple[Plan, Outcome, Motion]:
         "seconds": settings.solver.seconds,
         "refinements": settings.refinements,
     }
-    found = {**planned.diagnostics, "seconds": time.perf_counter() - began}
-    motion = replace(planned.motion, parameters=parameters, findings=planned.findings, diagnostics=found)
-    return finish_plan(motion, planned.check), planned.best, motion.functions.platform
+    plan = planned.plan(parameters, planned.findings, seconds=time.perf_counter() - began)
+    return plan, planned.best, planned.motion.functions.platform
 
 
 class LeastTime(Planning):

@@ -13,13 +13,12 @@ from redundancy_pin.arrays import BoolArray
 from redundancy_pin.dynamics.default import DynamicsLike, as_cached_dynamics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import require_carriers
-from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import IntersampleCheck
 from redundancy_pin.planners.optimal.calm import calmed
 from redundancy_pin.planners.optimal.mesh import steps_around, with_middles
 from redundancy_pin.planners.optimal.nlp import Solution
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
-from redundancy_pin.planners.optimal.refine import Planned, Planning, plan_and_refine
+from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
 from redundancy_pin.planners.optimal.settings import REFUSED, End, checked_settings
 from redundancy_pin.planners.optimal.solve import Outcome
 from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
@@ -156,26 +155,18 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     planned = plan_and_refine(planning, position)
     left = began + task.settings.solver.seconds - time.perf_counter()
     chosen, calming = calmed(planning, planned, left)
-    plan = _plan(task, planned, chosen)
-    found = {"calm": calming, "seconds": time.perf_counter() - began}
-    return replace(plan, diagnostics={**plan.diagnostics, **found}), planned.best
-
-
-def _plan(task: Task, planned: Planned, chosen: Planned) -> Plan:
-    """Return the plan of the least-cost solution or of a calmer one, with what the search found."""
-    least, best, starts = planned.best, chosen.best, planned.solutions.summary
+    least, best = planned.best, chosen.best
     costs = objective_values(least.problem, least.solution.values)
-    found = {
-        **chosen.diagnostics,
-        "iterations": least.solution.iterations,
-        "solver_seconds": least.solution.seconds,
-        "cost": least.solution.cost,
-        "starts": starts,
-        "objective": objective_values(best.problem, best.solution.values),
-        "objective_size": objective_sizes(best.problem),
-    }
-    findings = replace(planned.findings, least_cost=task.settings.weighted(costs))
-    parameters = task.settings.parameters
-    return finish_plan(
-        replace(chosen.motion, parameters=parameters, findings=findings, diagnostics=found), chosen.check
+    plan = chosen.plan(
+        task.settings.parameters,
+        replace(planned.findings, least_cost=task.settings.weighted(costs)),
+        iterations=least.solution.iterations,
+        solver_seconds=least.solution.seconds,
+        cost=least.solution.cost,
+        starts=planned.solutions.summary,
+        objective=objective_values(best.problem, best.solution.values),
+        objective_size=objective_sizes(best.problem),
+        calm=calming,
+        seconds=time.perf_counter() - began,
     )
+    return plan, least
