@@ -48,7 +48,7 @@ def calmed(planning: Planning, planned: Planned, seconds: float) -> tuple[Planne
     """
     task, best = planning.task, planned.best
     before = _most_reversals(best)
-    costs = objective_values(best.problem, best.solution.values)
+    costs = objective_values(best.problem, best.values)
     sizes = objective_sizes(best.problem)
     spendable = all(costs[name] > LEAST_COST * sizes[name] for name in task.settings.objective)
     if seconds <= 0.0 or not (task.settings.calm and best.solution.optimal and spendable and before > MANY_REVERSALS):
@@ -61,7 +61,7 @@ def calmed(planning: Planning, planned: Planned, seconds: float) -> tuple[Planne
     after = _most_reversals(found)
     chosen, solution = planned, found.solution
     if solution.feasible and solution.optimal and after < before:
-        motion = planning.planned(found.problem, solution)
+        motion = planning.planned(found)
         check = intersample_check(motion)
         if check.passed:
             chosen = replace(planned, solutions=Multistart((found,), 1), motion=motion, check=check)
@@ -76,7 +76,7 @@ def calmed(planning: Planning, planned: Planned, seconds: float) -> tuple[Planne
 
 
 def _most_reversals(outcome: Outcome) -> int:
-    efforts = outcome.problem.tau(outcome.solution.values)
+    efforts = outcome.problem.tau(outcome.values)
     return max(len(samples) for samples in effort_reversals(efforts))
 
 
@@ -87,7 +87,7 @@ def _solve(task: Task, outcome: Outcome, seconds: float) -> Outcome:
     problem = read_problem(task, nodes, old)
     if old.shares is not None:
         problem = replace(problem, shares=resample({"shares": old.shares}, old.grid.t, nodes.t)["shares"])
-    guess = old.resampled(outcome.solution.values, problem)
+    guess = old.resampled(outcome.values, problem)
     solution = solve(problem, guess, seconds, warm=CALMING)
     return Outcome(replace(problem, settings=old.settings), solution)
 

@@ -62,11 +62,11 @@ class Relaxation:
 
     guess: Mapping[str, Array]
     kinds: Sequence[str] = KINDS
-    finer: Callable[[Problem, Solution], Problem | None] = lambda *_: None
+    finer: Callable[[Outcome], Problem | None] = lambda _: None
 
 
-def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str) -> tuple[Problem, Solution]:
-    """Find the smallest relaxation of the limits that admits a plan; where it is none, return problem and solution.
+def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str) -> Outcome:
+    """Find the smallest relaxation of the limits that admits a plan; where it is none, return the solution.
 
     First all limits may give way at once, at a few of the nodes (``coarser``). Then each of those that did, or that are
     touched, may by itself, as far as ``SPARED`` and ``AGAIN`` go: a limit that does by itself is found in one or two
@@ -90,19 +90,19 @@ def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str
     least = search.together(sought)
     problem = problem if problem.timing is None else least.problem
     if not least.solution.feasible:
-        raise nothing_helps(problem, least.solution, message)
+        raise nothing_helps(least, message)
     exceeded = _exceeded(least.solution)
     if not exceeded:
-        return problem, least.solution
+        return least
     alone = search.alone(least, exceeded)
     relaxed: dict[str, Outcome] = {}
     for kinds, found in (alone or {tuple(exceeded): least}).items():
         exact = found if problem.timing is not None else search.exactly(problem, found, kinds)
         if exact.problem is problem and exact.solution.optimal and not _exceeded(exact.solution):
-            return exact.problem, exact.solution  # with a price on several limits the solver ended elsewhere
+            return exact  # with a price on several limits the solver ended elsewhere
         relaxed |= dict.fromkeys(kinds, exact)
     order = sorted(relaxed, key=lambda kind: slack(relaxed[kind].solution, kind))
-    events = [elastic_event(relaxed[kind].problem, robot, relaxed[kind].solution, kind) for kind in order]
+    events = [elastic_event(relaxed[kind], robot, kind) for kind in order]
     text = ("; or " if alone else "; and ").join(str(event.pop("text")) for event in events)
     untried, in_vain = ([name_of(kind) for kind in kinds] for kinds in (search.untried, search.in_vain))
     rest = f" Not tried to the end: {', '.join(untried)} alone." if untried else ""
@@ -145,23 +145,22 @@ class _Search:
         most = None if self.problem.timing is None else ITERATIONS_OF_TIMING
         for nodes in (coarser(self.problem), self.problem):
             guess = self.problem.resampled(sought.guess, nodes)
-            found = self._solve(nodes, guess, self.kinds, RELAXED, stop=lambda *_: True, most=most)
+            found = self._solve(nodes, guess, self.kinds, RELAXED, stop=lambda _: True, most=most)
             if found.solution.feasible and not _exceeded(found.solution):
-                found = self._solve(nodes, found.solution.values, self.kinds, RELAXED)
+                found = self._solve(nodes, found.values, self.kinds, RELAXED)
             if nodes is self.problem or (found.solution.feasible and _exceeded(found.solution)):
                 break
         iterations = found.solution.iterations  # of all finer meshes: a refusal is to come in seconds
         for _ in range(self.problem.settings.refinements if found.solution.feasible else 0):
-            nodes, before = found.problem, found.solution
-            following = sought.finer(nodes, before)
+            before, following = found, sought.finer(found)
             if following is None or iterations <= 0:
                 break
-            values = nodes.resampled(before.values, following)
+            values = before.problem.resampled(before.values, following)
             finer = self._solve(following, values, self.kinds, RELAXED_AGAIN, most=iterations)
             iterations -= finer.solution.iterations
             if not finer.solution.feasible:  # what the coarser nodes need is known
                 break
-            found, slacks = finer, [(slack(one, kind) for one in (before, finer.solution)) for kind in self.kinds]
+            found, slacks = finer, [(slack(one.solution, kind) for one in (before, finer)) for kind in self.kinds]
             if all(abs(now - then) <= SAME * now for then, now in slacks):
                 break
         return found
@@ -170,7 +169,7 @@ class _Search:
         """Return the relaxations of one kind of limits that do by themselves, of those that gave way or are touched."""
         nodes, solution = least.problem, least.solution
         # one that is only touched may do as well: with a price on all, others gave way in its place
-        touched = [one for one in self.kinds if one not in exceeded and is_touched(nodes, self.robot, solution, one)]
+        touched = [one for one in self.kinds if one not in exceeded and is_touched(least, self.robot, one)]
         left = max(AGAIN * solution.iterations, SPARED // len(nodes.grid.t))
         relaxed: dict[tuple[str, ...], Outcome] = {}
         for kind in sorted([*exceeded, *touched], key=lambda kind: (exceeded != [kind], kind != "effort")):
@@ -191,7 +190,7 @@ class _Search:
     def exactly(self, problem: Problem, found: Outcome, kinds: tuple[str, ...]) -> Outcome:
         """Return a relaxation at all nodes and between them; the one found where none is."""
         kept = {slack_name(kind) for kind in kinds}
-        values = found.problem.resampled(found.solution.values, problem)
+        values = found.problem.resampled(found.values, problem)
         values = {name: value for name, value in values.items() if name in kept or not name.startswith(slack_name(""))}
         exact = self._solve(problem, values, kinds, ON_FINER_NODES, most=FINAL)
         return exact if exact.solution.feasible else found
@@ -299,18 +298,19 @@ def _is_limited(problem: Problem, kind: str) -> bool:
     return bool(settings.at_most) if kind == "at_most" else settings.end != "free"
 
 
-def is_touched(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> bool:
+def is_touched(elastic: Outcome, robot: RobotRecord, kind: str) -> bool:
     """Return whether a limit is reached somewhere."""
     if kind not in QUANTITIES:
         return kind == "at_most"
-    values, low, high, *_ = _quantity(problem, robot, elastic, kind)
+    values, low, high, *_ = _quantity(elastic, robot, kind)
     with np.errstate(invalid="ignore"):
         near = TOUCHED * np.where(np.isfinite(high - low), high - low, 0.0)
     return bool(((values >= high - near) | (values <= low + near)).any())
 
 
-def nothing_helps(problem: Problem, elastic: Solution, message: str) -> InfeasiblePlanError:
+def nothing_helps(outcome: Outcome, message: str) -> InfeasiblePlanError:
     """Return the error of a problem that wider limits do not make feasible."""
+    problem, elastic = outcome.problem, outcome.solution
     if elastic.message == OUT_OF_TIME:
         constraint = "seconds"
         text = "The time ran out before any plan was found, and before any limit was shown to be in the way."
@@ -327,9 +327,9 @@ def nothing_helps(problem: Problem, elastic: Solution, message: str) -> Infeasib
     return InfeasiblePlanError(text, remedy=remedy, constraint=constraint, time=start, amount=amount)
 
 
-def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> dict[str, object]:
+def elastic_event(elastic: Outcome, robot: RobotRecord, kind: str) -> dict[str, object]:
     """Return what is exceeded most, where, and what would suffice."""
-    fraction = slack(elastic, kind)
+    problem, fraction = elastic.problem, slack(elastic.solution, kind)
     t = problem.times(elastic.values)
     if kind == "at_most":
         costs, bounds = objective_values(problem, elastic.values), problem.settings.at_most
@@ -343,7 +343,7 @@ def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind:
         else:
             text = f"the end state by {fraction:.3g} of its size"
         return {"constraint": kind, "time": float(t[-1]), "amount": float(missed.max()), "text": text}
-    values, low, high, room, names = _quantity(problem, robot, elastic, kind)
+    values, low, high, room, names = _quantity(elastic, robot, kind)
     with np.errstate(invalid="ignore"):
         excess = np.maximum(values - high, low - values) / room
     i, j = np.unravel_index(int(np.argmax(np.where(np.isfinite(excess), excess, -np.inf))), excess.shape)
@@ -372,11 +372,10 @@ def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind:
     }
 
 
-def _quantity(
-    problem: Problem, robot: RobotRecord, elastic: Solution, kind: str
-) -> tuple[Array, Array, Array, Array, tuple[str, ...]]:
+def _quantity(elastic: Outcome, robot: RobotRecord, kind: str) -> tuple[Array, Array, Array, Array, tuple[str, ...]]:
     """Return the values of a limited quantity at the nodes, its bounds, their half ranges, and whose they are."""
-    quantity, limit = QUANTITIES[kind], problem.settings.limits.of(kind)
+    problem, quantity = elastic.problem, QUANTITIES[kind]
+    limit = problem.settings.limits.of(kind)
     owners: tuple[str, ...] = getattr(robot, quantity.owner)
     if kind in VARIABLES:
         variable = elastic.values[VARIABLES[kind]]

@@ -86,7 +86,7 @@ def least_cost(
     require_carriers(dynamics.robot)
     position = None
     if isinstance(near, PlannedCost):
-        position = near.outcome.problem.position(near.outcome.solution.values)
+        position = near.outcome.problem.position(near.outcome.values)
     plan, outcome = optimise(task, position)
     return PlannedCost(task, rest.get("limits"), plan, outcome, task.source)
 
@@ -115,7 +115,7 @@ class PlannedCost:
     @cached_property
     def value(self) -> float:
         """The weighted objectives, or the duration, s, without the regularisation."""
-        problem, values = self.outcome.problem, self.outcome.solution.values
+        problem, values = self.outcome.problem, self.outcome.values
         if problem.timing is not None:
             return float(problem.times(values)[-1])
         return self.task.settings.weighted(objective_values(problem, values))

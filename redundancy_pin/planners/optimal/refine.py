@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,9 +22,17 @@ from redundancy_pin.planners.intersample_check import (
 )
 from redundancy_pin.planners.optimal.infeasible import Relaxation, relax, require_bounds
 from redundancy_pin.planners.optimal.mesh import first_mesh
-from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
+from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
-from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, solve, with_seconds
+from redundancy_pin.planners.optimal.solve import (
+    Multistart,
+    Outcome,
+    Stop,
+    first_guess,
+    multistart,
+    solve,
+    with_seconds,
+)
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory.continuous_motion import Motion
@@ -47,18 +55,15 @@ class Planning(ABC):
         self.task = task
 
     @abstractmethod
-    def platform(self, problem: Problem, solution: Solution) -> Motion:
+    def platform(self, outcome: Outcome) -> Motion:
         """Return the motion of the platform of a solution."""
 
     @abstractmethod
-    def finer(
-        self, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
-    ) -> Problem:
+    def finer(self, outcome: Outcome, found: IntersampleCheck, marked: BoolArray, first: bool) -> Problem:
         """Return the problem on a finer mesh.
 
         Args:
-            problem: on the present one.
-            solution: its solution.
+            outcome: the problem on the present one, and its solution.
             found: what is between the nodes.
             marked: (P,) pieces of that which the nodes do not show.
             first: whether no mesh was finer before.
@@ -68,9 +73,7 @@ class Planning(ABC):
         """Return from where, and of which limits, the smallest relaxation is sought."""
         return Relaxation(first_guess(problem))
 
-    def solve(
-        self, problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Problem, Solution], bool]
-    ) -> Multistart:
+    def solve(self, problem: Problem, guess: Mapping[str, Array] | None, stop: Stop) -> Multistart:
         """Return solutions from all first guesses, one of them feasible.
 
         Where there is none the limits give way: either that names those in the way, or it finds a motion that keeps
@@ -91,8 +94,8 @@ class Planning(ABC):
             return with_seconds(problem, deadline - time.perf_counter())
 
         def within_limits(message: str) -> tuple[Problem, Mapping[str, Array]]:
-            found, solution = relax(rest(), robot_record(self.task.dynamics.robot), self.relaxation(problem), message)
-            return found, solution.values
+            found = relax(rest(), robot_record(self.task.dynamics.robot), self.relaxation(problem), message)
+            return found.problem, found.values
 
         if guess is None and problem.timing is not None and problem.timing.exceeded_parked:
             # the weight is more than the motors hold: refuting that takes long, and this finds a motion where there is
@@ -121,24 +124,24 @@ class Planning(ABC):
             amount=seconds if late else last.violation,
         )
 
-    def planned(self, problem: Problem, solution: Solution) -> PlannedMotion:
+    def planned(self, outcome: Outcome) -> PlannedMotion:
         """Return what a solution plans.
 
         At singular nodes the efforts are those of the solution, which W⁻¹ f tends to; elsewhere, and with as many main
         actuators as coordinates, W τ = f leaves no choice. With more actuators the efforts are the nearest to the
         planned ones, which are linear in a step.
         """
-        robot, nodes, tau = self.task.dynamics.robot, problem.grid, problem.tau(solution.values)
-        platform, t = self.platform(problem, solution), problem.times(solution.values)
+        problem, values, robot = outcome.problem, outcome.values, self.task.dynamics.robot
+        nodes, tau, platform, t = problem.grid, problem.tau(values), self.platform(outcome), problem.times(values)
         prescribed = tau.copy()
         if robot.m <= robot.n:
             prescribed[np.setdiff1d(np.arange(len(t)), nodes.singular)] = np.nan
-        position = problem.position(solution.values).remove_offsets()
+        position = problem.position(values).remove_offsets()
         return PlannedMotion(
             self.task.dynamics,
             PlanFunctions(platform, position, preferred=PiecewisePolynomial.linear(t, tau)),
             self.task.dynamics.along(platform.sample_at(t)),
-            problem.carriers(solution.values),
+            problem.carriers(values),
             self.task.settings.limits,
             self.name,
             prescribed=prescribed,
@@ -224,23 +227,22 @@ def plan_and_refine(planning: Planning, position: PiecewisePolynomial | None = N
 
     evaluated: list[tuple[Mapping[str, Array], PlannedMotion, IntersampleCheck]] = []
 
-    def check(problem: Problem, solution: Solution) -> tuple[PlannedMotion, IntersampleCheck]:
+    def check(outcome: Outcome) -> tuple[PlannedMotion, IntersampleCheck]:
         # what ``solve`` returns it has asked ``is_coarse`` about, with other counts of iterations
-        if not evaluated or evaluated[-1][0] is not solution.values:
-            motion = planning.planned(problem, solution)
-            evaluated[:] = [(solution.values, motion, intersample_check(motion))]
+        if not evaluated or evaluated[-1][0] is not outcome.values:
+            motion = planning.planned(outcome)
+            evaluated[:] = [(outcome.values, motion, intersample_check(motion))]
         return evaluated[-1][1:]
 
-    def is_coarse(problem: Problem, solution: Solution) -> bool:
-        _, found = check(problem, solution)
+    def is_coarse(outcome: Outcome) -> bool:
+        _, found = check(outcome)
         return refined < settings.refinements and not found.passed and bool(found.too_coarse([]).any())
 
     def refine(coarse: Planned, marked: BoolArray) -> tuple[Problem, Mapping[str, Array]]:
         nonlocal refined
-        old, solution = coarse.best.problem, coarse.best.solution
-        following = planning.finer(old, solution, coarse.check, marked, refined == 0)
+        following = planning.finer(coarse.best, coarse.check, marked, refined == 0)
         refined += 1
-        return following, old.resampled(solution.values, following)
+        return following, coarse.best.problem.resampled(coarse.best.values, following)
 
     while True:
         report(f"{len(problem.grid.t)} nodes, {len(problem.grid.singular)} of them singular: solving")
@@ -258,7 +260,7 @@ def plan_and_refine(planning: Planning, position: PiecewisePolynomial | None = N
             continue
         problem = replace(solutions.best.problem, settings=settings)
         solution = solutions.best.solution
-        motion, found = check(problem, solution)
+        motion, found = check(solutions.best)
         at_nodes = np.abs(problem.tau(solution.values)).max()
         duration = motion.motion.t[-1] - motion.motion.t[0]
         report(f"{duration:.6g} s, peak effort {at_nodes:.4g} at the nodes, {found.peaks.peak.max():.4g} between them")

@@ -114,7 +114,7 @@ def design_gradient(task: Task, outcome: Outcome, platform: Motion, designed: De
             "the optimum changes with the machine is not known.",
             remedy="Design with carriers that stand on links.",
         )
-    carriers, motion = problem.carriers(solution.values), platform.sample_at(problem.times(solution.values))
+    carriers, motion = problem.carriers(outcome.values), platform.sample_at(problem.times(outcome.values))
     at_nodes, per_time = designed.slopes(motion, carriers), task.source.sample_at(problem.grid.t).xd
     turned = [_turned(task, outcome, platform, node, designed) for node in problem.singular]
     at_optimum, at_length = _lagrangian(outcome, problem), task.dynamics.robot.characteristic_length
@@ -165,7 +165,7 @@ def base_slopes(settings: Settings, motion: PlatformMotion, by: Array, designed:
 
 def _turned(task: Task, outcome: Outcome, platform: Motion, node: SingularNode, designed: DesignedRobot) -> Array:
     """Return (n, d) the rate of δW τ − δf along the plan at a singular node: by time, along a path by its length."""
-    problem, values, i = outcome.problem, outcome.solution.values, node.index
+    problem, values, i = outcome.problem, outcome.values, node.index
     plan, tau, nodes = problem.carriers(values), problem.tau(values), problem.times(values)
     t, h, jump = float(nodes[i]), np.diff(nodes), problem.grid.h == 0.0
     before = i == len(h) or bool(jump[i])

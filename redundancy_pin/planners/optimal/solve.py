@@ -39,11 +39,28 @@ AROUND = 2
 """Steps on both sides of one that leaves a limit that get rows as well: the next solution would leave it there."""
 
 
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """A problem, and what the solver ended with."""
+
+    problem: Problem
+    solution: Solution
+
+    @property
+    def values(self) -> dict[str, Array]:
+        """The variables by name, scaled."""
+        return self.solution.values
+
+
+Stop = Callable[[Outcome], bool]
+"""Says of an optimum with limits at the nodes that it will do, as where it asks for other nodes anyway."""
+
+
 def solve(
     problem: Problem,
     guess: Mapping[str, Array],
     seconds: float,
-    stop: Callable[[Problem, Solution], bool] | None = None,
+    stop: Stop | None = None,
     *,
     elastic: Sequence[str] = (),
     most: int | None = None,
@@ -53,7 +70,7 @@ def solve(
     """Solve a problem with every limit held at the nodes and between them.
 
     ``guess``: first guess, scaled blocks by name; with efforts, an optimum of the same task; ``seconds``: time bound,
-    s; ``stop``: says of an optimum with limits at the nodes that it will do, as where it asks for other nodes anyway;
+    s; ``stop``: ends the rounds in which rows are added;
     ``elastic``: kinds of limits that give way (``transcribe``); ``most``: bound of the iterations; ``first``: options
     from the first guess, ``FIRST`` or, with efforts, ``warm`` when left out; ``warm``: those from an optimum.
 
@@ -88,11 +105,11 @@ def solve(
             guess = attempt.values if attempt.feasible else guess
         solution = min(attempts, key=preference)
         leaves = leaves_limits(problem, solution.values) & ~between
-        beyond = not limit_force and exceeds_force(problem, solution)
+        beyond = not limit_force and exceeds_force(Outcome(problem, solution))
         if not solution.feasible or not (leaves.any() or beyond):
             break
         # forces beyond their limits at the nodes are no matter of the mesh
-        if solution.optimal and not beyond and stop is not None and stop(problem, solution):
+        if solution.optimal and not beyond and stop is not None and stop(Outcome(problem, solution)):
             return replace(solution, iterations=iterations, seconds=spent)
         limit_force = limit_force or beyond
         between = between | widened(leaves, AROUND) if added < ROUNDS else np.ones_like(between)
@@ -132,10 +149,11 @@ def leaves_limits(problem: Problem, values: Mapping[str, Array], by: float = 0.0
     return exceeded
 
 
-def exceeds_force(problem: Problem, solution: Solution) -> bool:
+def exceeds_force(outcome: Outcome) -> bool:
     """Return whether a carrier needs more force at a node than its limit."""
-    low, high = scaled_bounds(problem, solution.values)["carrier_force"]
-    force = problem.carrier_force(solution.values) / problem.scales.force
+    problem, values = outcome.problem, outcome.values
+    low, high = scaled_bounds(problem, values)["carrier_force"]
+    force = problem.carrier_force(values) / problem.scales.force
     return bool(((force > high) | (force < low)).any())
 
 
@@ -152,17 +170,6 @@ SAME_COST = 1e-5
 
 SAME_MOTION = 0.01
 """Difference of the positions, as a fraction of half the track, from which they are."""
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """What one first guess led to.
-
-    ``problem``: the numbers that were solved with; ``solution``: the solution.
-    """
-
-    problem: Problem
-    solution: Solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,9 +217,7 @@ def _is_same(one: Solution, other: Solution) -> bool:
     return abs(one.cost - other.cost) <= SAME_COST * size and apart <= SAME_MOTION
 
 
-def multistart(
-    problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Problem, Solution], bool] | None = None
-) -> Multistart:
+def multistart(problem: Problem, guess: Mapping[str, Array] | None, stop: Stop | None = None) -> Multistart:
     """Solve from all first guesses, as far as the time bound of the settings allows.
 
     ``guess``: scaled blocks by name to begin with in place of parked carriers; ``stop``: as for ``solve``.

@@ -17,7 +17,6 @@ from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.intersample_check import IntersampleCheck, intersample_check
 from redundancy_pin.planners.optimal.infeasible import Relaxation
 from redundancy_pin.planners.optimal.mesh import NEAR_SINGULAR, steps_around, with_nodes
-from redundancy_pin.planners.optimal.nlp import Solution
 from redundancy_pin.planners.optimal.path_problem import PathTask
 from redundancy_pin.planners.optimal.problem import Problem, at_pace, read_problem, required
 from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
@@ -159,23 +158,22 @@ class LeastTime(Planning):
     name = "time_optimal"
     task: PathTask
 
-    def platform(self, problem: Problem, solution: Solution) -> Motion:
+    def platform(self, outcome: Outcome) -> Motion:
         """Return the motion of the platform along the path by the law of a solution."""
-        law, t = law_of(problem, solution), problem.times(solution.values)
-        breaks = t[:-1][problem.grid.h == 0.0]
+        law, t = law_of(outcome), outcome.problem.times(outcome.values)
+        breaks = t[:-1][outcome.problem.grid.h == 0.0]
         knots = frozen(np.setdiff1d(law.edges[1:-1], breaks))
         timed = Trajectory(self.task.path, TimingLaw.of(law, self.task.path.length))
         return Motion(timed, law.start, law.end, law.end, frozen(breaks), knots, True)
 
-    def finer(
-        self, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
-    ) -> Problem:
+    def finer(self, outcome: Outcome, found: IntersampleCheck, marked: BoolArray, first: bool) -> Problem:
         """Return the problem with nodes halfway in time in the steps around the times that exceed, and in long ones.
 
         In steps that are halved once the jerk is continuous there: the efforts are seen, and no more is free. Those
         that are halved more often need more freedom, as at a cusp, where p̈ changes within a step of the first mesh.
         """
-        grid, times = problem.grid, problem.times(solution.values)
+        problem = outcome.problem
+        grid, times = problem.grid, problem.times(outcome.values)
         h = np.diff(times)
         is_long = h > LONGEST_STEP * times[-1]
         halvings = is_long.astype(int)
@@ -186,7 +184,7 @@ class LeastTime(Planning):
         steps = np.repeat(np.arange(len(h)), 2**halvings - 1)
         share = np.concatenate([np.arange(1, 2**level) / 2**level for level in halvings.tolist()])
         # ṗ is quadratic in a step with Bézier points of at least zero: an eighth of the step or more is on either side
-        places = law_of(problem, solution)(times[steps] + share * h[steps])[:, 0]
+        places = law_of(outcome)(times[steps] + share * h[steps])[:, 0]
         return read_problem(self.task, with_nodes(grid, steps, places, smooth[steps]), problem)
 
     def relaxation(self, problem: Problem) -> Relaxation:
@@ -194,11 +192,11 @@ class LeastTime(Planning):
         kinds = required(problem.timing).exceeded_parked or NEVER_KEPT[: 3 if self.task.dynamics.robot.k else 1]
         return Relaxation(_parked(problem, kinds), kinds, self._finer_relaxed)
 
-    def _finer_relaxed(self, problem: Problem, solution: Solution) -> Problem | None:
-        found = intersample_check(self.planned(problem, solution))
+    def _finer_relaxed(self, outcome: Outcome) -> Problem | None:
+        found = intersample_check(self.planned(outcome))
         found = replace(found, use=np.zeros_like(found.use))  # limits that give way are no reason
         marked = found.too_coarse([])
-        return self.finer(problem, solution, found, marked, False) if marked.any() else None
+        return self.finer(outcome, found, marked, False) if marked.any() else None
 
 
 def _parked(problem: Problem, kinds: tuple[str, ...]) -> dict[str, Array]:
@@ -214,9 +212,10 @@ def _parked(problem: Problem, kinds: tuple[str, ...]) -> dict[str, Array]:
     return guess
 
 
-def law_of(problem: Problem, solution: Solution) -> PiecewisePolynomial:
+def law_of(outcome: Outcome) -> PiecewisePolynomial:
     """Return the place on the path as a function of time, m."""
-    timing, values = required(problem.timing), solution.values
+    problem, values = outcome.problem, outcome.values
+    timing = required(problem.timing)
     pd, pdd = values["pd"] * timing.speed, values["pdd"] * timing.acceleration
     return PiecewisePolynomial.linear(problem.times(values), problem.grid.t[:, None], pd, pdd)
 

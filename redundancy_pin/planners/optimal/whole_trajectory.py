@@ -16,7 +16,6 @@ from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.intersample_check import IntersampleCheck
 from redundancy_pin.planners.optimal.calm import calmed
 from redundancy_pin.planners.optimal.mesh import steps_around, with_middles
-from redundancy_pin.planners.optimal.nlp import Solution
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
 from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
 from redundancy_pin.planners.optimal.settings import REFUSED, End, checked_settings
@@ -131,19 +130,17 @@ class WholeTrajectory(Planning):
 
     name = "whole_trajectory"
 
-    def platform(self, problem: Problem, solution: Solution) -> Motion:
+    def platform(self, outcome: Outcome) -> Motion:
         """Return the motion of the task."""
         return self.task.source
 
-    def finer(
-        self, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
-    ) -> Problem:
+    def finer(self, outcome: Outcome, found: IntersampleCheck, marked: BoolArray, first: bool) -> Problem:
         """Return the problem with nodes in the middle of steps in which efforts are larger, and of their neighbours."""
         # on the first mesh the carriers still use what they find between the nodes, and most of it goes by itself
-        nodes = problem.grid
+        nodes = outcome.problem.grid
         for least in (0.0,) if first else (0.0, TWICE):
             nodes = with_middles(nodes, steps_around(nodes.t, found.middle[marked & (found.worst > least)], NEIGHBOURS))
-        return read_problem(self.task, nodes, problem)
+        return read_problem(self.task, nodes, outcome.problem)
 
 
 def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[Plan, Outcome]:
@@ -156,7 +153,7 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     left = began + task.settings.solver.seconds - time.perf_counter()
     chosen, calming = calmed(planning, planned, left)
     least, best = planned.best, chosen.best
-    costs = objective_values(least.problem, least.solution.values)
+    costs = objective_values(least.problem, least.values)
     plan = chosen.plan(
         task.settings.parameters,
         replace(planned.findings, least_cost=task.settings.weighted(costs)),
@@ -164,7 +161,7 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
         solver_seconds=least.solution.seconds,
         cost=least.solution.cost,
         starts=planned.solutions.summary,
-        objective=objective_values(best.problem, best.solution.values),
+        objective=objective_values(best.problem, best.values),
         objective_size=objective_sizes(best.problem),
         calm=calming,
         seconds=time.perf_counter() - began,

@@ -351,11 +351,10 @@ def test_a_refusal_on_the_planners_own_mesh_comes_in_time_and_what_it_names_suff
     make, motion, limits = REFUSED[name]
     robot = make()
 
-    def plan(limits: dict[str, Any]) -> Any:
+    def plan(limits: dict[str, Any], **mesh: int) -> Any:
         track = limits.get("track")
-        return rp.plan_whole_trajectory(
-            robot, motion, limits=rp.Limits(**{**limits, "track": None if track is None else (-track, track)})
-        )
+        given = rp.Limits(**{**limits, "track": None if track is None else (-track, track)})
+        return rp.plan_whole_trajectory(robot, motion, limits=given, mesh=rp.Mesh(**mesh))
 
     began = time.process_time()
     with pytest.raises(InfeasiblePlanError, match="What would suffice") as caught:
@@ -369,6 +368,8 @@ def test_a_refusal_on_the_planners_own_mesh_comes_in_time_and_what_it_names_suff
         quantity = NAMES.get(event["constraint"], event["constraint"])
         given = limits[quantity] if quantity in limits else own_limit(robot, quantity)
         assert event["limit"] == pytest.approx(given * (1.0 + event["fraction"]), rel=1e-6)
+        # at all nodes, not at the few that told which limits are in the way
+        assert plan({**limits, quantity: given * (1.0 + 1.001 * event["fraction"])}, refinements=0).findings.optimal
         found = plan({**limits, quantity: given * (1.0 + WIDER * event["fraction"])})
         assert found.status is ResultStatus.OK
         # by the finer mesh of the refused plan less would do, by 1 % at most
