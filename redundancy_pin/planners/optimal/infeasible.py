@@ -65,7 +65,7 @@ class Relaxation:
     finer: Callable[[Outcome], Problem | None] = lambda _: None
 
 
-def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str) -> Outcome:
+def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str, deadline: float) -> Outcome:
     """Find the smallest relaxation of the limits that admits a plan; where it is none, return the solution.
 
     First all limits may give way at once, at a few of the nodes (``coarser``). Then each of those that did, or that are
@@ -74,7 +74,7 @@ def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str
     move at all, they do. What is named is then relaxed once more, exactly, at all nodes and between them.
 
     ``problem``: the numbers; ``robot``: names of carriers and actuators, and which of them rotate; ``sought``: from
-    where; ``message``: how the solver ended on the ordinary problem.
+    where; ``message``: how the solver ended on the ordinary problem; ``deadline``: as for ``multistart``, s.
 
     Raises:
         InfeasiblePlanError: limits have to give way. It carries ``constraint`` (the limit of the smallest relaxation),
@@ -86,7 +86,7 @@ def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str
     """
     problem = replace(problem, shares=None)  # messages state the limits themselves
     limited = (*sought.kinds, *problem.settings.limits.further)
-    search = _Search(robot, tuple(kind for kind in limited if _is_limited(problem, kind)), problem)
+    search = _Search(problem, robot, tuple(kind for kind in limited if _is_limited(problem, kind)), deadline)
     least = search.together(sought)
     problem = problem if problem.timing is None else least.problem
     if not least.solution.feasible:
@@ -125,11 +125,10 @@ class _Search:
     that came no closer tells that they hardly do.
     """
 
-    def __init__(self, robot: RobotRecord, kinds: tuple[str, ...], problem: Problem) -> None:
-        self.robot, self.kinds, self.problem = robot, kinds, problem
+    def __init__(self, problem: Problem, robot: RobotRecord, kinds: tuple[str, ...], deadline: float) -> None:
+        self.problem, self.robot, self.kinds, self._deadline = problem, robot, kinds, deadline
         self.untried: list[str] = []
         self.in_vain: list[str] = []
-        self._deadline = time.perf_counter() + problem.settings.solver.seconds
 
     def _solve(
         self, nodes: Problem, values: Mapping[str, Array], kinds: tuple[str, ...], first: Options, **options: Any
@@ -207,7 +206,7 @@ _REMEDY_OF_TIMING = (
 )
 
 
-def require_bounds(problem: Problem, guess: Mapping[str, Array]) -> None:
+def require_bounds(problem: Problem, guess: Mapping[str, Array], deadline: float) -> None:
     """Check that each bound of ``at_most`` is not below the least that there is of it within the limits.
 
     That takes a solution for each, and no search for a way to keep them all: it is a tenth of the time.
@@ -216,7 +215,6 @@ def require_bounds(problem: Problem, guess: Mapping[str, Array]) -> None:
         InfeasiblePlanError: one is, as ``relax``.
     """
     settings, events = problem.settings, []
-    deadline = time.perf_counter() + settings.solver.seconds
     for name, bound in settings.at_most.items():
         least = replace(problem, settings=replace(settings, objective={name: 1.0}, at_most={}))
         solution = solve(least, guess, deadline - time.perf_counter())

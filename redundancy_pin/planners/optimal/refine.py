@@ -31,7 +31,6 @@ from redundancy_pin.planners.optimal.solve import (
     first_guess,
     multistart,
     solve,
-    with_seconds,
 )
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
@@ -73,52 +72,47 @@ class Planning(ABC):
         """Return from where, and of which limits, the smallest relaxation is sought."""
         return Relaxation(first_guess(problem))
 
-    def solve(self, problem: Problem, guess: Mapping[str, Array] | None, stop: Stop) -> Multistart:
+    def solve(self, problem: Problem, guess: Mapping[str, Array] | None, deadline: float, stop: Stop) -> Multistart:
         """Return solutions from all first guesses, one of them feasible.
 
         Where there is none the limits give way: either that names those in the way, or it finds a motion that keeps
         them all, from which the solver begins once more.
 
         Args:
-            problem: the numbers, with the time that is left.
+            problem: the numbers.
             guess: scaled blocks by name, in place of parked carriers.
+            deadline: as for ``multistart``, s.
             stop: as for ``solve.solve``.
 
         Raises:
             InfeasiblePlanError: limits have to give way (``relax``), or there is no plan for another reason.
         """
-        deadline = time.perf_counter() + problem.settings.solver.seconds
         first = guess
 
-        def rest() -> Problem:
-            return with_seconds(problem, deadline - time.perf_counter())
-
         def within_limits(message: str) -> tuple[Problem, Mapping[str, Array]]:
-            found = relax(rest(), robot_record(self.task.dynamics.robot), self.relaxation(problem), message)
+            robot = robot_record(self.task.dynamics.robot)
+            found = relax(problem, robot, self.relaxation(problem), message, deadline)
             return found.problem, found.values
 
         if guess is None and problem.timing is not None and problem.timing.exceeded_parked:
-            # the weight is more than the motors hold: refuting that takes long, and this finds a motion where there is
-            # one
+            # the weight is more than the motors hold: refuting that takes long, and this finds the motion if any
             problem, first = within_limits("")
-        solutions = multistart(rest(), first, stop)
+        solutions = multistart(problem, first, deadline, stop)
         # neither relaxed above, nor an attempt with lower limits
         if not solutions.feasible and first is guess and problem.shares is None:
             if problem.settings.at_most:
-                require_bounds(rest(), first_guess(problem))
+                require_bounds(problem, first_guess(problem), deadline)
             problem, first = within_limits(solutions.outcomes[0].solution.message)
             again = Outcome(problem, solve(problem, first, deadline - time.perf_counter(), stop))
             solutions = replace(solutions, outcomes=(*solutions.outcomes, again))
         if solutions.feasible:
             return solutions
         last, seconds = solutions.outcomes[-1].solution, self.task.settings.solver.seconds
-        late = last.message == OUT_OF_TIME
+        late, remedy = last.message == OUT_OF_TIME, "Widen the limits a little, or start elsewhere."
         raise InfeasiblePlanError(
             f"No plan was found{f' within {seconds:g} s' if late else ''} (the solver says {last.message}; unbalanced "
             f"by {last.violation:.2g}), although none of the limits is known to be in the way.",
-            remedy="Allow more seconds, or a coarser mesh."
-            if late
-            else "Widen the limits a little, or start elsewhere.",
+            remedy="Allow more seconds, or a coarser mesh." if late else remedy,
             constraint="seconds" if late else "balance",
             time=float(problem.times(last.values)[0]),
             amount=seconds if late else last.violation,
@@ -247,8 +241,7 @@ def plan_and_refine(planning: Planning, position: PiecewisePolynomial | None = N
     while True:
         report(f"{len(problem.grid.t)} nodes, {len(problem.grid.singular)} of them singular: solving")
         try:
-            rest = with_seconds(problem, deadline - time.perf_counter())
-            solutions = planning.solve(rest, guess, is_coarse)
+            solutions = planning.solve(problem, guess, deadline, is_coarse)
         except InfeasiblePlanError:
             late = time.perf_counter() > deadline
             if last is None or (problem.shares is None and not late):
@@ -258,8 +251,7 @@ def plan_and_refine(planning: Planning, position: PiecewisePolynomial | None = N
             # nothing keeps the lower limits at the nodes: finer nodes may keep the limits themselves
             problem, guess = refine(last, last.check.exceeding)
             continue
-        problem = replace(solutions.best.problem, settings=settings)
-        solution = solutions.best.solution
+        problem, solution = solutions.best.problem, solutions.best.solution
         motion, found = check(solutions.best)
         at_nodes = np.abs(problem.tau(solution.values)).max()
         duration = motion.motion.t[-1] - motion.motion.t[0]

@@ -125,12 +125,6 @@ def preference(solution: Solution) -> tuple[bool, bool, float]:
     return not solution.feasible, not solution.optimal, solution.cost
 
 
-def with_seconds(problem: Problem, seconds: float) -> Problem:
-    """Return a problem for whose solution there is so much time, s; ``LEAST_SECONDS`` at least."""
-    solver = replace(problem.settings.solver, seconds=max(seconds, LEAST_SECONDS))
-    return replace(problem, settings=replace(problem.settings, solver=solver))
-
-
 def leaves_limits(problem: Problem, values: Mapping[str, Array], by: float = 0.0) -> BoolArray:
     """Return (M − 1,) the steps inside which track or speed limits are exceeded, by more than a part of the reserve.
 
@@ -217,21 +211,22 @@ def _is_same(one: Solution, other: Solution) -> bool:
     return abs(one.cost - other.cost) <= SAME_COST * size and apart <= SAME_MOTION
 
 
-def multistart(problem: Problem, guess: Mapping[str, Array] | None, stop: Stop | None = None) -> Multistart:
-    """Solve from all first guesses, as far as the time bound of the settings allows.
+def multistart(
+    problem: Problem, guess: Mapping[str, Array] | None, deadline: float, stop: Stop | None = None
+) -> Multistart:
+    """Solve from all first guesses, as far as the time allows.
 
-    ``guess``: scaled blocks by name to begin with in place of parked carriers; ``stop``: as for ``solve``.
+    ``guess``: scaled blocks by name to begin with in place of parked carriers; ``deadline``: on the clock of
+    ``time.perf_counter``, s; ``stop``: as for ``solve``.
     """
-    solver = problem.settings.solver
-    deadline = time.perf_counter() + solver.seconds
     outcomes: list[Outcome] = []
-    for number in range(solver.starts):
+    for number in range(problem.settings.solver.starts):
         left = deadline - time.perf_counter()
         if outcomes and left <= 0.0:
             break
         first = guess if number == 0 and guess is not None else first_guess(problem, number)
         outcomes.append(Outcome(problem, solve(problem, first, max(left, LEAST_SECONDS), stop)))
-    return Multistart(tuple(outcomes), solver.starts)
+    return Multistart(tuple(outcomes), problem.settings.solver.starts)
 
 
 def first_guess(problem: Problem, number: int = 0) -> dict[str, Array]:
