@@ -16,7 +16,7 @@ from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.planners.intersample_check import intersample_check
 from redundancy_pin.planners.optimal.mesh import NEAR_SINGULAR, Grid, resample, singular_ratio, with_middles
 from redundancy_pin.planners.optimal.nlp import CALMING
-from redundancy_pin.planners.optimal.problem import Reader, Task, read_problem
+from redundancy_pin.planners.optimal.problem import Task, read_problem
 from redundancy_pin.planners.optimal.refine import Planned, Planning
 from redundancy_pin.planners.optimal.solve import Multistart, Outcome, solve
 from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
@@ -33,13 +33,12 @@ LEAST_COST = 1e-9
 """Least cost over the size of the objective below which it counts as zero, and no fraction of it can be spent."""
 
 
-def calmed(planning: Planning, planned: Planned, read: Reader, seconds: float) -> tuple[Planned, dict[str, object]]:
+def calmed(planning: Planning, planned: Planned, seconds: float) -> tuple[Planned, dict[str, object]]:
     """Return a calmer plan than the one of least cost, or that one itself; and what was found, as plain data.
 
     Args:
         planning: the planner, whose task has the fraction ``calm`` that may be spent.
         planned: its least-cost plan.
-        read: what reads the coefficients, as ``read_problem`` takes it.
         seconds: time bound, s; none is tried without any left.
 
     Returns:
@@ -49,7 +48,7 @@ def calmed(planning: Planning, planned: Planned, read: Reader, seconds: float) -
     """
     task, best = planning.task, planned.best
     before = _most_reversals(best)
-    costs = objective_values(best.problem, best.solution.values)
+    costs = objective_values(best.problem, best.values)
     sizes = objective_sizes(best.problem)
     spendable = all(costs[name] > LEAST_COST * sizes[name] for name in task.settings.objective)
     if seconds <= 0.0 or not (task.settings.calm and best.solution.optimal and spendable and before > MANY_REVERSALS):
@@ -58,11 +57,11 @@ def calmed(planning: Planning, planned: Planned, read: Reader, seconds: float) -
     for name, bound in task.settings.at_most.items():
         bounds[name] = min(bound, bounds.get(name, np.inf))
     calmer = replace(task, settings=replace(task.settings, objective={"ripple": 1.0}, at_most=bounds))
-    found = _solve(calmer, best, read, seconds)
+    found = _solve(calmer, best, seconds)
     after = _most_reversals(found)
     chosen, solution = planned, found.solution
     if solution.feasible and solution.optimal and after < before:
-        motion = planning.planned(found.problem, solution)
+        motion = planning.planned(found)
         check = intersample_check(motion)
         if check.passed:
             chosen = replace(planned, solutions=Multistart((found,), 1), motion=motion, check=check)
@@ -77,18 +76,18 @@ def calmed(planning: Planning, planned: Planned, read: Reader, seconds: float) -
 
 
 def _most_reversals(outcome: Outcome) -> int:
-    efforts = outcome.problem.tau(outcome.solution.values)
+    efforts = outcome.problem.tau(outcome.values)
     return max(len(samples) for samples in effort_reversals(efforts))
 
 
-def _solve(task: Task, outcome: Outcome, read: Reader, seconds: float) -> Outcome:
+def _solve(task: Task, outcome: Outcome, seconds: float) -> Outcome:
     """Solve on denser nodes, from an optimum."""
     old = outcome.problem
     nodes = _denser(task, old.grid)
-    problem, _ = read_problem(task, nodes, read, old.scales)
+    problem = read_problem(task, nodes, old)
     if old.shares is not None:
         problem = replace(problem, shares=resample({"shares": old.shares}, old.grid.t, nodes.t)["shares"])
-    guess = old.resampled(outcome.solution.values, problem)
+    guess = old.resampled(outcome.values, problem)
     solution = solve(problem, guess, seconds, warm=CALMING)
     return Outcome(replace(problem, settings=old.settings), solution)
 

@@ -39,7 +39,8 @@ from redundancy_pin.errors import (
 )
 from redundancy_pin.loading import with_parameters
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.planners.optimal.least_cost import NO_ROBOT, TIME, DesignedRobot, LeastCost, least_cost
+from redundancy_pin.planners.optimal.least_cost import TIME, LeastCost, least_cost
+from redundancy_pin.planners.optimal.sensitivity import NO_ROBOT, DesignedRobot
 from redundancy_pin.planners.optimal.time_optimal import plan_time_optimal
 from redundancy_pin.planners.optimal.whole_trajectory import plan_whole_trajectory
 from redundancy_pin.planners.options import Objective, refuse_fields

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.limits import QUANTITIES
-from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
+from redundancy_pin.planners.optimal.mesh import Grid
+from redundancy_pin.planners.optimal.nlp import ON_FINER_NODES, OUT_OF_TIME, RELAXED, RELAXED_AGAIN, Options, Solution
 from redundancy_pin.planners.optimal.problem import Problem
-from redundancy_pin.planners.optimal.solve import leaves_limits, solve
+from redundancy_pin.planners.optimal.solve import Outcome, solve
 from redundancy_pin.planners.optimal.transcription import (
-    KIND_OF,
     KINDS,
+    VARIABLES,
     Evaluation,
     half_range,
     objective_values,
@@ -37,28 +39,42 @@ AGAIN = 2
 ITERATIONS_OF_TIMING = 500
 """Most iterations for the least relaxation that admits a timing: efforts alone take 30 to 230, with forces 300."""
 
+FINAL = 150
+"""Most iterations for the least relaxation at all nodes, from that at a few: they are 10 to 80."""
+
+SAME = 1e-3
+"""Relative difference of two relaxations on meshes of which the finer one shows nothing new."""
+
+ENOUGH = 150
+"""Nodes, beside those of events, that tell which limits are in the way."""
+
 TOUCHED = 1e-4
 """Fraction of its range within which a limit counts as reached."""
 
 
-def relax(
-    problem: Problem,
-    robot: RobotRecord,
-    guess: Mapping[str, Array],
-    message: str,
-    kinds: Sequence[str] | None = None,
-    finer: Callable[[Problem, Solution], Problem | None] | None = None,
-) -> tuple[Problem, Solution]:
-    """Find the smallest relaxation of the limits that admits a plan; where it is none, return problem and solution.
+@dataclass(frozen=True, eq=False)
+class Relaxation:
+    """From where, and of which limits, the smallest relaxation is sought.
 
-    First all limits may give way at once, at the nodes alone. Then each of those that did, or that are touched, may by
-    itself, as far as ``SPARED`` and ``AGAIN`` go: a limit that does by itself is found in one or two times the
-    iterations of the first, one that does not in ten times as many. Efforts come first: where carriers can move at all,
-    they do.
-
-    ``problem``: the numbers; ``robot``: names of carriers and actuators, and which of them rotate; ``guess``: first
-    guess; ``message``: how the solver ended on the ordinary problem; ``kinds``: limits that may give way; ``finer``:
+    ``guess``: first guess, scaled blocks by name; ``kinds``: limits that may give way, all when left out; ``finer``:
     returns the problem on a finer mesh where the nodes do not show the efforts of a relaxed motion, otherwise None.
+    """
+
+    guess: Mapping[str, Array]
+    kinds: Sequence[str] = KINDS
+    finer: Callable[[Outcome], Problem | None] = lambda _: None
+
+
+def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str, deadline: float) -> Outcome:
+    """Find the smallest relaxation of the limits that admits a plan; where it is none, return the solution.
+
+    First all limits may give way at once, at a few of the nodes (``coarser``). Then each of those that did, or that are
+    touched, may by itself, as far as ``SPARED`` and ``AGAIN`` go: a limit that does by itself is found in one or two
+    times the iterations of the first, one that does not in ten times as many. Efforts come first: where carriers can
+    move at all, they do. What is named is then relaxed once more, exactly, at all nodes and between them.
+
+    ``problem``: the numbers; ``robot``: names of carriers and actuators, and which of them rotate; ``sought``: from
+    where; ``message``: how the solver ended on the ordinary problem; ``deadline``: as for ``multistart``, s.
 
     Raises:
         InfeasiblePlanError: limits have to give way. It carries ``constraint`` (the limit of the smallest relaxation),
@@ -68,60 +84,27 @@ def relax(
             or one of them is enough; and ``untried``, limits of which it is not known whether they do by themselves.
             Or nothing admits a plan, or the time ran out.
     """
-    problem, settings = replace(problem, shares=None), problem.settings.solver  # messages state the limits themselves
-    deadline = time.perf_counter() + settings.seconds
-    further = tuple(problem.settings.limits.further)
-    kinds = (*(KINDS if kinds is None else kinds), *further)
-    # with limits at the nodes alone: most often one limit does by itself, and is held between the nodes then
-    most = None if problem.timing is None else ITERATIONS_OF_TIMING
-    elastic = solve(problem, guess, settings.seconds, lambda *_: True, elastic=kinds, most=most)
-    if elastic.feasible and not _exceeded(problem, elastic):
-        elastic = solve(problem, elastic.values, deadline - time.perf_counter(), elastic=kinds)
-    iterations = elastic.iterations  # of all finer meshes: a refusal is to come in seconds
-    for _ in range(problem.settings.refinements):
-        following = finer(problem, elastic) if finer is not None and elastic.feasible else None
-        if following is None or iterations <= 0:
-            break
-        values = problem.resampled(elastic.values, following)
-        found = solve(following, values, deadline - time.perf_counter(), elastic=kinds, most=iterations)
-        iterations -= found.iterations
-        if not found.feasible:  # what the coarser nodes need is known
-            break
-        problem, elastic = following, found
-    if not elastic.feasible:
-        raise nothing_helps(problem, elastic, message)
-    exceeded = _exceeded(problem, elastic)
+    problem = replace(problem, shares=None)  # messages state the limits themselves
+    limited = (*sought.kinds, *problem.settings.limits.further)
+    search = _Search(problem, robot, tuple(kind for kind in limited if _is_limited(problem, kind)), deadline)
+    least = search.together(sought)
+    problem = problem if problem.timing is None else least.problem
+    if not least.solution.feasible:
+        raise nothing_helps(least, message)
+    exceeded = _exceeded(least.solution)
     if not exceeded:
-        return problem, elastic
-    # one that is only touched may do as well by itself: with a price on all, others gave way in its place
-    touched = [kind for kind in kinds if kind not in exceeded and is_touched(problem, robot, elastic, kind)]
-    candidates = sorted([*exceeded, *touched], key=lambda kind: (exceeded != [kind], kind != "effort"))
-    alone: dict[str, Solution] = {}
-    untried: list[str] = []
-    in_vain: list[str] = []
-    left = max(AGAIN * elastic.iterations, SPARED // len(problem.grid.t))
-    for kind in candidates if len(candidates) > 1 else ():
-        seconds = deadline - time.perf_counter()
-        if left <= 0 or seconds <= 0.0:
-            untried.append(kind)
-            continue
-        solution = solve(problem, elastic.values, seconds, elastic=(kind,), most=left)
-        left -= solution.iterations
-        if solution.optimal and not _exceeded(problem, solution):
-            return problem, solution  # nothing is in the way: with a price on several the solver ended elsewhere
-        if solution.optimal:
-            alone[kind] = solution
-        elif not solution.infeasible:
-            (in_vain if solution.stalled else untried).append(kind)
-    seconds = deadline - time.perf_counter()
-    if not alone and seconds > 0.0 and leaves_limits(problem, elastic.values).any():
-        between = solve(problem, elastic.values, seconds, elastic=kinds)
-        elastic = between if between.feasible and _exceeded(problem, between) else elastic
-        exceeded = _exceeded(problem, elastic)
-    relaxed = alone or dict.fromkeys(exceeded, elastic)
-    order = sorted(relaxed, key=lambda kind: _slack(relaxed[kind], kind))
-    events = [elastic_event(problem, robot, relaxed[kind], kind) for kind in order]
+        return least
+    alone = search.alone(least, exceeded)
+    relaxed: dict[str, Outcome] = {}
+    for kinds, found in (alone or {tuple(exceeded): least}).items():
+        exact = found if problem.timing is not None else search.exactly(problem, found, kinds)
+        if exact.problem is problem and exact.solution.optimal and not _exceeded(exact.solution):
+            return exact  # with a price on several limits the solver ended elsewhere
+        relaxed |= dict.fromkeys(kinds, exact)
+    order = sorted(relaxed, key=lambda kind: slack(relaxed[kind].solution, kind))
+    events = [elastic_event(relaxed[kind], robot, kind) for kind in order]
     text = ("; or " if alone else "; and ").join(str(event.pop("text")) for event in events)
+    untried, in_vain = ([name_of(kind) for kind in kinds] for kinds in (search.untried, search.in_vain))
     rest = f" Not tried to the end: {', '.join(untried)} alone." if untried else ""
     rest += f" Tried without a motion, which is no proof: {', '.join(in_vain)} alone." if in_vain else ""
     what = "motion of the carriers" if problem.timing is None else "timing"
@@ -135,6 +118,83 @@ def relax(
     )
 
 
+class _Search:
+    """The search for the smallest relaxation.
+
+    ``untried``: limits of which it is not known whether they do by themselves; ``in_vain``: those of which a search
+    that came no closer tells that they hardly do.
+    """
+
+    def __init__(self, problem: Problem, robot: RobotRecord, kinds: tuple[str, ...], deadline: float) -> None:
+        self.problem, self.robot, self.kinds, self._deadline = problem, robot, kinds, deadline
+        self.untried: list[str] = []
+        self.in_vain: list[str] = []
+
+    def _solve(
+        self, nodes: Problem, values: Mapping[str, Array], kinds: tuple[str, ...], first: Options, **options: Any
+    ) -> Outcome:
+        seconds = self._deadline - time.perf_counter()
+        return Outcome(nodes, solve(nodes, values, seconds, elastic=kinds, first=first, **options))
+
+    def together(self, sought: Relaxation) -> Outcome:
+        """Return the smallest relaxation of all limits at once, with limits at the nodes.
+
+        Most often one limit does by itself, and is held between the nodes then.
+        """
+        most = None if self.problem.timing is None else ITERATIONS_OF_TIMING
+        for nodes in (coarser(self.problem), self.problem):
+            guess = self.problem.resampled(sought.guess, nodes)
+            found = self._solve(nodes, guess, self.kinds, RELAXED, stop=lambda _: True, most=most)
+            if found.solution.feasible and not _exceeded(found.solution):
+                found = self._solve(nodes, found.values, self.kinds, RELAXED)
+            if nodes is self.problem or (found.solution.feasible and _exceeded(found.solution)):
+                break
+        iterations = found.solution.iterations  # of all finer meshes: a refusal is to come in seconds
+        for _ in range(self.problem.settings.refinements if found.solution.feasible else 0):
+            before, following = found, sought.finer(found)
+            if following is None or iterations <= 0:
+                break
+            values = before.problem.resampled(before.values, following)
+            finer = self._solve(following, values, self.kinds, RELAXED_AGAIN, most=iterations)
+            iterations -= finer.solution.iterations
+            if not finer.solution.feasible:  # what the coarser nodes need is known
+                break
+            found, slacks = finer, [(slack(one.solution, kind) for one in (before, finer)) for kind in self.kinds]
+            if all(abs(now - then) <= SAME * now for then, now in slacks):
+                break
+        return found
+
+    def alone(self, least: Outcome, exceeded: list[str]) -> dict[tuple[str, ...], Outcome]:
+        """Return the relaxations of one kind of limits that do by themselves, of those that gave way or are touched."""
+        nodes, solution = least.problem, least.solution
+        # one that is only touched may do as well: with a price on all, others gave way in its place
+        touched = [one for one in self.kinds if one not in exceeded and is_touched(least, self.robot, one)]
+        left = max(AGAIN * solution.iterations, SPARED // len(nodes.grid.t))
+        relaxed: dict[tuple[str, ...], Outcome] = {}
+        for kind in sorted([*exceeded, *touched], key=lambda kind: (exceeded != [kind], kind != "effort")):
+            if exceeded == [kind]:
+                relaxed[(kind,)] = least
+                continue
+            if left <= 0 or time.perf_counter() > self._deadline:
+                self.untried.append(kind)
+                continue
+            found = self._solve(nodes, solution.values, (kind,), RELAXED, most=left)
+            left -= found.solution.iterations
+            if found.solution.optimal:
+                relaxed[(kind,)] = found
+            elif not found.solution.infeasible:
+                (self.in_vain if found.solution.stalled else self.untried).append(kind)
+        return relaxed
+
+    def exactly(self, problem: Problem, found: Outcome, kinds: tuple[str, ...]) -> Outcome:
+        """Return a relaxation at all nodes and between them; the one found where none is."""
+        kept = {slack_name(kind) for kind in kinds}
+        values = found.problem.resampled(found.values, problem)
+        values = {name: value for name, value in values.items() if name in kept or not name.startswith(slack_name(""))}
+        exact = self._solve(problem, values, kinds, ON_FINER_NODES, most=FINAL)
+        return exact if exact.solution.feasible else found
+
+
 _REMEDY = (
     "Widen these limits, by a few per cent more than that (the least leaves no room), slow the motion down, or leave "
     "the end free."
@@ -146,7 +206,7 @@ _REMEDY_OF_TIMING = (
 )
 
 
-def require_bounds(problem: Problem, guess: Mapping[str, Array]) -> None:
+def require_bounds(problem: Problem, guess: Mapping[str, Array], deadline: float) -> None:
     """Check that each bound of ``at_most`` is not below the least that there is of it within the limits.
 
     That takes a solution for each, and no search for a way to keep them all: it is a tenth of the time.
@@ -155,7 +215,6 @@ def require_bounds(problem: Problem, guess: Mapping[str, Array]) -> None:
         InfeasiblePlanError: one is, as ``relax``.
     """
     settings, events = problem.settings, []
-    deadline = time.perf_counter() + settings.solver.seconds
     for name, bound in settings.at_most.items():
         least = replace(problem, settings=replace(settings, objective={name: 1.0}, at_most={}))
         solution = solve(least, guess, deadline - time.perf_counter())
@@ -170,7 +229,7 @@ def require_bounds(problem: Problem, guess: Mapping[str, Array]) -> None:
             remedy=_REMEDY,
             relaxations=tuple(events),
             together=len(events) > 1,
-            untried=tuple(kind for kind in KINDS if kind != "at_most"),
+            untried=tuple(name_of(kind) for kind in KINDS if kind != "at_most"),
             **events[0],
         )
 
@@ -190,50 +249,66 @@ def _bound_event(problem: Problem, fractions: Mapping[str, float]) -> dict[str, 
 
 def name_of(kind: str) -> str:
     """Return the name that users know of a kind of limit."""
-    return kind if kind in KINDS else QUANTITIES[kind].name
+    return QUANTITIES[kind].name if kind in QUANTITIES else kind
 
 
-def _slack(solution: Solution, kind: str) -> float:
+def slack(solution: Solution, kind: str) -> float:
+    """Return the fraction by which a kind of limits gives way."""
     return float(solution.values[slack_name(kind)][0, 0])
 
 
-def _exceeded(problem: Problem, elastic: Solution) -> list[str]:
-    """Return the kinds of limits that gave way; the fraction of one that is not there may have any value."""
-    kinds = (*KINDS, *problem.settings.limits.further)
-    slacks = {kind: slack_name(kind) for kind in kinds if slack_name(kind) in elastic.values}
-    return [kind for kind in slacks if _slack(elastic, kind) > NOTHING and _is_limited(problem, kind)]
+def _exceeded(elastic: Solution) -> list[str]:
+    """Return the kinds of limits that gave way."""
+    return [kind for kind in elastic.rows["elastic"] if slack(elastic, kind) > NOTHING]
+
+
+def coarser(problem: Problem) -> Problem:
+    """Return a problem on at most ``ENOUGH`` of its nodes, beside those on jumps, singular instants and both ends.
+
+    Along a path, and where f is an expression, these are all nodes.
+    """
+    grid = problem.grid
+    free = np.flatnonzero(~grid.smooth)  # the others let the carriers do no more than without them
+    every = -(-len(free) // ENOUGH)
+    if problem.timing is not None or problem.exact is not None or every == 1:
+        return problem
+    kept = np.zeros(len(grid.t), dtype=bool)
+    kept[free[::every]] = kept[-1] = kept[grid.singular] = True
+    jumps = np.flatnonzero(grid.h == 0.0)
+    kept[jumps] = kept[jumps + 1] = True
+    at, model, base = np.flatnonzero(kept), problem.model, problem.base
+    return replace(
+        problem,
+        grid=Grid(read_only(grid.t[at]), np.searchsorted(at, grid.singular), grid.smooth[at]),
+        model=model[at],  # type: ignore[index]  # indices do as well as a slice
+        singular=tuple(replace(node, index=int(np.searchsorted(at, node.index))) for node in problem.singular),
+        actuated_rate=problem.actuated_rate[at],
+        target=problem.target[at],
+        base=base and replace(base, w0=base.w0[at], by_term=base.by_term[at]),
+    )
 
 
 def _is_limited(problem: Problem, kind: str) -> bool:
     """Return whether there is any limit of a kind."""
     settings = problem.settings
-    if kind == "at_most":
-        return bool(settings.at_most)
-    if kind == "end":
-        return settings.end != "free"
-    if kind == "jerk" or kind in settings.limits.further:
+    if kind in QUANTITIES:
         return bool(np.isfinite(settings.limits.of(kind)).any())
-    return bool(np.isfinite(scaled_bounds(problem)[_variable_of(kind)]).any())
+    return bool(settings.at_most) if kind == "at_most" else settings.end != "free"
 
 
-def _variable_of(kind: str) -> str:
-    return next(name for name, limit in KIND_OF.items() if limit == kind)
-
-
-def is_touched(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> bool:
+def is_touched(elastic: Outcome, robot: RobotRecord, kind: str) -> bool:
     """Return whether a limit is reached somewhere."""
-    if kind == "at_most":
-        return bool(problem.settings.at_most)
-    if kind == "end" or (kind == "force" and "force" not in elastic.values):
-        return False
-    values, low, high, *_ = _quantity(problem, robot, elastic, kind)
+    if kind not in QUANTITIES:
+        return kind == "at_most"
+    values, low, high, *_ = _quantity(elastic, robot, kind)
     with np.errstate(invalid="ignore"):
         near = TOUCHED * np.where(np.isfinite(high - low), high - low, 0.0)
     return bool(((values >= high - near) | (values <= low + near)).any())
 
 
-def nothing_helps(problem: Problem, elastic: Solution, message: str) -> InfeasiblePlanError:
+def nothing_helps(outcome: Outcome, message: str) -> InfeasiblePlanError:
     """Return the error of a problem that wider limits do not make feasible."""
+    problem, elastic = outcome.problem, outcome.solution
     if elastic.message == OUT_OF_TIME:
         constraint = "seconds"
         text = "The time ran out before any plan was found, and before any limit was shown to be in the way."
@@ -250,9 +325,9 @@ def nothing_helps(problem: Problem, elastic: Solution, message: str) -> Infeasib
     return InfeasiblePlanError(text, remedy=remedy, constraint=constraint, time=start, amount=amount)
 
 
-def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> dict[str, object]:
+def elastic_event(elastic: Outcome, robot: RobotRecord, kind: str) -> dict[str, object]:
     """Return what is exceeded most, where, and what would suffice."""
-    fraction = _slack(elastic, kind)
+    problem, fraction = elastic.problem, slack(elastic.solution, kind)
     t = problem.times(elastic.values)
     if kind == "at_most":
         costs, bounds = objective_values(problem, elastic.values), problem.settings.at_most
@@ -266,7 +341,7 @@ def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind:
         else:
             text = f"the end state by {fraction:.3g} of its size"
         return {"constraint": kind, "time": float(t[-1]), "amount": float(missed.max()), "text": text}
-    values, low, high, room, names = _quantity(problem, robot, elastic, kind)
+    values, low, high, room, names = _quantity(elastic, robot, kind)
     with np.errstate(invalid="ignore"):
         excess = np.maximum(values - high, low - values) / room
     i, j = np.unravel_index(int(np.argmax(np.where(np.isfinite(excess), excess, -np.inf))), excess.shape)
@@ -284,7 +359,7 @@ def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind:
     where += "" if problem.timing is None else " of the path"
     text = f"the {name_of(kind)} of {names[j]}, from {limit:.6g} to {enough:.6g} {unit} ({percent} %), most at {where}"
     return {
-        "constraint": kind,
+        "constraint": name_of(kind),
         "joint": names[j],
         "time": float(t[i]),
         "amount": amount,
@@ -295,23 +370,20 @@ def elastic_event(problem: Problem, robot: RobotRecord, elastic: Solution, kind:
     }
 
 
-def _quantity(
-    problem: Problem, robot: RobotRecord, elastic: Solution, kind: str
-) -> tuple[Array, Array, Array, Array, tuple[str, ...]]:
+def _quantity(elastic: Outcome, robot: RobotRecord, kind: str) -> tuple[Array, Array, Array, Array, tuple[str, ...]]:
     """Return the values of a limited quantity at the nodes, its bounds, their half ranges, and whose they are."""
-    u = problem.scales
+    problem, quantity = elastic.problem, QUANTITIES[kind]
+    limit = problem.settings.limits.of(kind)
+    owners: tuple[str, ...] = getattr(robot, quantity.owner)
+    if kind in VARIABLES:
+        variable = elastic.values[VARIABLES[kind]]
+        size = np.broadcast_to(getattr(problem.scales, VARIABLES[kind]), variable.shape[1:])
+        bounds = scaled_bounds(problem)[kind]
+        low, high, room = (bound * size for bound in (*bounds, half_range(kind, *bounds)))
+        return variable * size, low, high, room, owners
     if kind == "jerk":
         h = np.diff(problem.times(elastic.values))
-        h = np.where(h > 0.0, h, np.inf)[:, None]
-        jerk = np.diff(elastic.values["sdd"], axis=0) * u.sdd / h
-        limit = problem.settings.limits.jerk
-        return jerk, -limit, limit, limit, robot.carriers
-    if kind in problem.settings.limits.further:
-        quantity, limit = QUANTITIES[kind], problem.settings.limits.of(kind)
-        value = quantity.values(Evaluation(problem, elastic.values))
-        return np.asarray(value), -limit, limit, limit, getattr(robot, quantity.owner)
-    name = _variable_of(kind)
-    size = np.broadcast_to(getattr(u, name), elastic.values[name].shape[1:])
-    bounds = scaled_bounds(problem)[name]
-    low, high, room = (bound * size for bound in (*bounds, half_range(kind, *bounds)))
-    return elastic.values[name] * size, low, high, room, robot.actuated if kind == "effort" else robot.carriers
+        value = np.diff(elastic.values["sdd"], axis=0) * problem.scales.sdd / np.where(h > 0.0, h, np.inf)[:, None]
+    else:
+        value = np.asarray(quantity.values(Evaluation(problem, elastic.values)))
+    return value, -limit, limit, limit, owners

@@ -25,8 +25,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, IntArray, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import design_derivatives
-from redundancy_pin.errors import DeclarationError, InfeasiblePlanError, InputError, ModelFileError
-from redundancy_pin.loading import with_parameters
+from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.check import finish_plan
@@ -36,7 +35,7 @@ from redundancy_pin.planners.optimal.mesh import Grid, first_mesh, with_nodes
 from redundancy_pin.planners.optimal.nlp import Expression
 from redundancy_pin.planners.optimal.objectives import OBJECTIVES
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
-from redundancy_pin.planners.optimal.sensitivity import STEP, DesignSlopes, Neighbour, base_slopes, design_gradient
+from redundancy_pin.planners.optimal.sensitivity import DesignedRobot, base_slopes, design_gradient
 from redundancy_pin.planners.optimal.settings import checked_settings
 from redundancy_pin.planners.optimal.solve import Outcome
 from redundancy_pin.planners.optimal.time_optimal import optimise_timing, path_task
@@ -44,7 +43,6 @@ from redundancy_pin.planners.optimal.transcription import Evaluation, objective_
 from redundancy_pin.planners.optimal.whole_trajectory import optimise
 from redundancy_pin.planners.options import Limits, Objective, group_of
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus, SampleStatus, solved_status
 from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -55,42 +53,6 @@ TIME = "time"
 
 FOLLOWED = "inverse_dynamics"
 """Planner of a plan whose efforts follow from the motion."""
-
-NO_ROBOT = (DeclarationError, InputError, ModelFileError)
-"""What ``with_parameters`` raises for a number of which the robot's file makes no robot: loops that do not close, a
-condition under ``requires``, a negative mass."""
-
-
-@dataclass(frozen=True, eq=False)
-class DesignedRobot:
-    """A robot and the numbers of its file that are designed.
-
-    Attributes:
-        robot: the robot.
-        names: (d,) names of the parameters.
-    """
-
-    robot: Robot
-    names: tuple[str, ...]
-
-    def slopes(self, motion: PlatformMotion, carriers: CarrierMotion) -> DesignSlopes:
-        """Return the derivatives along a motion by the parameters."""
-        by = design_derivatives(self.robot, motion, carriers, self.names)
-        return DesignSlopes(*(part.parameters for part in (by.W, by.f, by.carrier_force, by.base_wrench)))
-
-    @cached_property
-    def neighbours(self) -> tuple[tuple[Robot, float], ...]:
-        """(d,) the robots with one parameter changed each, and by how much; decreased where a larger one is none."""
-        return tuple(self._neighbour(name) for name in self.names)
-
-    def _neighbour(self, name: str) -> tuple[Robot, float]:
-        value = float(self.robot.parameters[name])
-        # of a number near 0 the size is not known: as in ``compiled.design``, small for a length of the machine
-        step = STEP * max(abs(value), min(1.0, self.robot.characteristic_length))
-        try:
-            return with_parameters(self.robot, **{name: value + step}), step  # type: ignore[arg-type]
-        except NO_ROBOT:
-            return with_parameters(self.robot, **{name: value - step}), -step  # type: ignore[arg-type]
 
 
 def least_cost(
@@ -124,7 +86,7 @@ def least_cost(
     require_carriers(dynamics.robot)
     position = None
     if isinstance(near, PlannedCost):
-        position = near.outcome.problem.position(near.outcome.solution.values)
+        position = near.outcome.problem.position(near.outcome.values)
     plan, outcome = optimise(task, position)
     return PlannedCost(task, rest.get("limits"), plan, outcome, task.source)
 
@@ -153,18 +115,14 @@ class PlannedCost:
     @cached_property
     def value(self) -> float:
         """The weighted objectives, or the duration, s, without the regularisation."""
-        problem, values = self.outcome.problem, self.outcome.solution.values
+        problem, values = self.outcome.problem, self.outcome.values
         if problem.timing is not None:
             return float(problem.times(values)[-1])
         return self.task.settings.weighted(objective_values(problem, values))
 
     def gradient(self, designed: DesignedRobot) -> Array:
         """Return (d,) the derivatives of the least cost by the parameters."""
-        limits = group_of(self.limits, Limits)
-        neighbours = [
-            Neighbour(limits.resolved(robot), robot.characteristic_length, step) for robot, step in designed.neighbours
-        ]
-        return design_gradient(self.task, self.outcome, self.platform, designed.slopes, neighbours)
+        return design_gradient(self.task, self.outcome, self.platform, designed, group_of(self.limits, Limits))
 
 
 # --- without: the motion determines the efforts -----------------------------------------------------------------------
@@ -203,7 +161,7 @@ class FollowedCost:
         rate = np.einsum("nimd,ni->nmd", along.W.parameters, motion.xd)
         gradient: Array = np.einsum("nm,nmd->d", by_tau, along.tau.parameters) + np.einsum("nm,nmd->d", by_rate, rate)
         if by_base.any():
-            base = base_slopes(self.task.settings, motion, along.base_wrench.parameters, designed.slopes)
+            base = base_slopes(self.task.settings, motion, along.base_wrench.parameters, designed)
             gradient = gradient + np.einsum("nc,ncd->d", by_base, base)
         if by_length:
             own = designed.robot.characteristic_length
@@ -322,7 +280,7 @@ def _objectives(
     task: Task, plan: Plan, grid: Grid, fixed: IntArray
 ) -> tuple[dict[str, float], tuple[Array, Array, Array, float]]:
     """Return the objectives by name, and the derivatives of ``FollowedCost.by``."""
-    problem, _ = read_problem(task, grid)
+    problem = read_problem(task, grid)
     symbols, objective = _Symbols(problem, fixed), task.settings.objective
     formulas = {name: OBJECTIVES[name].value(symbols) for name in {**objective, **task.settings.at_most}}
     cost = sum(weight * formulas[name] for name, weight in objective.items())

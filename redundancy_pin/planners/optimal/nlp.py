@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -91,6 +91,18 @@ def _from_optimum(barrier: float, push: float) -> Options:
 WARM: Options = {**_EXACT, **_from_optimum(1e-4, 1e-4), "ipopt.max_iter": 250}
 """Options from the optimum of the same task on other nodes, or with fewer rows."""
 
+RELAXED: Options = {**_EXACT, **LINEAR_SYSTEM, "ipopt.mu_target": 1e-5, "ipopt.max_iter": 250}
+"""Options where limits give way: fractions of a limit are then within 2e-4.
+
+Flat optima, as under gravity, where slower motions hardly need less, take up to 150 iterations more to a parameter of
+1e-10. The parameter decreases monotonically: an adaptive one may oscillate about this value without end."""
+
+RELAXED_AGAIN: Options = {**WARM, "ipopt.mu_target": 1e-5}
+"""The same from the least relaxation on other nodes."""
+
+ON_FINER_NODES: Options = {**_EXACT, **_from_optimum(1e-2, 1e-2), "ipopt.max_iter": 250}
+"""Options from an optimum on nodes so few that they do not show every effort."""
+
 CALMING: Options = {
     **_from_optimum(1e-2, 0.1),
     # Mehrotra's probing step: a third fewer iterations than monotone barrier parameters
@@ -116,15 +128,13 @@ class NLP:
     """minimise f(x) subject to l ≤ x ≤ u and b ≤ g(x) ≤ c, put together block by block.
 
     ``blocks``: the variables by name, matrices; ``cost``: the expression f, to be added to; ``size``: what the solver
-    multiplies f by; ``derivatives``: gradient, Jacobian and Hessian as options of a solver, once one has made them;
-    ``rows``: the options of ``transcribe`` that say which rows there are.
+    multiplies f by; ``rows``: the options of ``transcribe`` that say which rows there are.
     """
 
     def __init__(self) -> None:
         self.blocks: dict[str, Expression] = {}
         self.cost: Expression = 0.0
         self.size = 1.0
-        self.derivatives: dict[str, Any] = {}
         self.rows: dict[str, Any] = {}
         self._rows: list[Expression] = []
         self._bounds: dict[str, list[Array]] = {"lbx": [], "ubx": [], "lbg": [], "ubg": []}
@@ -160,12 +170,6 @@ class NLP:
         """The finished programme, as the solver wants it."""
         x = ca.vertcat(*(ca.vec(block) for block in self.blocks.values()))
         return {"x": x, "f": self.cost, "g": ca.densify(ca.vertcat(*self._rows))}
-
-    def keep_derivatives(self, solver: Any) -> None:
-        """Keep the derivatives that a solver has made of the programme: the next one need not make them again."""
-        if not self.derivatives:
-            names = {"grad_f": "nlp_grad_f", "jac_g": "nlp_jac_g", "hess_lag": "nlp_hess_l"}
-            self.derivatives = {option: solver.get_function(name) for option, name in names.items()}
 
     @property
     def bounds(self) -> dict[str, Array]:
@@ -246,12 +250,10 @@ def solve_nlp(
         "ipopt.max_iter": 1000,
         "ipopt.max_wall_time": seconds,
         "no_nlp_grad": True,  # multipliers of parameters, of which there are none
-        **nlp.derivatives,
         "iteration_callback": observer,
         **options,
     }
     function = ca.nlpsol("plan", "ipopt", nlp.functions, settings)
-    nlp.keep_derivatives(function)
     result = function(x0=nlp.join(guess), **bounds)
     if observer.error is not None:
         raise observer.error
@@ -273,20 +275,6 @@ def solve_nlp(
     )
 
 
-def _now_and_then(progress: Progress) -> Callable[[int, float], None]:
-    """Return what reports an iteration and the scaled objective there twice a second at most."""
-    began, last = time.perf_counter(), -PERIOD
-
-    def report(iteration: int, cost: float) -> None:
-        nonlocal last
-        now = time.perf_counter() - began
-        if now - last >= PERIOD:
-            last = now
-            progress(f"iteration {iteration}, {now:.0f} s: scaled objective {cost:.6g}")
-
-    return report
-
-
 def _observer(bounds: Mapping[str, Array], progress: Progress | None, patience: float) -> Any:
     """Return what the solver calls at every iteration: it reports now and then, and ends a search that stalls.
 
@@ -295,12 +283,13 @@ def _observer(bounds: Mapping[str, Array], progress: Progress | None, patience: 
     """
     variables, rows = len(bounds["lbx"]), len(bounds["lbg"])
     sizes = {"x": variables, "f": 1, "g": rows, "lam_x": variables, "lam_g": rows, "lam_p": 0}
+    began = time.perf_counter()
 
     class Observer(ca.Callback):
         def __init__(self) -> None:
             ca.Callback.__init__(self)
-            self.report = None if progress is None else _now_and_then(progress)
-            self.count, self.reached, self.since, self.stalled = 0, np.inf, 0, False
+            self.count, self.reported = 0, -PERIOD
+            self.reached, self.since, self.stalled = np.inf, 0, False
             self.error: BaseException | None = None
             self.construct("observer", {})
 
@@ -317,12 +306,14 @@ def _observer(bounds: Mapping[str, Array], progress: Progress | None, patience: 
             return ca.Sparsity.dense(sizes[ca.nlpsol_out(i)], 1)
 
         def eval(self, arguments: Any) -> list[int]:
-            try:
-                if self.report is not None:
-                    self.report(self.count, float(arguments[1]))
-            except BaseException as error:  # an interruption too would be lost in the library
-                self.error = error
-                return [1]
+            now = time.perf_counter() - began
+            if progress is not None and now - self.reported >= PERIOD:
+                self.reported = now
+                try:
+                    progress(f"iteration {self.count}, {now:.0f} s: scaled objective {float(arguments[1]):.6g}")
+                except BaseException as error:  # an interruption too would be lost in the library
+                    self.error = error
+                    return [1]
             self.count += 1
             violation = _violation(bounds, np.asarray(arguments[2]).ravel())
             self.since = 0 if violation < 0.9 * self.reached else self.since + 1

@@ -8,7 +8,8 @@ and accelerations tell them apart.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -30,14 +31,15 @@ from redundancy_pin.planners.optimal.objectives import Scales
 from redundancy_pin.planners.optimal.problem import (
     PathTiming,
     Problem,
+    Reader,
     Task,
     at_pace,
     scales_of,
-    singular_nodes,
     stacked_powers,
 )
 from redundancy_pin.planners.optimal.settings import Settings
 from redundancy_pin.robot.scales import turning_velocities
+from redundancy_pin.trajectory.paths import Path
 
 _ZERO_COEFFICIENT = 1e-11
 """Coefficients below this fraction of the largest are none: they would be entries of the Jacobian."""
@@ -97,36 +99,37 @@ FAR = 100.0
 """Limit of an effort over the size of efforts, from which it is not the size of efforts: the rates limit the time."""
 
 
-def read_path_problem(task: Task, nodes: Grid, before: Problem | None = None) -> Problem:
-    """Read the coefficients at nodes on a path, and choose sizes by the speed that the parked robot may take.
+@dataclass(frozen=True, eq=False)
+class PathTask(Task):
+    """A path whose timing is planned; the motion of the task runs along it at unit speed."""
 
-    ``task``: its source is the path at unit speed; ``before``: the same problem on other nodes, whose sizes are kept.
-    """
-    dynamics, unit, settings = task.dynamics, task.source, task.settings
-    motion = unit.sample_at(nodes.t)
-    along = dynamics.along(motion)
-    model, parked = read_model(along, dynamics), along.reduce()
-    rate: Array = np.einsum("nim,ni->nm", model.W, motion.xd)
-    fastest = fastest_speed(rate, settings.limits)
-    place = nodes.t / nodes.t[-1]
-    if before is None or before.timing is None:
-        speed, exceeded = _first_speed(model, parked, settings, place * unit.end, fastest)
-        acceleration = 2.0 * speed**2 / unit.end
-        scales = _scales(model, settings, parked, unit.end, speed, acceleration)
-    else:
-        speed, acceleration, scales = before.timing.speed, before.timing.acceleration, before.scales
-        exceeded = before.timing.exceeded_parked
-    steps = np.where(nodes.h > 0.0, scales.duration * np.diff(np.arccos(1.0 - 2.0 * place)) / np.pi, scales.duration)
-    return Problem(
-        grid=nodes,
-        model=model,
-        singular=singular_nodes(task, nodes, lambda there: read_model(there, dynamics)),
-        actuated_rate=rate,
-        target=np.zeros_like(rate),
-        settings=settings,
-        scales=scales,
-        timing=PathTiming(speed, acceleration, steps, fastest, exceeded),
-    )
+    path: Path
+
+    @property
+    def slows_at_ends(self) -> bool:
+        """Whether nodes are closer together towards both ends: all but laps begin and end at rest."""
+        return not self.settings.lap
+
+    @cached_property
+    def read(self) -> Reader:
+        """What reads the coefficients off the backend."""
+        return partial(read_model, dynamics=self.dynamics)
+
+    def sized(
+        self, grid: Grid, model: CarrierModel, parked: ReducedDynamics, rate: Array, before: Problem | None
+    ) -> tuple[Scales, PathTiming | None]:
+        """Return sizes by the speed that the parked robot may take, and those of the timing."""
+        settings, end = self.settings, self.source.end
+        fastest, place = fastest_speed(rate, settings.limits), grid.t / grid.t[-1]
+        if before is None or before.timing is None:
+            speed, exceeded = _first_speed(model, parked, settings, place * end, fastest)
+            acceleration = 2.0 * speed**2 / end
+            scales = _scales(model, settings, parked, end, speed, acceleration)
+        else:
+            speed, acceleration, scales = before.timing.speed, before.timing.acceleration, before.scales
+            exceeded = before.timing.exceeded_parked
+        steps = np.where(grid.h > 0.0, scales.duration * np.diff(np.arccos(1.0 - 2.0 * place)) / np.pi, scales.duration)
+        return scales, PathTiming(speed, acceleration, steps, fastest, exceeded)
 
 
 def fastest_speed(rate: Array, limits: ResolvedLimits) -> Array:
@@ -157,7 +160,7 @@ def _first_speed(
     # under gravity the load at rest may be more than that: the fastest speed that hardly needs more than the slowest
     speed = float(speeds[np.flatnonzero(uses <= max(USED, AT_REST * uses.min()))[-1]])
     if (np.abs(model.force0[..., 0]) > settings.limits.carrier_force).any():
-        return speed, ("effort", "force")
+        return speed, ("effort", "carrier_force")
     return speed, () if uses.min() <= 1.0 else ("effort",)
 
 

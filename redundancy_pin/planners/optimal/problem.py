@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -63,6 +63,24 @@ class Task:
     source: Motion
     settings: Settings
 
+    @property
+    def slows_at_ends(self) -> bool:
+        """Whether nodes are closer together towards both ends, where the timing is planned and begins at rest."""
+        return False
+
+    @cached_property
+    def read(self) -> Reader:
+        """What reads the coefficients off the backend."""
+        return reader_of(self)
+
+    def sized(
+        self, grid: Grid, model: CarrierModel, parked: ReducedDynamics, rate: Array, before: Problem | None
+    ) -> tuple[Scales, PathTiming | None]:
+        """Return the sizes, those of the same task on other nodes if there are any, and the timing of a path."""
+        if before is not None:
+            return before.scales, None
+        return scales_of(model, self.settings, parked, self.source.end - self.source.start, rate), None
+
 
 @dataclass(frozen=True, eq=False)
 class SingularNode:
@@ -85,7 +103,7 @@ class PathTiming:
 
     ``speed``, ``acceleration``: sizes of ṗ and p̈, m/s and m/s²; ``h`` (M − 1,) of the durations of the steps, s;
     ``fastest`` (M,) largest ṗ that limits of the actuators' rates allow, m/s; ``exceeded_parked``: kinds of limits
-    ("effort", "force") of which the robot with parked carriers exceeds one at any speed, as under gravity.
+    ("effort", "carrier_force") of which the robot with parked carriers exceeds one at any speed, as under gravity.
     """
 
     speed: float
@@ -228,39 +246,30 @@ def reader_of(task: Task) -> Reader:
     return carrier_model if robot.k else partial(carrier_model, check=False)
 
 
-def read_problem(
-    task: Task, grid: Grid, read: Reader | None = None, scales: Scales | None = None
-) -> tuple[Problem, Reader]:
-    """Read the coefficients at all nodes off the backend.
-
-    ``task``: robot, motion and settings; ``read``: what reads them, ``reader_of`` when left out; ``scales``: those of
-    the same task on other nodes.
-
-    Returns:
-        The problem, and what read it.
-    """
-    read = reader_of(task) if read is None else read
+def read_problem(task: Task, grid: Grid, before: Problem | None = None) -> Problem:
+    """Read the coefficients at all nodes off the backend; ``before``: the same task on other nodes."""
     settings, motion = task.settings, task.source.sample_at(grid.t)
-    along = task.dynamics.along(motion)
-    model, singular = read(along), singular_nodes(task, grid, read)
-    used = {*settings.objective, *settings.at_most}
+    along, used = task.dynamics.along(motion), {*settings.objective, *settings.at_most}
+    model, singular = task.read(along), singular_nodes(task, grid)
     lam = settings.lam if "tracking" in used else 0.0
     target, _ = target_effort(task.dynamics.robot, motion, lam, settings.baseline if lam else None)
     rate: Array = np.einsum("nim,ni->nm", model.W, motion.xd)
-    sizes = scales or scales_of(model, settings, along.reduce(), task.source.end - task.source.start, rate)
+    sizes, timing = task.sized(grid, model, along.reduce(), rate, before)
     base = None
     if set(BASE) & used:
-        if read is linear_model:
+        if task.read is linear_model:
             raise UnsupportedRobotError(
                 f"The base wrench of {task.dynamics.robot.name} is no sum over its carriers.",
                 remedy="Balancing needs carriers that slide or turn, each on a link of its own.",
             )
         rest = load_at_rest(task.dynamics, motion, settings.start, settings.base_point)
         base = base_wrench(along, rest, settings.base_point, turning=turns(task.dynamics.robot))
-        if scales is None:
+        if before is None:
             sizes = replace(sizes, base=base.sizes(sizes.sdd), length=task.dynamics.robot.characteristic_length)
-    exact = along if read is linear_model and has_expressions(along) else None
-    return Problem(grid, model, singular, read_only(rate), read_only(target), settings, sizes, exact, base), read
+    exact = along if task.read is linear_model and has_expressions(along) else None
+    return Problem(
+        grid, model, singular, read_only(rate), read_only(target), settings, sizes, exact, base, timing=timing
+    )
 
 
 def scales_of(model: CarrierModel, settings: Settings, parked: ReducedDynamics, duration: float, rate: Array) -> Scales:
@@ -287,20 +296,20 @@ def scales_of(model: CarrierModel, settings: Settings, parked: ReducedDynamics, 
     return Scales(s, sd, sdd, tau, unit * columns, size * row_scale, force, power, duration, np.ones(6), 1.0)
 
 
-def singular_nodes(task: Task, grid: Grid, read: Reader) -> tuple[SingularNode, ...]:
-    """Read the derivatives of the model at all singular nodes off the backend, by what reads the model."""
-    return tuple(_singular_node(task, grid, i, read) for i in grid.singular.tolist())
+def singular_nodes(task: Task, grid: Grid) -> tuple[SingularNode, ...]:
+    """Read the derivatives of the model at all singular nodes off the backend."""
+    return tuple(_singular_node(task, grid, i) for i in grid.singular.tolist())
 
 
-def _singular_node(task: Task, grid: Grid, index: int, read: Reader) -> SingularNode:
+def _singular_node(task: Task, grid: Grid, index: int) -> SingularNode:
     dynamics, source, dt, t = task.dynamics, task.source, task.settings.dt, float(grid.t[index])
     # of a jump, which has two nodes, the first one has its derivatives from the left
     side: Side = "left" if index < len(grid.h) and grid.h[index] == 0.0 else "right"
-    if read is carrier_model:
+    if task.read is carrier_model:
         model = TimedModel.of(dynamics, source, max(source.start, t - dt), min(source.end, t + dt))
         rate = replace(model, interpolant=model.interpolant.derivative()).at(np.array([t]), side)
     else:
-        rate = _rate_of_model(dynamics, source, t, read, side)
+        rate = _rate_of_model(task, t, side)
     here = dynamics.along(source.sample_at(np.array([t])))
     reduced = here.reduce()
     u, values, v = np.linalg.svd(scaled(reduced.W, reduced.row_scale, reduced.column_scale)[0])
@@ -312,7 +321,7 @@ def _singular_node(task: Task, grid: Grid, index: int, read: Reader) -> Singular
     turning = scaled(rate.W, reduced.row_scale, reduced.column_scale)[0]
     _require_crossing(u[:, kept:].T @ turning @ v[kept:].T / size, source, t)
     symbols = None
-    if read is linear_model:
+    if task.read is linear_model:
         edges, times = times_beside(source, t, side)
         unit = PiecewisePolynomial.from_values(edges, np.eye(len(times))[None])
         beside = dynamics.along(source.sample_at(times))
@@ -351,10 +360,10 @@ RATE_DEGREE = 5
 """Of the polynomials in time whose derivatives they are."""
 
 
-def _rate_of_model(dynamics: Dynamics, source: Motion, t: float, read: Reader, side: Side) -> CarrierModel:
+def _rate_of_model(task: Task, t: float, side: Side) -> CarrierModel:
     """Return derivatives by time of the coefficients that are read off at times around an instant."""
-    edges, times = times_beside(source, t, side)
-    model = read(dynamics.along(source.sample_at(times)))
+    edges, times = times_beside(task.source, t, side)
+    model = task.read(task.dynamics.along(task.source.sample_at(times)))
 
     def rate(values: Array) -> Array:
         polynomial = PiecewisePolynomial.from_values(edges, values.reshape(1, len(times), -1))

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import (
     LOWERED,
@@ -18,53 +20,122 @@ from redundancy_pin.planners.intersample_check import (
     PlannedMotion,
     intersample_check,
 )
-from redundancy_pin.planners.optimal.nlp import Solution
-from redundancy_pin.planners.optimal.problem import Problem, Task
-from redundancy_pin.planners.optimal.solve import Multistart, Outcome, with_seconds
+from redundancy_pin.planners.optimal.infeasible import Relaxation, relax, require_bounds
+from redundancy_pin.planners.optimal.mesh import first_mesh
+from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME
+from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
+from redundancy_pin.planners.optimal.solve import (
+    Multistart,
+    Outcome,
+    Stop,
+    first_guess,
+    multistart,
+    solve,
+)
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory.continuous_motion import Motion
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 PHASES = ("optimised",)
 
 
-@dataclass(frozen=True, eq=False)
-class Planning:
-    """What the two planners do differently.
+class Planning(ABC):
+    """One planning of a task: what least time does differently from a whole trajectory is in the subclasses.
 
     Attributes:
         name: of the planner.
         task: robot, motion and settings.
-        solve: returns solutions of a problem from a guess (scaled blocks by name; None for parked carriers), one of
-            them feasible, or raises an ``InfeasiblePlanError``; the last argument is the ``stop`` of ``solve.solve``.
-        platform: returns the motion of the platform of a solution.
-        finer: returns the problem on a finer mesh, of a solution, what is between its nodes, which (P,) pieces of that
-            the nodes do not show, and whether no mesh was finer before.
     """
 
     name: str
-    task: Task
-    solve: Callable[[Problem, Mapping[str, Array] | None, Callable[[Problem, Solution], bool]], Multistart]
-    platform: Callable[[Problem, Solution], Motion]
-    finer: Callable[[Problem, Solution, IntersampleCheck, BoolArray, bool], Problem]
 
-    def planned(self, problem: Problem, solution: Solution) -> PlannedMotion:
+    def __init__(self, task: Task) -> None:
+        self.task = task
+
+    @abstractmethod
+    def platform(self, outcome: Outcome) -> Motion:
+        """Return the motion of the platform of a solution."""
+
+    @abstractmethod
+    def finer(self, outcome: Outcome, found: IntersampleCheck, marked: BoolArray, first: bool) -> Problem:
+        """Return the problem on a finer mesh.
+
+        Args:
+            outcome: the problem on the present one, and its solution.
+            found: what is between the nodes.
+            marked: (P,) pieces of that which the nodes do not show.
+            first: whether no mesh was finer before.
+        """
+
+    def relaxation(self, problem: Problem) -> Relaxation:
+        """Return from where, and of which limits, the smallest relaxation is sought."""
+        return Relaxation(first_guess(problem))
+
+    def solve(self, problem: Problem, guess: Mapping[str, Array] | None, deadline: float, stop: Stop) -> Multistart:
+        """Return solutions from all first guesses, one of them feasible.
+
+        Where there is none the limits give way: either that names those in the way, or it finds a motion that keeps
+        them all, from which the solver begins once more.
+
+        Args:
+            problem: the numbers.
+            guess: scaled blocks by name, in place of parked carriers.
+            deadline: as for ``multistart``, s.
+            stop: as for ``solve.solve``.
+
+        Raises:
+            InfeasiblePlanError: limits have to give way (``relax``), or there is no plan for another reason.
+        """
+        first = guess
+
+        def within_limits(message: str) -> tuple[Problem, Mapping[str, Array]]:
+            robot = robot_record(self.task.dynamics.robot)
+            found = relax(problem, robot, self.relaxation(problem), message, deadline)
+            return found.problem, found.values
+
+        if guess is None and problem.timing is not None and problem.timing.exceeded_parked:
+            # the weight is more than the motors hold: refuting that takes long, and this finds the motion if any
+            problem, first = within_limits("")
+        solutions = multistart(problem, first, deadline, stop)
+        # neither relaxed above, nor an attempt with lower limits
+        if not solutions.feasible and first is guess and problem.shares is None:
+            if problem.settings.at_most:
+                require_bounds(problem, first_guess(problem), deadline)
+            problem, first = within_limits(solutions.outcomes[0].solution.message)
+            again = Outcome(problem, solve(problem, first, deadline - time.perf_counter(), stop))
+            solutions = replace(solutions, outcomes=(*solutions.outcomes, again))
+        if solutions.feasible:
+            return solutions
+        last, seconds = solutions.outcomes[-1].solution, self.task.settings.solver.seconds
+        late, remedy = last.message == OUT_OF_TIME, "Widen the limits a little, or start elsewhere."
+        raise InfeasiblePlanError(
+            f"No plan was found{f' within {seconds:g} s' if late else ''} (the solver says {last.message}; unbalanced "
+            f"by {last.violation:.2g}), although none of the limits is known to be in the way.",
+            remedy="Allow more seconds, or a coarser mesh." if late else remedy,
+            constraint="seconds" if late else "balance",
+            time=float(problem.times(last.values)[0]),
+            amount=seconds if late else last.violation,
+        )
+
+    def planned(self, outcome: Outcome) -> PlannedMotion:
         """Return what a solution plans.
 
         At singular nodes the efforts are those of the solution, which W⁻¹ f tends to; elsewhere, and with as many main
         actuators as coordinates, W τ = f leaves no choice. With more actuators the efforts are the nearest to the
         planned ones, which are linear in a step.
         """
-        robot, nodes, tau = self.task.dynamics.robot, problem.grid, problem.tau(solution.values)
-        platform, t = self.platform(problem, solution), problem.times(solution.values)
+        problem, values, robot = outcome.problem, outcome.values, self.task.dynamics.robot
+        nodes, tau, platform, t = problem.grid, problem.tau(values), self.platform(outcome), problem.times(values)
         prescribed = tau.copy()
         if robot.m <= robot.n:
             prescribed[np.setdiff1d(np.arange(len(t)), nodes.singular)] = np.nan
-        position = problem.position(solution.values).remove_offsets()
+        position = problem.position(values).remove_offsets()
         return PlannedMotion(
             self.task.dynamics,
             PlanFunctions(platform, position, preferred=PiecewisePolynomial.linear(t, tau)),
             self.task.dynamics.along(platform.sample_at(t)),
-            problem.carriers(solution.values),
+            problem.carriers(values),
             self.task.settings.limits,
             self.name,
             prescribed=prescribed,
@@ -116,22 +187,32 @@ class Planned:
             "out_of_time": self.out_of_time,
         }
 
+    def plan(self, parameters: Mapping[str, object], findings: Findings, **found: object) -> Plan:
+        """Return the plan, with what is known of it; ``found``: diagnostics beside, or in place of, those of both."""
+        known = {**self.diagnostics, **found}
+        motion = replace(self.motion, parameters=parameters, findings=findings, diagnostics=known)
+        return finish_plan(motion, self.check)
 
-def plan_and_refine(planning: Planning, problem: Problem, guess: Mapping[str, Array] | None = None) -> Planned:
+
+def plan_and_refine(planning: Planning, position: PiecewisePolynomial | None = None) -> Planned:
     """Return a plan whose nodes show its efforts, and that keeps every limit between them, as far as that is reached.
 
     Where the nodes do not show the efforts between them the mesh is refined; where a limit is exceeded by less, the
     limits at the adjacent nodes are lowered.
 
     Args:
-        planning: the planner.
-        problem: the numbers on the first mesh.
-        guess: scaled blocks by name to begin with in place of parked carriers.
+        planning: the task, and what its planner does differently.
+        position: of the carriers, to begin with in place of parked ones.
 
     Raises:
         InfeasiblePlanError: as ``Planning.solve``.
     """
-    settings = planning.task.settings
+    task, settings = planning.task, planning.task.settings
+    nodes = first_mesh(task.dynamics, task.source, settings.dt, task.slows_at_ends)
+    problem = read_problem(task, nodes)
+    guess: Mapping[str, Array] | None = None
+    if position is not None:
+        guess = problem.scaled(carriers_at(position, nodes.t))
     deadline = time.perf_counter() + settings.solver.seconds
     report = settings.solver.progress or (lambda line: None)
     ratios: list[float] = []
@@ -140,29 +221,27 @@ def plan_and_refine(planning: Planning, problem: Problem, guess: Mapping[str, Ar
 
     evaluated: list[tuple[Mapping[str, Array], PlannedMotion, IntersampleCheck]] = []
 
-    def check(problem: Problem, solution: Solution) -> tuple[PlannedMotion, IntersampleCheck]:
+    def check(outcome: Outcome) -> tuple[PlannedMotion, IntersampleCheck]:
         # what ``solve`` returns it has asked ``is_coarse`` about, with other counts of iterations
-        if not evaluated or evaluated[-1][0] is not solution.values:
-            motion = planning.planned(problem, solution)
-            evaluated[:] = [(solution.values, motion, intersample_check(motion))]
+        if not evaluated or evaluated[-1][0] is not outcome.values:
+            motion = planning.planned(outcome)
+            evaluated[:] = [(outcome.values, motion, intersample_check(motion))]
         return evaluated[-1][1:]
 
-    def is_coarse(problem: Problem, solution: Solution) -> bool:
-        _, found = check(problem, solution)
+    def is_coarse(outcome: Outcome) -> bool:
+        _, found = check(outcome)
         return refined < settings.refinements and not found.passed and bool(found.too_coarse([]).any())
 
     def refine(coarse: Planned, marked: BoolArray) -> tuple[Problem, Mapping[str, Array]]:
         nonlocal refined
-        old, solution = coarse.best.problem, coarse.best.solution
-        following = planning.finer(old, solution, coarse.check, marked, refined == 0)
+        following = planning.finer(coarse.best, coarse.check, marked, refined == 0)
         refined += 1
-        return following, old.resampled(solution.values, following)
+        return following, coarse.best.problem.resampled(coarse.best.values, following)
 
     while True:
         report(f"{len(problem.grid.t)} nodes, {len(problem.grid.singular)} of them singular: solving")
         try:
-            rest = with_seconds(problem, deadline - time.perf_counter())
-            solutions = planning.solve(rest, guess, is_coarse)
+            solutions = planning.solve(problem, guess, deadline, is_coarse)
         except InfeasiblePlanError:
             late = time.perf_counter() > deadline
             if last is None or (problem.shares is None and not late):
@@ -172,9 +251,8 @@ def plan_and_refine(planning: Planning, problem: Problem, guess: Mapping[str, Ar
             # nothing keeps the lower limits at the nodes: finer nodes may keep the limits themselves
             problem, guess = refine(last, last.check.exceeding)
             continue
-        problem = replace(solutions.best.problem, settings=settings)
-        solution = solutions.best.solution
-        motion, found = check(problem, solution)
+        problem, solution = solutions.best.problem, solutions.best.solution
+        motion, found = check(solutions.best)
         at_nodes = np.abs(problem.tau(solution.values)).max()
         duration = motion.motion.t[-1] - motion.motion.t[0]
         report(f"{duration:.6g} s, peak effort {at_nodes:.4g} at the nodes, {found.peaks.peak.max():.4g} between them")

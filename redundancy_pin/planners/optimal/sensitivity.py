@@ -15,30 +15,33 @@ more: W τ = f holds on both sides of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.dynamics.default import design_derivatives
 from redundancy_pin.dynamics.results import ReducedDynamics
-from redundancy_pin.errors import UnsupportedRobotError
+from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, UnsupportedRobotError
+from redundancy_pin.loading import with_parameters
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.optimal.path_problem import fastest_speed
 from redundancy_pin.planners.optimal.problem import PathTiming, Problem, SingularNode, Task, times_beside
 from redundancy_pin.planners.optimal.settings import Settings
 from redundancy_pin.planners.optimal.solve import Outcome
 from redundancy_pin.planners.optimal.transcription import objective_sizes, transcribe
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.singular_instant import LOST, SingularInstant
+from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.continuous_motion import Motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 STEP = 1e-6
-"""Step of the differences, relative to the parameter (``Neighbour``). Where L is affine, gradients are the same to 1e-8
-from 1e-2 to 1e-7; where it is not, they err by about this."""
+"""Step of the differences, relative to the parameter (``DesignedRobot.neighbours``). Where L is affine, gradients are
+the same to 1e-8 from 1e-2 to 1e-7; where it is not, they err by about this."""
 
 
 class DesignSlopes(NamedTuple):
@@ -54,32 +57,52 @@ class DesignSlopes(NamedTuple):
     base_wrench: Array
 
 
-class Neighbour(NamedTuple):
-    """What else a machine with one parameter changed has: limits and characteristic length, m.
+NO_ROBOT = (DeclarationError, InputError, ModelFileError)
+"""What ``with_parameters`` raises for a number of which the robot's file makes no robot: loops that do not close, a
+condition under ``requires``, a negative mass."""
 
-    ``step``: by how much the parameter is changed, in its unit; negative where a larger one makes no machine.
+
+@dataclass(frozen=True, eq=False)
+class DesignedRobot:
+    """A robot and the numbers of its file that are designed.
+
+    Attributes:
+        robot: the robot.
+        names: (d,) names of the parameters.
     """
 
-    limits: ResolvedLimits
-    length: float
-    step: float
+    robot: Robot
+    names: tuple[str, ...]
+
+    def slopes(self, motion: PlatformMotion, carriers: CarrierMotion) -> DesignSlopes:
+        """Return the derivatives along a motion by the parameters."""
+        by = design_derivatives(self.robot, motion, carriers, self.names)
+        return DesignSlopes(*(part.parameters for part in (by.W, by.f, by.carrier_force, by.base_wrench)))
+
+    @cached_property
+    def neighbours(self) -> tuple[tuple[Robot, float], ...]:
+        """(d,) the robots with one parameter changed each, and by how much; decreased where a larger one is none."""
+        return tuple(self._neighbour(name) for name in self.names)
+
+    def _neighbour(self, name: str) -> tuple[Robot, float]:
+        value = float(self.robot.parameters[name])
+        # of a number near 0 the size is not known: as in ``compiled.design``, small for a length of the machine
+        step = STEP * max(abs(value), min(1.0, self.robot.characteristic_length))
+        try:
+            return with_parameters(self.robot, **{name: value + step}), step  # type: ignore[arg-type]
+        except NO_ROBOT:
+            return with_parameters(self.robot, **{name: value - step}), -step  # type: ignore[arg-type]
 
 
-Slopes = Callable[[PlatformMotion, CarrierMotion], DesignSlopes]
-"""Derivatives of a backend by the parameters, along a motion."""
-
-
-def design_gradient(
-    task: Task, outcome: Outcome, platform: Motion, slopes: Slopes, neighbours: Sequence[Neighbour]
-) -> Array:
+def design_gradient(task: Task, outcome: Outcome, platform: Motion, designed: DesignedRobot, limits: Limits) -> Array:
     """Return (d,) derivatives of the weighted objectives, or of the duration, of an optimum by design parameters.
 
     Args:
         task: the task.
         outcome: its optimum.
         platform: motion of the platform at the optimum: that of the task, or the one along its path.
-        slopes: the backend's derivatives by the parameters.
-        neighbours: a machine with that parameter changed, for each parameter.
+        designed: the robot and its parameters.
+        limits: as given, in place of the robot's own.
 
     Raises:
         UnsupportedRobotError: f is an expression, as with carriers on carriers.
@@ -91,14 +114,15 @@ def design_gradient(
             "the optimum changes with the machine is not known.",
             remedy="Design with carriers that stand on links.",
         )
-    carriers, motion = problem.carriers(solution.values), platform.sample_at(problem.times(solution.values))
-    at_nodes, per_time = slopes(motion, carriers), task.source.sample_at(problem.grid.t).xd
-    turned = [_turned(task, outcome, platform, node, slopes) for node in problem.singular]
+    carriers, motion = problem.carriers(outcome.values), platform.sample_at(problem.times(outcome.values))
+    at_nodes, per_time = designed.slopes(motion, carriers), task.source.sample_at(problem.grid.t).xd
+    turned = [_turned(task, outcome, platform, node, designed) for node in problem.singular]
     at_optimum, at_length = _lagrangian(outcome, problem), task.dynamics.robot.characteristic_length
     size = problem.scales.duration if timing else problem.settings.weighted(objective_sizes(problem))
     gradient = np.empty(at_nodes.f.shape[-1])
-    base = base_slopes(problem.settings, motion, at_nodes.base_wrench, slopes)
-    for j, (limits, length, step) in enumerate(neighbours):
+    base = base_slopes(problem.settings, motion, at_nodes.base_wrench, designed)
+    for j, (robot, step) in enumerate(designed.neighbours):
+        own = limits.resolved(robot)
         W, f, force = (step * part[..., j] for part in (at_nodes.W, at_nodes.f, at_nodes.carrier_force))
         model, rate = problem.model, problem.actuated_rate + np.einsum("nim,ni->nm", W, per_time)
         moved = replace(
@@ -111,10 +135,10 @@ def design_gradient(
                 replace(node, rate=replace(node.rate, f0=_added(node.rate.f0, -step * change[None, :, j], timing)))
                 for node, change in zip(problem.singular, turned, strict=True)
             ),
-            settings=replace(problem.settings, limits=limits),
-            scales=replace(problem.scales, length=problem.scales.length + length - at_length),
+            settings=replace(problem.settings, limits=own),
+            scales=replace(problem.scales, length=problem.scales.length + robot.characteristic_length - at_length),
             base=problem.base and replace(problem.base, w0=problem.base.w0 + step * base[..., j]),
-            timing=timing and replace(timing, fastest=fastest_speed(rate, limits)),
+            timing=timing and replace(timing, fastest=fastest_speed(rate, own)),
         )
         gradient[j] = size * (_lagrangian(outcome, moved) - at_optimum) / step
     return read_only(gradient)
@@ -127,21 +151,21 @@ def _added(coefficients: Array, change: Array, timing: PathTiming | None) -> Arr
     return added
 
 
-def base_slopes(settings: Settings, motion: PlatformMotion, by: Array, slopes: Slopes) -> Array:
+def base_slopes(settings: Settings, motion: PlatformMotion, by: Array, designed: DesignedRobot) -> Array:
     """Return (N, 6, d) derivatives of the wrench on the base about the point, less the load at rest, N and N·m.
 
     ``by`` (N, 6, d): those of the wrench about the world origin.
     """
     still, rest = np.zeros_like(motion.xd[:1]), np.zeros((1, len(settings.start)))
     standing = PlatformMotion(motion.t[:1], motion.x[:1], still, still)
-    less = by - slopes(standing, CarrierMotion(settings.start[None], rest, rest)).base_wrench
+    less = by - designed.slopes(standing, CarrierMotion(settings.start[None], rest, rest)).base_wrench
     moment = less[:, 3:] - np.cross(settings.base_point, np.moveaxis(less[:, :3], 1, -1)).swapaxes(1, 2)
     return np.concatenate([less[:, :3], moment], axis=1)
 
 
-def _turned(task: Task, outcome: Outcome, platform: Motion, node: SingularNode, slopes: Slopes) -> Array:
+def _turned(task: Task, outcome: Outcome, platform: Motion, node: SingularNode, designed: DesignedRobot) -> Array:
     """Return (n, d) the rate of δW τ − δf along the plan at a singular node: by time, along a path by its length."""
-    problem, values, i = outcome.problem, outcome.solution.values, node.index
+    problem, values, i = outcome.problem, outcome.values, node.index
     plan, tau, nodes = problem.carriers(values), problem.tau(values), problem.times(values)
     t, h, jump = float(nodes[i]), np.diff(nodes), problem.grid.h == 0.0
     before = i == len(h) or bool(jump[i])
@@ -164,7 +188,7 @@ def _turned(task: Task, outcome: Outcome, platform: Motion, node: SingularNode, 
         fitted = PiecewisePolynomial.from_values(edges, values.reshape(1, len(times), -1))
         return fitted.at(t).reshape(values.shape[1:]), fitted.derivative().at(t).reshape(values.shape[1:])
 
-    instant, by_design = SingularInstant.along(reduced_at, edges, t), slopes(*at(times))
+    instant, by_design = SingularInstant.along(reduced_at, edges, t), designed.slopes(*at(times))
     by_W, by_W_rate = rate(by_design.W)
     _, by_f_rate = rate(by_design.f)
     tau_rate = np.linalg.lstsq(instant.W, instant.f_rate - instant.W_rate @ tau[i], rcond=LOST)[0]

@@ -16,6 +16,7 @@ from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.optimal.objectives import OBJECTIVES
 from redundancy_pin.planners.options import (
     CALM,
+    FEWEST_STEPS,
     LARGEST_STEP,
     Limits,
     Mesh,
@@ -35,6 +36,12 @@ End = Literal["free", "rest", "datum", "periodic"]
 
 REFUSED = {"steps": "the nodes are in time, and dt is their largest distance"}
 """Fields of groups that a plan over a given time does not take, and why."""
+
+REFUSED_ON_A_PATH = {
+    "dt": "the timing is planned, and steps is the least number of steps along the path",
+    "starts": "there is one first guess, a harmonic motion along the path",
+}
+"""The same of a plan whose timing is planned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,15 +97,28 @@ def checked_settings(
     solver: Solver | None = None,
     start: ArrayLike | None = None,
     start_speed: ArrayLike = 0.0,
+    begin: Begin = "datum",
     end: End = "datum",
     datum: ArrayLike = 0.0,
     at_most: Mapping[str, float] | None = None,
+    lap: bool = False,
+    length: float | None = None,
 ) -> Settings:
-    """Return the settings of a plan over a whole trajectory after checking every option."""
+    """Return the settings of a plan after checking every option, as the planners take it.
+
+    ``length``: of a path whose timing is planned, m; then nothing but the time is minimised.
+
+    Raises:
+        InputError: an option out of its domain, or one that does not apply.
+    """
+    one_of(begin, "begin", get_args(Begin))
     one_of(end, "end", get_args(End))
     goal, mesh, solver = Objective.of(objective), group_of(mesh, Mesh), group_of(solver, Solver)
-    refuse_fields(REFUSED, mesh)
+    refuse_fields(REFUSED if length is None else REFUSED_ON_A_PATH, mesh, solver)
     weights = weights_of(goal.weights or {}, OBJECTIVES)
+    dt = LARGEST_STEP if mesh.dt is None else mesh.dt
+    if length is not None:
+        weights, dt = {}, length / (FEWEST_STEPS if mesh.steps is None else mesh.steps)
     resolved = group_of(limits, Limits).resolved(robot)
     park = resolved.on_track(datum, "datum")
     return Settings(
@@ -110,12 +130,14 @@ def checked_settings(
         limits=resolved,
         start=park if start is None else resolved.on_track(start, "start"),
         start_speed=frozen(each(start_speed, "start_speed", (robot.k,), finite=True)),
+        begin=begin,
         end=end,
         datum=park,
-        dt=LARGEST_STEP if mesh.dt is None else mesh.dt,
+        dt=dt,
         refinements=mesh.refinements,
         solver=solver,
         at_most=_bounds(at_most or {}),
+        lap=lap,
     )
 
 

@@ -27,7 +27,7 @@ from redundancy_pin.planners.optimal.nlp import (
     solve_nlp,
 )
 from redundancy_pin.planners.optimal.problem import PathTiming, Problem
-from redundancy_pin.planners.optimal.transcription import RESERVE, relaxed_bounds, transcribe
+from redundancy_pin.planners.optimal.transcription import RESERVE, VARIABLES, scaled_bounds, transcribe
 
 ROUNDS = 4
 """Rounds of adding rows, after which all steps have them."""
@@ -39,22 +39,40 @@ AROUND = 2
 """Steps on both sides of one that leaves a limit that get rows as well: the next solution would leave it there."""
 
 
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """A problem, and what the solver ended with."""
+
+    problem: Problem
+    solution: Solution
+
+    @property
+    def values(self) -> dict[str, Array]:
+        """The variables by name, scaled."""
+        return self.solution.values
+
+
+Stop = Callable[[Outcome], bool]
+"""Says of an optimum with limits at the nodes that it will do, as where it asks for other nodes anyway."""
+
+
 def solve(
     problem: Problem,
     guess: Mapping[str, Array],
     seconds: float,
-    stop: Callable[[Problem, Solution], bool] | None = None,
+    stop: Stop | None = None,
     *,
     elastic: Sequence[str] = (),
     most: int | None = None,
+    first: Options | None = None,
     warm: Options = WARM,
 ) -> Solution:
     """Solve a problem with every limit held at the nodes and between them.
 
     ``guess``: first guess, scaled blocks by name; with efforts, an optimum of the same task; ``seconds``: time bound,
-    s; ``stop``: says of an optimum with limits at the nodes that it will do, as where it asks for other nodes anyway;
-    ``elastic``: kinds of limits that give way (``transcribe``); ``most``: bound of the iterations;
-    ``warm``: options from an optimum.
+    s; ``stop``: ends the rounds in which rows are added;
+    ``elastic``: kinds of limits that give way (``transcribe``); ``most``: bound of the iterations; ``first``: options
+    from the first guess, ``FIRST`` or, with efforts, ``warm`` when left out; ``warm``: those from an optimum.
 
     Returns:
         An optimum that keeps every limit; or where that is not reached, the outcome with ``feasible`` as found.
@@ -72,13 +90,12 @@ def solve(
     iterations, spent = 0, 0.0
     for added in range(ROUNDS + 2):
         nlp = transcribe(problem, elastic, between=between, limit_force=limit_force)
-        # where limits give way at a price that was another, the last solution is no optimum to begin with
-        first = warm if added or ("tau" in guess and not elastic) else FIRST
+        begin = warm if added else first or (warm if "tau" in guess else FIRST)
         if most is not None:
-            first = {**first, "ipopt.max_iter": most - iterations}
+            begin = {**begin, "ipopt.max_iter": most - iterations}
         # a bound below the least there is takes long to refute here, and one solution elsewhere (``require_bounds``)
         attempts: list[Solution] = []
-        for options in (first,) if problem.settings.at_most or elastic else (first, FALLBACK):
+        for options in (begin,) if problem.settings.at_most or elastic else (begin, FALLBACK):
             left = max(deadline - time.perf_counter(), LEAST_SECONDS)
             attempt = solve_nlp(nlp, guess, left, options, problem.settings.solver.progress, patience)
             iterations, spent = iterations + attempt.iterations, spent + attempt.seconds
@@ -88,11 +105,11 @@ def solve(
             guess = attempt.values if attempt.feasible else guess
         solution = min(attempts, key=preference)
         leaves = leaves_limits(problem, solution.values) & ~between
-        beyond = not limit_force and exceeds_force(problem, solution)
+        beyond = not limit_force and exceeds_force(Outcome(problem, solution))
         if not solution.feasible or not (leaves.any() or beyond):
             break
         # forces beyond their limits at the nodes are no matter of the mesh
-        if solution.optimal and not beyond and stop is not None and stop(problem, solution):
+        if solution.optimal and not beyond and stop is not None and stop(Outcome(problem, solution)):
             return replace(solution, iterations=iterations, seconds=spent)
         limit_force = limit_force or beyond
         between = between | widened(leaves, AROUND) if added < ROUNDS else np.ones_like(between)
@@ -108,12 +125,6 @@ def preference(solution: Solution) -> tuple[bool, bool, float]:
     return not solution.feasible, not solution.optimal, solution.cost
 
 
-def with_seconds(problem: Problem, seconds: float) -> Problem:
-    """Return a problem for whose solution there is so much time, s; ``LEAST_SECONDS`` at least."""
-    solver = replace(problem.settings.solver, seconds=max(seconds, LEAST_SECONDS))
-    return replace(problem, settings=replace(problem.settings, solver=solver))
-
-
 def leaves_limits(problem: Problem, values: Mapping[str, Array], by: float = 0.0) -> BoolArray:
     """Return (M − 1,) the steps inside which track or speed limits are exceeded, by more than a part of the reserve.
 
@@ -122,9 +133,9 @@ def leaves_limits(problem: Problem, values: Mapping[str, Array], by: float = 0.0
     exceeded = np.zeros(len(problem.grid.h), dtype=bool)
     if not problem.model.k:
         return exceeded
-    bounds, position = relaxed_bounds(problem, values), problem.position(values)
-    for name, function in (("s", position), ("sd", position.derivative())):
-        (lower, upper), size = bounds[name], getattr(problem.scales, name)
+    bounds, position = scaled_bounds(problem, values), problem.position(values)
+    for kind, function in (("track", position), ("speed", position.derivative())):
+        (lower, upper), size = bounds[kind], getattr(problem.scales, VARIABLES[kind])
         width = upper - lower
         spare = by + 0.25 * RESERVE * np.where(np.isfinite(width), width, 0.0)
         least, most = function.ranges()
@@ -132,10 +143,11 @@ def leaves_limits(problem: Problem, values: Mapping[str, Array], by: float = 0.0
     return exceeded
 
 
-def exceeds_force(problem: Problem, solution: Solution) -> bool:
+def exceeds_force(outcome: Outcome) -> bool:
     """Return whether a carrier needs more force at a node than its limit."""
-    low, high = relaxed_bounds(problem, solution.values)["force"]
-    force = problem.carrier_force(solution.values) / problem.scales.force
+    problem, values = outcome.problem, outcome.values
+    low, high = scaled_bounds(problem, values)["carrier_force"]
+    force = problem.carrier_force(values) / problem.scales.force
     return bool(((force > high) | (force < low)).any())
 
 
@@ -152,17 +164,6 @@ SAME_COST = 1e-5
 
 SAME_MOTION = 0.01
 """Difference of the positions, as a fraction of half the track, from which they are."""
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """What one first guess led to.
-
-    ``problem``: the numbers that were solved with; ``solution``: the solution.
-    """
-
-    problem: Problem
-    solution: Solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,22 +212,21 @@ def _is_same(one: Solution, other: Solution) -> bool:
 
 
 def multistart(
-    problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Problem, Solution], bool] | None = None
+    problem: Problem, guess: Mapping[str, Array] | None, deadline: float, stop: Stop | None = None
 ) -> Multistart:
-    """Solve from all first guesses, as far as the time bound of the settings allows.
+    """Solve from all first guesses, as far as the time allows.
 
-    ``guess``: scaled blocks by name to begin with in place of parked carriers; ``stop``: as for ``solve``.
+    ``guess``: scaled blocks by name to begin with in place of parked carriers; ``deadline``: on the clock of
+    ``time.perf_counter``, s; ``stop``: as for ``solve``.
     """
-    solver = problem.settings.solver
-    deadline = time.perf_counter() + solver.seconds
     outcomes: list[Outcome] = []
-    for number in range(solver.starts):
+    for number in range(problem.settings.solver.starts):
         left = deadline - time.perf_counter()
         if outcomes and left <= 0.0:
             break
         first = guess if number == 0 and guess is not None else first_guess(problem, number)
         outcomes.append(Outcome(problem, solve(problem, first, max(left, LEAST_SECONDS), stop)))
-    return Multistart(tuple(outcomes), solver.starts)
+    return Multistart(tuple(outcomes), problem.settings.solver.starts)
 
 
 def first_guess(problem: Problem, number: int = 0) -> dict[str, Array]:

@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import get_args
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, frozen, one_of
+from redundancy_pin.arrays import Array, BoolArray, frozen
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
-from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.errors import InputError
 from redundancy_pin.planners.carrier_model import require_carriers
-from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import IntersampleCheck, intersample_check
-from redundancy_pin.planners.optimal.infeasible import relax
-from redundancy_pin.planners.optimal.mesh import NEAR_SINGULAR, first_mesh, steps_around, with_nodes
-from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
-from redundancy_pin.planners.optimal.path_problem import read_path_problem
-from redundancy_pin.planners.optimal.problem import Problem, Task, at_pace, required
+from redundancy_pin.planners.optimal.infeasible import Relaxation
+from redundancy_pin.planners.optimal.mesh import NEAR_SINGULAR, steps_around, with_nodes
+from redundancy_pin.planners.optimal.path_problem import PathTask
+from redundancy_pin.planners.optimal.problem import Problem, at_pace, read_problem, required
 from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
-from redundancy_pin.planners.optimal.settings import Begin, End, Settings
-from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, with_seconds
-from redundancy_pin.planners.optimal.transcription import KIND_OF, scaled_bounds, slack_name
-from redundancy_pin.planners.options import FEWEST_STEPS, Limits, Mesh, Solver, group_of, refuse_fields, takes_groups
+from redundancy_pin.planners.optimal.settings import REFUSED_ON_A_PATH, Begin, End, checked_settings
+from redundancy_pin.planners.optimal.solve import Outcome, first_guess
+from redundancy_pin.planners.optimal.transcription import VARIABLES, scaled_bounds, slack_name
+from redundancy_pin.planners.options import Limits, Mesh, Solver, takes_groups
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory.continuous_motion import Motion, as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Path
@@ -50,18 +45,11 @@ three and four times: at a cusp of the path, where the platform nearly stops, 10
 LONGEST_STEP = 0.05
 """Of the whole time, that a step may last when others are refined: where the platform nearly stands still."""
 
-NEVER_KEPT = ("effort", "force", "track")
+NEVER_KEPT = ("effort", "carrier_force", "track")
 """Limits that a motion may exceed however slow it is, as under gravity beside a singularity."""
 
 
-REFUSED = {
-    "dt": "the timing is planned, and steps is the least number of steps along the path",
-    "starts": "there is one first guess, a harmonic motion along the path",
-}
-"""Fields of groups that the planner does not take, and why."""
-
-
-@takes_groups(REFUSED)
+@takes_groups(REFUSED_ON_A_PATH)
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_time_optimal(
     dynamics: DynamicsLike,
@@ -110,33 +98,16 @@ def plan_time_optimal(
             names those that would suffice, as ``plan_whole_trajectory``. Or a singularity is touched.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
-    return optimise_timing(path_task(as_dynamics(dynamics), path, limits, mesh, solver, begin, end, datum, lap))[0]
+    options = {"limits": limits, "mesh": mesh, "solver": solver, "begin": begin, "end": end, "datum": datum, "lap": lap}
+    return optimise_timing(path_task(as_dynamics(dynamics), path, **options))[0]
 
 
-@dataclass(frozen=True, eq=False)
-class PathTask(Task):
-    """A path whose timing is planned; the motion of the task runs along it at unit speed."""
-
-    path: Path
-
-
-def path_task(
-    dynamics: Dynamics,
-    path: Path | Trajectory,
-    limits: Limits | None = None,
-    mesh: Mesh | None = None,
-    solver: Solver | None = None,
-    begin: Begin = "datum",
-    end: End = "datum",
-    datum: ArrayLike = 0.0,
-    lap: bool = False,
-) -> PathTask:
+def path_task(dynamics: Dynamics, path: Path | Trajectory, **options: Any) -> PathTask:
     """Return the task of ``plan_time_optimal`` after checking every option.
 
     Raises:
         InputError: as ``plan_time_optimal``.
     """
-    robot = dynamics.robot
     path = path.path if isinstance(path, Trajectory) else path
     if not (hasattr(path, "evaluate") and hasattr(path, "length")):
         raise InputError(
@@ -144,35 +115,18 @@ def path_task(
             remedy="Pass a path or a trajectory: samples have a timing of their own.",
             name="path",
         )
-    one_of(begin, "begin", get_args(Begin))
-    one_of(end, "end", get_args(End))
-    mesh, solver = group_of(mesh, Mesh), group_of(solver, Solver)
-    refuse_fields(REFUSED, mesh, solver)
-    resolved = group_of(limits, Limits).resolved(robot)
-    if not (np.isfinite(resolved.effort).any() or np.isfinite(resolved.actuator_speed).any()):
+    settings = checked_settings(dynamics.robot, length=path.length, **options)
+    if not (np.isfinite(settings.limits.effort).any() or np.isfinite(settings.limits.actuator_speed).any()):
         raise InputError(
             "Nothing limits the time.",
             remedy="Limit the efforts, as by effort=2.0, or the rates of the actuators, as by actuator_speed=1.0.",
             name="effort",
         )
-    park, count = resolved.on_track(datum, "datum"), FEWEST_STEPS if mesh.steps is None else mesh.steps
-    if robot.k:
-        require_carriers(robot)
+    if dynamics.robot.k:
+        require_carriers(dynamics.robot)
     unit = as_motion(Trajectory(path, uniform_law(path.length, path.length)))
-    if lap:
+    if settings.lap:
         _require_closed(unit)
-    settings = Settings(
-        limits=resolved,
-        start=park,
-        start_speed=np.zeros(robot.k),
-        end=end,
-        datum=park,
-        dt=path.length / count,
-        refinements=mesh.refinements,
-        solver=solver,
-        begin=begin,
-        lap=lap,
-    )
     return PathTask(dynamics, unit, settings, path)
 
 
@@ -184,18 +138,7 @@ def optimise_timing(task: PathTask) -> tuple[Plan, Outcome, Motion]:
     """
     began = time.perf_counter()
     settings = task.settings
-    nodes = first_mesh(task.dynamics, task.source, settings.dt, ends=not settings.lap)
-    problem = read_path_problem(task, nodes)
-
-    def finer_relaxed(problem: Problem, solution: Solution) -> Problem | None:
-        found = intersample_check(planning.planned(problem, solution))
-        found = replace(found, use=np.zeros_like(found.use))  # limits that give way are no reason
-        marked = found.too_coarse([])
-        return _finer(task, problem, solution, found, marked, False) if marked.any() else None
-
-    solve, platform = partial(_solve, task, finer_relaxed), partial(platform_of, task.path)
-    planning = Planning("time_optimal", task, solve, platform, partial(_finer, task))
-    planned = plan_and_refine(planning, problem)
+    planned = plan_and_refine(LeastTime(task))
     parameters = {
         "begin": settings.begin,
         "end": settings.end,
@@ -205,55 +148,55 @@ def optimise_timing(task: PathTask) -> tuple[Plan, Outcome, Motion]:
         "seconds": settings.solver.seconds,
         "refinements": settings.refinements,
     }
-    found = {**planned.diagnostics, "seconds": time.perf_counter() - began}
-    motion = replace(planned.motion, parameters=parameters, findings=planned.findings, diagnostics=found)
-    return finish_plan(motion, planned.check), planned.best, motion.functions.platform
+    plan = planned.plan(parameters, planned.findings, seconds=time.perf_counter() - began)
+    return plan, planned.best, planned.motion.functions.platform
 
 
-Finer = Callable[[Problem, Solution], Problem | None]
+class LeastTime(Planning):
+    """A plan of the timing along a path."""
 
+    name = "time_optimal"
+    task: PathTask
 
-def _solve(
-    task: Task,
-    finer: Finer,
-    problem: Problem,
-    guess: Mapping[str, Array] | None,
-    stop: Callable[[Problem, Solution], bool],
-) -> Multistart:
-    """Solve from a harmonic motion with parked carriers; ``guess``: scaled blocks by name in its place.
+    def platform(self, outcome: Outcome) -> Motion:
+        """Return the motion of the platform along the path by the law of a solution."""
+        law, t = law_of(outcome), outcome.problem.times(outcome.values)
+        breaks = t[:-1][outcome.problem.grid.h == 0.0]
+        knots = frozen(np.setdiff1d(law.edges[1:-1], breaks))
+        timed = Trajectory(self.task.path, TimingLaw.of(law, self.task.path.length))
+        return Motion(timed, law.start, law.end, law.end, frozen(breaks), knots, True)
 
-    ``finer``: as for ``relax``.
-    """
-    deadline = time.perf_counter() + problem.settings.solver.seconds
-    exceeded, first = required(problem.timing).exceeded_parked, guess
+    def finer(self, outcome: Outcome, found: IntersampleCheck, marked: BoolArray, first: bool) -> Problem:
+        """Return the problem with nodes halfway in time in the steps around the times that exceed, and in long ones.
 
-    def within_limits(kinds: tuple[str, ...], message: str) -> tuple[Problem, Mapping[str, Array]]:
-        """Return a problem and a motion that keeps every limit; raises as ``relax`` where there is none."""
-        rest, robot = with_seconds(problem, deadline - time.perf_counter()), robot_record(task.dynamics.robot)
-        found, solution = relax(rest, robot, _parked(problem, kinds), message, kinds, finer)
-        return found, solution.values
+        In steps that are halved once the jerk is continuous there: the efforts are seen, and no more is free. Those
+        that are halved more often need more freedom, as at a cusp, where p̈ changes within a step of the first mesh.
+        """
+        problem = outcome.problem
+        grid, times = problem.grid, problem.times(outcome.values)
+        h = np.diff(times)
+        is_long = h > LONGEST_STEP * times[-1]
+        halvings = is_long.astype(int)
+        for count, least in enumerate(HALVED_AGAIN, start=1):
+            halvings[steps_around(times, found.middle[marked & (found.worst > least)], NEIGHBOURS)] = count
+        halvings[h == 0.0] = 0
+        smooth = ~is_long & (halvings == 1)
+        steps = np.repeat(np.arange(len(h)), 2**halvings - 1)
+        share = np.concatenate([np.arange(1, 2**level) / 2**level for level in halvings.tolist()])
+        # ṗ is quadratic in a step with Bézier points of at least zero: an eighth of the step or more is on either side
+        places = law_of(outcome)(times[steps] + share * h[steps])[:, 0]
+        return read_problem(self.task, with_nodes(grid, steps, places, smooth[steps]), problem)
 
-    if guess is None and exceeded:
-        # the weight is more than the motors hold: refuting that takes long, and this finds a motion where there is one
-        problem, first = within_limits(exceeded, "")
-    solutions = multistart(with_seconds(problem, deadline - time.perf_counter()), first, stop)
-    solution, seconds = solutions.best.solution, task.settings.solver.seconds
-    is_new = first is guess and problem.shares is None  # neither relaxed above, nor an attempt with lower limits
-    if is_new and not solution.feasible and solution.message != OUT_OF_TIME:
-        problem, first = within_limits(exceeded or NEVER_KEPT[: 3 if task.dynamics.robot.k else 1], solution.message)
-        solutions = multistart(with_seconds(problem, deadline - time.perf_counter()), first, stop)
-        solution = solutions.best.solution
-    if solution.feasible:
-        return solutions
-    late = solution.message == OUT_OF_TIME
-    raise InfeasiblePlanError(
-        f"No timing was found{f' within {seconds:g} s' if late else ''} (the solver says {solution.message}; "
-        f"unbalanced by {solution.violation:.2g}), although none of the limits is known to be in the way.",
-        remedy="Allow more seconds." if late else "Raise the limits of efforts or carriers, or leave the end free.",
-        constraint="seconds" if late else "effort",
-        time=0.0,
-        amount=solution.violation,
-    )
+    def relaxation(self, problem: Problem) -> Relaxation:
+        """Return a relaxation of the loads from the motion with parked carriers."""
+        kinds = required(problem.timing).exceeded_parked or NEVER_KEPT[: 3 if self.task.dynamics.robot.k else 1]
+        return Relaxation(_parked(problem, kinds), kinds, self._finer_relaxed)
+
+    def _finer_relaxed(self, outcome: Outcome) -> Problem | None:
+        found = intersample_check(self.planned(outcome))
+        found = replace(found, use=np.zeros_like(found.use))  # limits that give way are no reason
+        marked = found.too_coarse([])
+        return self.finer(outcome, found, marked, False) if marked.any() else None
 
 
 def _parked(problem: Problem, kinds: tuple[str, ...]) -> dict[str, Array]:
@@ -263,48 +206,16 @@ def _parked(problem: Problem, kinds: tuple[str, ...]) -> dict[str, Array]:
     tau: Array = np.einsum("nmi,ni->nm", np.linalg.pinv(loads.W, rcond=NEAR_SINGULAR), loads.f0)
     guess |= {"tau": tau / u.tau, "force": loads.force0 / u.force}
     bounds = scaled_bounds(problem)
-    for name, kind in KIND_OF.items():
-        if kind in kinds and name in ("tau", "force"):
-            use = np.abs(guess[name]) / bounds[name][1]
-            guess[slack_name(kind)] = np.full((len(tau), 1), max(float(use.max(initial=0.0)) - 1.0, 0.0))
+    for kind in set(kinds) & {"effort", "carrier_force"}:
+        use = np.abs(guess[VARIABLES[kind]]) / bounds[kind][1]
+        guess[slack_name(kind)] = np.array([[max(float(use.max(initial=0.0)) - 1.0, 0.0)]])
     return guess
 
 
-def platform_of(path: Path, problem: Problem, solution: Solution) -> Motion:
-    """Return the motion of the platform along the path by the law of a solution."""
-    law, t = law_of(problem, solution), problem.times(solution.values)
-    breaks = t[:-1][problem.grid.h == 0.0]
-    knots = frozen(np.setdiff1d(law.edges[1:-1], breaks))
-    timed = Trajectory(path, TimingLaw.of(law, path.length))
-    return Motion(timed, law.start, law.end, law.end, frozen(breaks), knots, True)
-
-
-def _finer(
-    task: Task, problem: Problem, solution: Solution, found: IntersampleCheck, marked: BoolArray, first: bool
-) -> Problem:
-    """Return the problem with nodes halfway in time in the steps around the times that exceed, and in long ones.
-
-    In steps that are halved once the jerk is continuous there: the efforts are seen, and no more is free. Those that
-    are halved more often need more freedom, as at a cusp, where p̈ changes within a step of the first mesh.
-    """
-    grid, times = problem.grid, problem.times(solution.values)
-    h = np.diff(times)
-    is_long = h > LONGEST_STEP * times[-1]
-    halvings = is_long.astype(int)
-    for count, least in enumerate(HALVED_AGAIN, start=1):
-        halvings[steps_around(times, found.middle[marked & (found.worst > least)], NEIGHBOURS)] = count
-    halvings[h == 0.0] = 0
-    smooth = ~is_long & (halvings == 1)
-    steps = np.repeat(np.arange(len(h)), 2**halvings - 1)
-    share = np.concatenate([np.arange(1, 2**level) / 2**level for level in halvings.tolist()])
-    # ṗ is quadratic in a step with Bézier points of at least zero: an eighth of the step, or more, is on either side
-    places = law_of(problem, solution)(times[steps] + share * h[steps])[:, 0]
-    return read_path_problem(task, with_nodes(grid, steps, places, smooth[steps]), problem)
-
-
-def law_of(problem: Problem, solution: Solution) -> PiecewisePolynomial:
+def law_of(outcome: Outcome) -> PiecewisePolynomial:
     """Return the place on the path as a function of time, m."""
-    timing, values = required(problem.timing), solution.values
+    problem, values = outcome.problem, outcome.values
+    timing = required(problem.timing)
     pd, pdd = values["pd"] * timing.speed, values["pdd"] * timing.acceleration
     return PiecewisePolynomial.linear(problem.times(values), problem.grid.t[:, None], pd, pdd)
 

@@ -34,11 +34,11 @@ BEYOND = 0.25 * RESERVE
 LEAST_RANGE = 1e-3
 """Least scaled limit of efforts and forces that gives way by a fraction of itself; smaller ones by one of this."""
 
-KINDS = ("track", "speed", "acceleration", "jerk", "effort", "force", "end", "at_most")
-"""Limits that an elastic programme lets go, beside those of further ``QUANTITIES``."""
+VARIABLES = {"track": "s", "speed": "sd", "acceleration": "sdd", "effort": "tau", "carrier_force": "force"}
+"""The variable that each of ``QUANTITIES`` limits; others are limited by rows."""
 
-KIND_OF = {"s": "track", "sd": "speed", "sdd": "acceleration", "tau": "effort", "force": "force"}
-"""Limit of each variable."""
+KINDS = ("track", "speed", "acceleration", "jerk", "effort", "carrier_force", "end", "at_most")
+"""Limits that an elastic programme lets go, beside those of further ``QUANTITIES``."""
 
 ELASTIC_OBJECTIVE = 1e-6
 """Weight of the objective beside the fractions by which limits are exceeded: it decides only between equal ones."""
@@ -66,8 +66,11 @@ SHARED = 8
 """Nodes that share one copy of the peak: one a node is more unknowns, one for all fills the solver's factors."""
 
 
-def scaled_bounds(problem: Problem) -> dict[str, tuple[Array, Array]]:
-    """Return lower and upper bounds of s, ṡ, s̈, τ and the carriers' force over their sizes, a little narrowed."""
+def scaled_bounds(problem: Problem, values: Mapping[str, Array] | None = None) -> dict[str, tuple[Array, Array]]:
+    """Return lower and upper bounds of ``VARIABLES`` over their sizes, by the limit, a little narrowed.
+
+    ``values``: variables by name, of which the fractions that an elastic programme ended with let the bounds out.
+    """
     settings, u = problem.settings, problem.scales
     limits = settings.limits
     (lower, upper), speed = limits.track.T, limits.speed
@@ -80,29 +83,21 @@ def scaled_bounds(problem: Problem) -> dict[str, tuple[Array, Array]]:
     )
     at_start = np.abs(settings.start_speed)
     on_limit = (at_start > speed * (1.0 - RESERVE)) & (at_start <= speed)
-    most = {
-        "sd": np.where(on_limit, speed * (1.0 + BEYOND + RESERVE), speed) / u.sd,
-        "sdd": limits.acceleration / u.sdd,
-        "tau": limits.effort / u.tau,
-        "force": limits.carrier_force / u.force,
-    }
-    if problem.shares is not None:
-        m, k = len(limits.effort), len(limits.names)
-        most |= {"tau": most["tau"] * problem.shares[:, :m], "force": most["force"] * problem.shares[:, m : m + k]}
-    # IPOPT ends the process where the bounds of a variable are nearer than rounding
-    most |= {name: np.maximum(most[name], RESERVE) for name in ("tau", "force")}
-    symmetric = {name: (-bound * (1.0 - RESERVE), bound * (1.0 - RESERVE)) for name, bound in most.items()}
-    return {"s": ((lower + low_margin) / u.s, (upper - high_margin) / u.s), **symmetric}
-
-
-def relaxed_bounds(problem: Problem, values: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
-    """Return ``scaled_bounds``, let out by the fractions that an elastic programme ended with, if it was one."""
-    bounds = scaled_bounds(problem)
-    for name, kind in KIND_OF.items():
-        if slack_name(kind) in values:
-            (lower, upper), fraction = bounds[name], float(values[slack_name(kind)][0, 0])
-            more = fraction * half_range(kind, lower, upper)
-            bounds[name] = lower - more, upper + more
+    most = {kind: limits.of(kind) / getattr(u, name) for kind, name in VARIABLES.items() if kind != "track"}
+    most["speed"] = np.where(on_limit, speed * (1.0 + BEYOND + RESERVE), speed) / u.sd
+    first = 0
+    for kind in ("effort", "carrier_force"):
+        count = len(most[kind])
+        if problem.shares is not None:
+            most[kind] = most[kind] * problem.shares[:, first : first + count]
+        # IPOPT ends the process where the bounds of a variable are nearer than rounding
+        most[kind], first = np.maximum(most[kind], RESERVE), first + count
+    bounds = {kind: (-bound * (1.0 - RESERVE), bound * (1.0 - RESERVE)) for kind, bound in most.items()}
+    bounds["track"] = (lower + low_margin) / u.s, (upper - high_margin) / u.s
+    for kind, (low, high) in bounds.items():
+        if values is not None and slack_name(kind) in values:
+            more = float(values[slack_name(kind)][0, 0]) * half_range(kind, low, high)
+            bounds[kind] = low - more, high + more
     return bounds
 
 
@@ -112,7 +107,7 @@ def half_range(kind: str, lower: Array, upper: Array) -> Array:
     1 without a bound. Of efforts and forces ``LEAST_RANGE`` at least: a fraction of a much smaller limit, as large as
     these need, is beyond the solver.
     """
-    half = np.maximum(0.5 * (upper - lower), LEAST_RANGE if kind in ("effort", "force") else 0.0)
+    half = np.maximum(0.5 * (upper - lower), LEAST_RANGE if kind in ("effort", "carrier_force") else 0.0)
     return np.where(np.isfinite(half) & (upper > lower), half, 1.0)
 
 
@@ -134,34 +129,38 @@ class Transcription(Quantities):
         self._pace: tuple[Expression, ...] = ()
         self._slack: dict[str, Expression] = {}
         for kind in elastic:
-            self._slack[kind] = self._copies(slack_name(kind), len(problem.grid.t))
-            self.nlp.cost += self._slack[kind][0]
+            self._slack[kind], mean = self._copies(slack_name(kind), len(problem.grid.t))
+            self.nlp.cost += mean
         self.s, self.sd, self.sdd = (
-            self._variable(name, problem.model.k, getattr(u, name)) for name in ("s", "sd", "sdd")
+            self._variable(kind, problem.model.k) for kind in ("track", "speed", "acceleration")
         )
-        self.tau = self._variable("tau", problem.model.W.shape[2], u.tau)
+        self.tau = self._variable("effort", problem.model.W.shape[2])
 
-    def _variable(self, name: str, columns: int, size: ArrayLike) -> Expression:
-        """Add s, ṡ, s̈, τ or the carriers' force at all nodes within limits, scaled, and return it in its unit."""
-        shape = (len(self._problem.grid.t), columns)
-        if KIND_OF[name] in self._slack:
+    def _variable(self, kind: str, columns: int) -> Expression:
+        """Add one of ``VARIABLES`` at all nodes within limits, scaled, and return it in its unit."""
+        name, shape = VARIABLES[kind], (len(self._problem.grid.t), columns)
+        if kind in self._slack:
             block = self.nlp.variable(name, shape)
-            self.limit(KIND_OF[name], block, *self._bounds[name])
+            self.limit(kind, block, *self._bounds[kind])
         else:
-            block = self.nlp.variable(name, shape, *self._bounds[name])
-        return block * _rows(size, shape)
+            block = self.nlp.variable(name, shape, *self._bounds[kind])
+        return block * _rows(getattr(self.scales, name), shape)
 
-    def _copies(self, name: str, count: int) -> Expression:
-        """Add copies of one variable, all equal: a single one in every row would fill the solver's factors."""
-        copies = self.nlp.variable(name, (count, 1), 0.0)
+    def _copies(self, name: str, nodes: int) -> tuple[Expression, Expression]:
+        """Add copies of one variable ≥ 0, all equal; return the copy for each node (M, 1), and their mean.
+
+        A single variable in every row would fill the solver's factors. The mean gives all copies a slope: the solver
+        scales the whole objective by the largest one.
+        """
+        copies = self.nlp.variable(name, (-(-nodes // SHARED), 1), 0.0)
         self.nlp.within(copies[1:] - copies[:-1])
-        return copies
+        return copies[(np.arange(nodes) // SHARED).tolist()], ca.sum1(copies) / copies.shape[0]
 
     @cached_property
     def force(self) -> Expression:
         """The forces of the carriers' actuators, which become variables once something needs them."""
         model = self._problem.model
-        force = self._variable("force", model.k, self.scales.force)
+        force = self._variable("carrier_force", model.k)
         if self._problem.exact is not None:
             self.equal(force - self._exact[1], np.zeros_like(model.force0), self.scales.force)
             return force
@@ -223,14 +222,20 @@ class Transcription(Quantities):
         """Require expression = value, over a size."""
         self.nlp.within(expression / _rows(size, expression.shape), value / size, value / size)
 
-    def limit(self, kind: str, expression: Expression, lower: Expression, upper: Expression) -> None:
-        """Keep lower ≤ expression ≤ upper, all of them scaled; in an elastic programme let out by its fraction."""
+    def limit(
+        self, kind: str, expression: Expression, lower: Expression, upper: Expression, at: IntArray | None = None
+    ) -> None:
+        """Keep lower ≤ expression ≤ upper, all of them scaled; in an elastic programme let out by its fraction.
+
+        ``at``: the node of each row; 0, 1, 2 and so on when left out.
+        """
         if kind not in self._slack:
             self.nlp.within(expression, lower, upper)
             return
         lower, upper = (np.broadcast_to(bound, expression.shape) for bound in (lower, upper))
         half = half_range(kind, lower, upper)
-        slack = ca.repmat(self._slack[kind][: expression.shape[0]], 1, expression.shape[1])
+        at = np.arange(expression.shape[0]) if at is None else at
+        slack = ca.repmat(self._slack[kind][at.tolist()], 1, expression.shape[1])
         self.nlp.within(expression + half * slack, lower, np.inf)
         self.nlp.within(expression - half * slack, -np.inf, upper)
 
@@ -315,7 +320,7 @@ class Transcription(Quantities):
             most = self.h * np.broadcast_to((settings.limits.jerk / u.sdd)[limited], change.shape)
             steps = np.flatnonzero(self._problem.grid.h).tolist()
             jumps = np.flatnonzero(self._problem.grid.h == 0.0).tolist()
-            self.limit("jerk", change[steps, :], -most[steps, :], most[steps, :])
+            self.limit("jerk", change[steps, :], -most[steps, :], most[steps, :], np.array(steps))
             self.nlp.within(change[jumps, :])  # no limit of the jerk, however wide, lets s̈ jump
         self._start()
         first, last = ({name: self.nlp.blocks[name][i, :] for name in ("s", "sd", "sdd")} for i in (0, -1))
@@ -375,12 +380,13 @@ class Transcription(Quantities):
         h = self.h[at, :]
         if not self.s.shape[1]:
             return
-        for name, inner in (
-            ("sd", self.sd[at, :] + h / 2.0 * self.sdd[at, :]),
-            ("s", self.s[at, :] + h / 3.0 * self.sd[at, :]),
-            ("s", self.s[at + 1, :] - h / 3.0 * self.sd[at + 1, :]),
+        for kind, inner in (
+            ("speed", self.sd[at, :] + h / 2.0 * self.sdd[at, :]),
+            ("track", self.s[at, :] + h / 3.0 * self.sd[at, :]),
+            ("track", self.s[at + 1, :] - h / 3.0 * self.sd[at + 1, :]),
         ):
-            self.limit(KIND_OF[name], inner / _rows(getattr(self.scales, name), inner.shape), *self._bounds[name])
+            size = _rows(getattr(self.scales, VARIABLES[kind]), inner.shape)
+            self.limit(kind, inner / size, *self._bounds[kind], at)
 
     def objective(self) -> None:
         """Add the weighted objectives over their common size, bounds of objectives, and the regularisation."""
@@ -422,13 +428,11 @@ class Transcription(Quantities):
 
     def largest(self, values: Expression, size: ArrayLike) -> Expression:
         """Bound all |values| by one variable, of which there is a copy every few nodes."""
-        copies = self._copies(f"{PEAK}_{len(self.nlp.blocks)}", -(-values.shape[0] // SHARED))
-        top = ca.repmat(copies[np.arange(values.shape[0]) // SHARED], 1, values.shape[1])
+        copies, mean = self._copies(f"{PEAK}_{len(self.nlp.blocks)}", values.shape[0])
+        top = ca.repmat(copies, 1, values.shape[1])
         rows = _rows(_sizes(values, size), values.shape)
         for sign in (1.0, -1.0):
             self.nlp.within(sign * values / rows - top, -np.inf, 0.0)
-        # the mean, so that all copies have a slope: the solver scales the whole objective by the largest one
-        mean: Expression = ca.sum1(copies) / copies.shape[0]
         return mean if np.ndim(size) else size * mean
 
 
@@ -478,7 +482,7 @@ class Evaluation(Quantities):
     def __init__(self, problem: Problem, values: Mapping[str, Array], h: Array | None = None) -> None:
         super().__init__(problem.grid.h if h is None else h, problem.scales, problem.target, problem.actuated_rate)
         for name, value in values.items():
-            if name in KIND_OF:
+            if name in VARIABLES.values():
                 setattr(self, name, ca.DM(value * getattr(problem.scales, name)))
         if problem.timing is not None and "pd" in values:
             self.actuated_rate *= ca.DM(values["pd"] * problem.timing.speed)

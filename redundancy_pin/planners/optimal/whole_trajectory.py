@@ -3,34 +3,28 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.arrays import BoolArray
 from redundancy_pin.dynamics.default import DynamicsLike, as_cached_dynamics
-from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import require_carriers
-from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.intersample_check import IntersampleCheck
 from redundancy_pin.planners.optimal.calm import calmed
-from redundancy_pin.planners.optimal.infeasible import relax, require_bounds
-from redundancy_pin.planners.optimal.mesh import first_mesh, steps_around, with_middles
-from redundancy_pin.planners.optimal.nlp import OUT_OF_TIME, Solution
+from redundancy_pin.planners.optimal.mesh import steps_around, with_middles
 from redundancy_pin.planners.optimal.problem import Problem, Task, read_problem
-from redundancy_pin.planners.optimal.refine import Planned, Planning, plan_and_refine
+from redundancy_pin.planners.optimal.refine import Planning, plan_and_refine
 from redundancy_pin.planners.optimal.settings import REFUSED, End, checked_settings
-from redundancy_pin.planners.optimal.solve import Multistart, Outcome, first_guess, multistart, solve, with_seconds
+from redundancy_pin.planners.optimal.solve import Outcome
 from redundancy_pin.planners.optimal.transcription import objective_sizes, objective_values
 from redundancy_pin.planners.options import Limits, Mesh, Objective, Solver, takes_groups
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.robot_record import robot_record
-from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, as_motion
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
+from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory, as_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 NEIGHBOURS = 4
 """Steps on both sides of one with a middle node that get one as well: the next plan would have its kink just beside the
@@ -126,9 +120,27 @@ def plan_whole_trajectory(
     source = as_motion(motion)
     require_carriers(dynamics.robot)
     settings = checked_settings(
-        dynamics.robot, objective, limits, mesh, solver, start, start_speed, end, datum, at_most
+        dynamics.robot, objective, limits, mesh, solver, start, start_speed, end=end, datum=datum, at_most=at_most
     )
     return optimise(Task(dynamics, source, settings))[0]
+
+
+class WholeTrajectory(Planning):
+    """A plan over a given motion of the platform."""
+
+    name = "whole_trajectory"
+
+    def platform(self, outcome: Outcome) -> Motion:
+        """Return the motion of the task."""
+        return self.task.source
+
+    def finer(self, outcome: Outcome, found: IntersampleCheck, marked: BoolArray, first: bool) -> Problem:
+        """Return the problem with nodes in the middle of steps in which efforts are larger, and of their neighbours."""
+        # on the first mesh the carriers still use what they find between the nodes, and most of it goes by itself
+        nodes = outcome.problem.grid
+        for least in (0.0,) if first else (0.0, TWICE):
+            nodes = with_middles(nodes, steps_around(nodes.t, found.middle[marked & (found.worst > least)], NEIGHBOURS))
+        return read_problem(self.task, nodes, outcome.problem)
 
 
 def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[Plan, Outcome]:
@@ -136,72 +148,22 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
 
     ``position``: of the carriers, to begin with in place of parked ones.
     """
-    began = time.perf_counter()
-    nodes = first_mesh(task.dynamics, task.source, task.settings.dt)
-    problem, read = read_problem(task, nodes)
-    guess = None if position is None else problem.scaled(carriers_at(position, nodes.t))
-
-    def finer(problem: Problem, _: Solution, found: IntersampleCheck, marked: BoolArray, first: bool) -> Problem:
-        # on the first mesh the carriers still use what they find between the nodes, and most of it goes by itself
-        nodes = problem.grid
-        for least in (0.0,) if first else (0.0, TWICE):
-            nodes = with_middles(nodes, steps_around(nodes.t, found.middle[marked & (found.worst > least)], NEIGHBOURS))
-        return read_problem(task, nodes, read, problem.scales)[0]
-
-    planning = Planning("whole_trajectory", task, partial(_solve, task), lambda *_: task.source, finer)
-    planned = plan_and_refine(planning, problem, guess)
+    began, planning = time.perf_counter(), WholeTrajectory(task)
+    planned = plan_and_refine(planning, position)
     left = began + task.settings.solver.seconds - time.perf_counter()
-    chosen, calming = calmed(planning, planned, read, left)
-    plan = _plan(task, planned, chosen)
-    found = {"calm": calming, "seconds": time.perf_counter() - began}
-    return replace(plan, diagnostics={**plan.diagnostics, **found}), planned.best
-
-
-def _solve(
-    task: Task, problem: Problem, guess: Mapping[str, Array] | None, stop: Callable[[Problem, Solution], bool]
-) -> Multistart:
-    """Solve from all first guesses; ``guess``: scaled blocks by name, in place of parked carriers."""
-    deadline = time.perf_counter() + problem.settings.solver.seconds
-    result = multistart(problem, guess, stop)
-    if result.feasible:
-        return result
-    guess = first_guess(problem)
-    if problem.settings.at_most:
-        require_bounds(with_seconds(problem, deadline - time.perf_counter()), guess)
-    # raises where limits are in the way; else what it returns keeps them, and the solver can begin there
-    message = result.outcomes[0].solution.message
-    rest = with_seconds(problem, deadline - time.perf_counter())
-    _, relaxed = relax(rest, robot_record(task.dynamics.robot), guess, message)
-    last = solve(problem, relaxed.values, deadline - time.perf_counter())
-    if not last.feasible:
-        seconds = task.settings.solver.seconds
-        late = last.message == OUT_OF_TIME
-        raise InfeasiblePlanError(
-            f"No plan was found{f' within {seconds:g} s' if late else ''} (the solver says {last.message}), "
-            "although none of the limits is known to be in the way.",
-            remedy="Allow more seconds, or a longer dt." if late else "Widen the limits a little, or start elsewhere.",
-            constraint="seconds",
-            time=float(problem.grid.t[0]),
-            amount=seconds,
-        )
-    return replace(result, outcomes=(*result.outcomes, Outcome(problem, last)))
-
-
-def _plan(task: Task, planned: Planned, chosen: Planned) -> Plan:
-    """Return the plan of the least-cost solution or of a calmer one, with what the search found."""
-    least, best, starts = planned.best, chosen.best, planned.solutions.summary
-    costs = objective_values(least.problem, least.solution.values)
-    found = {
-        **chosen.diagnostics,
-        "iterations": least.solution.iterations,
-        "solver_seconds": least.solution.seconds,
-        "cost": least.solution.cost,
-        "starts": starts,
-        "objective": objective_values(best.problem, best.solution.values),
-        "objective_size": objective_sizes(best.problem),
-    }
-    findings = replace(planned.findings, least_cost=task.settings.weighted(costs))
-    parameters = task.settings.parameters
-    return finish_plan(
-        replace(chosen.motion, parameters=parameters, findings=findings, diagnostics=found), chosen.check
+    chosen, calming = calmed(planning, planned, left)
+    least, best = planned.best, chosen.best
+    costs = objective_values(least.problem, least.values)
+    plan = chosen.plan(
+        task.settings.parameters,
+        replace(planned.findings, least_cost=task.settings.weighted(costs)),
+        iterations=least.solution.iterations,
+        solver_seconds=least.solution.seconds,
+        cost=least.solution.cost,
+        starts=planned.solutions.summary,
+        objective=objective_values(best.problem, best.values),
+        objective_size=objective_sizes(best.problem),
+        calm=calming,
+        seconds=time.perf_counter() - began,
     )
+    return plan, least
