@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import itertools
 import os
 import signal
@@ -17,7 +18,7 @@ import numpy as np
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 from numpy.typing import NDArray
 
-from redundancy_pin.errors import InputError, RedundancyPinError, optional
+from redundancy_pin.errors import InputError, RedundancyPinError, optional, shown
 
 R = TypeVar("R")
 
@@ -78,7 +79,8 @@ def sweep(
     loads its robots itself, from their names or paths. An error that it raises ends the sweep; a function that should
     continue where no plan exists catches ``InfeasiblePlanError`` and returns the status. With a cache, points that are
     finished are kept (``joblib.Memory``): the same call after an interruption computes only the others. A changed
-    function, or another version of the package, computes all points again.
+    function, or another version of the package, computes all points again. What else it uses is not looked at: after a
+    change of a model file, of a global or of another function that it calls, delete the folder.
 
     Within ``joblib.parallel_config("dask")`` the points are computed by the workers of a dask cluster, which need the
     same version of the package; with a cache, the folder must be one that all of them share.
@@ -93,7 +95,8 @@ def sweep(
         progress: called as points finish.
 
     Raises:
-        InputError: ``jobs`` is 0, below -1, or many times the cores; an argument has no values.
+        InputError: ``jobs`` is 0, below -1, or many times the cores; an argument has no values; with a cache, a closure
+            or ``functools.partial``, whose values the cache would not see.
         RedundancyPinError: a process died.
 
     Example:
@@ -118,7 +121,7 @@ def sweep(
             if not values:
                 raise InputError(f"The argument {name!r} has no values.", remedy="Give at least one.", name=name)
         points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
-    kept = function if cache is None else _memory(cache).cache(function)
+    kept = function if cache is None else _memory(cache).cache(_require_named(function))
     results: list[Any] = [None] * len(points)
     for done, (index, value) in enumerate(parallel(_call, [(kept, *pair) for pair in enumerate(points)], jobs), 1):
         results[index] = value
@@ -129,6 +132,20 @@ def sweep(
         for point, value in zip(points, results, strict=True)
     )
     return SweepResult(records, axes)
+
+
+def _require_named(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function whose results can be kept; what it has beside its arguments is not seen by the cache.
+
+    Raises:
+        InputError: it is none of a module or notebook, or has values of the function around it.
+    """
+    if not inspect.isfunction(function) or function.__closure__:
+        raise InputError(
+            f"The cache cannot tell {shown(function)} from others: it has values beside its arguments.",
+            remedy="Pass a function of a module or notebook, and what else it needs as an entry of the grid.",
+        )
+    return function
 
 
 def _memory(folder: str | Path) -> Any:

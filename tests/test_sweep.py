@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import os
 import signal
@@ -83,6 +84,16 @@ def test_a_data_frame_has_a_row_per_point() -> None:
 def test_numbers_of_processes_are_checked(jobs: int) -> None:
     with pytest.raises(InputError, match=rf"jobs is {jobs}; this machine has \d+ cores"):
         rp.sweep(area, GRID, jobs=jobs)
+
+
+def test_a_cache_takes_no_function_with_values_of_its_own(tmp_path: Path) -> None:
+    def times(factor: float) -> Any:
+        return lambda a: factor * a
+
+    for function in (times(2.0), functools.partial(area, b=3.0), len):
+        with pytest.raises(InputError, match="values beside its arguments"):
+            rp.sweep(function, {"a": [1.0]}, jobs=1, cache=tmp_path)
+    assert rp.sweep(times(2.0), {"a": [1.0, 2.0]}, jobs=1).values("value").tolist() == [2.0, 4.0]
 
 
 def test_what_a_grid_lacks_is_named() -> None:

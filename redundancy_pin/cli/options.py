@@ -161,8 +161,8 @@ class Keyword:
         )(command)
 
 
-_NOT_WRITTEN = ("progress", "baseline", "interpret")
-"""Keywords that take functions or robots: a command has the baseline as parameters of the robot."""
+_NOT_WRITTEN = ("progress", "baseline", "further")
+"""Keywords that take functions or robots, or what only Python can define: a command has the baseline as parameters."""
 
 
 def keywords_of(function: Callable[..., Any]) -> dict[str, Keyword]:

@@ -43,7 +43,7 @@ REASONS: Mapping[str, str] = {
     "not_finite": "the forces of the independent joints are not finite",
     "massless": "a free motion moves hardly any mass: forces do not determine its acceleration",
     "rank_loss": "the closure rows in use lose rank",
-    "other_branch": "this backend closes the loops on another branch, next to which the way there leads",
+    "other_branch": "this backend reaches another assembly of the loops there; declared working_modes tell them apart",
     "no_backend": "this backend does not cover the robot, or cannot be compiled",
 }
 """Why states are skipped, by the name of the reason."""

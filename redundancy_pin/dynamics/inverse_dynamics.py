@@ -183,7 +183,9 @@ class InverseDynamics(Frozen):
         without = np.flatnonzero(~np.isfinite(self.efforts.tau).all(axis=1))
         if len(without):
             first = f"t = {self.reduced.t[without[0]]:.6g} s ({self.efforts.status_labels[without[0]]})"
-            yield f"no finite main efforts at {len(without)} of {len(self.efforts)} samples, first at {first}."
+            bounded = (self.efforts.status[without] == SampleStatus.BOUND_INFEASIBLE).all()
+            what = "no main efforts within the bounds" if bounded else "no finite main efforts"
+            yield f"{what} at {len(without)} of {len(self.efforts)} samples, first at {first}."
 
     def to_csv(self, path: str | Path) -> None:
         """Write the motion and its efforts to a CSV file, which ``from_csv`` reads as a motion again.

@@ -89,7 +89,8 @@ class EventFunctions:
     """The scalar functions of a robot whose zeros are events, with their kinds and names; the stops come first.
 
     Joints that are at a limit at the ``start`` (nq,) may exceed it by nearly its slack. ``push_back`` are kinds of
-    stops that do: a step ends there, whatever ``stop_at`` says. ``held`` joints (tree velocities) cannot leave.
+    stops that do: a step ends there, whatever ``stop_at`` says. ``at`` and ``held`` are indices of stops: joints at the
+    first may be beyond them at the start, by as much as an integration step was off, and cannot leave the others.
     """
 
     def __init__(
@@ -98,6 +99,7 @@ class EventFunctions:
         stop_at: tuple[str, ...],
         start: Array | None = None,
         push_back: tuple[str, ...] = (),
+        at: Sequence[int] = (),
         held: Sequence[int] = (),
     ) -> None:
         unknown = [kind for kind in stop_at if kind not in KINDS]
@@ -115,7 +117,9 @@ class EventFunctions:
             # a joint that starts at its limit is within it, however it was rounded, and may stay there
             at_limit = np.abs(self._side * (self._bound - start[self._position])) <= slack
             self._bound += np.where(at_limit, _HELD * self._side * slack, 0.0)
-            self._bound += np.where(at_limit & np.isin(indices[1], held), np.inf * self._side, 0.0)
+            beyond = np.maximum(self._side * (start[self._position] - self._bound), 0.0)
+            self._bound[list(at)] += (self._side * (beyond + _HELD * slack))[list(at)]
+            self._bound[list(held)] = np.inf * self._side[list(held)]
         legs = 0 if robot.working_modes is None else len(robot.working_modes.joints)
         self._by_legs = legs > 0
         self._square = robot.m == robot.n

@@ -25,7 +25,7 @@ import pinocchio as pin
 from scipy.integrate import DOP853, RK45, OdeSolver, Radau
 from scipy.optimize import brentq
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.dynamics.forward import ForwardKernel, Integration, Progress, Rules
 from redundancy_pin.errors import IllPosedModelError, InputError, RedundancyPinError, SingularPoseError
 from redundancy_pin.robot.scales import velocity_unit
@@ -41,7 +41,7 @@ from redundancy_pin.simulation.events import (
     may_touch_zero,
 )
 from redundancy_pin.simulation.rank_loss import BEYOND, NEAR, WIDEST, Sheet, sheet_ahead
-from redundancy_pin.simulation.stops import pushing, resolve_contact, sides_of
+from redundancy_pin.simulation.stops import pushing, resolve_contact
 from redundancy_pin.simulation.system import Machine
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -138,6 +138,7 @@ class InitialValueProblem:
     Attributes:
         machine: the differential equation, with the joints that stops hold.
         free: the same without stops.
+        held: (h,) stops that hold joints, by their places among the functions.
         functions: whose zeros are events.
         method: its name in ``INTEGRATORS``.
         settings: rtol, atol (nq + nv,) and max_step.
@@ -151,6 +152,7 @@ class InitialValueProblem:
 
     machine: Machine
     free: Machine
+    held: IntArray
     functions: EventFunctions
     method: str
     settings: Mapping[str, Any]
@@ -236,7 +238,7 @@ def integrate(
     ordinary = None if kernel is None else OrdinarySteps(kernel, problem, parts)
     changed = -np.inf
     held_first = None if problem.sampling is None else first
-    problem, progress = _past_stop(problem, progress, held_first, record) or (problem, progress)
+    problem, progress = _past_stop(problem, progress, held_first, record, at_start=True) or (problem, progress)
     with np.errstate(all="ignore"):  # trial steps that overflow are given up for shorter ones
         for stretch in parts:
             if progress.t >= stretch.end:
@@ -274,38 +276,48 @@ def _with_all_rows(
     functions = EventFunctions(machine.chain, problem.functions.stop_at, q, problem.functions.push_back)
     going_on = replace(progress, status=None, reason="", sheet=None, near=NEAR, next_step=None, short=0)
     going_on = replace(going_on, values=functions.at_start(q))
-    return replace(problem, machine=machine, free=machine, functions=functions), going_on
+    nothing = np.empty(0, dtype=np.intp)
+    return replace(problem, machine=machine, free=machine, functions=functions, held=nothing), going_on
 
 
 def _past_stop(
-    problem: InitialValueProblem, progress: SimulationProgress, hold: Command | None, record: SimulationRecord
+    problem: InitialValueProblem,
+    progress: SimulationProgress,
+    hold: Command | None,
+    record: SimulationRecord,
+    *,
+    at_start: bool = False,
 ) -> tuple[InitialValueProblem, SimulationProgress] | None:
     """Return how to go on at a stop that pushes back, or lets go; None elsewhere."""
     functions, last = problem.functions, record.events[-1:]
     stopped = bool(last) and progress.status is ResultStatus.STOPPED and last[0].kind in (*functions.push_back, RELEASE)
-    if not functions.push_back or not (stopped or not progress.steps):
+    if not functions.push_back or not (stopped or at_start):
         return None
-    released = last[0].name if stopped and last[0].kind == RELEASE else ""
+    met = functions.names.index(last[0].name) if stopped else None
+    released = met if stopped and last[0].kind == RELEASE else None
+    reached = [*problem.held.tolist(), *(() if met is None else (met,))]
     switches = progress.switches + 1 if progress.t <= progress.switched + problem.shortest else 1
     if switches > _MOST_SWITCHES:
         return problem, progress.failed("joints meet their stops and leave them again, without end")
     try:
-        contact = resolve_contact(problem.free, functions, progress.t, progress.y, hold, problem.time, released)
+        contact = resolve_contact(
+            problem.free, functions, progress.t, progress.y, hold, problem.time, reached, released
+        )
     except (IllPosedModelError, SingularPoseError) as error:
         return problem, progress.failed(str(error))
     if contact is None:
         return None
-    if stopped and not released:
+    if stopped and released is None:
         record.events.pop()
         hit = {event.name for event in contact.events}
         record.events.extend([] if last[0].name in hit else [replace(last[0], terminal=False)])
     record.events.extend(contact.events)
     q = contact.y[: functions.nq]
-    machine = contact.machine
-    functions = EventFunctions(machine.chain, functions.stop_at, q, functions.push_back, machine.held.tolist())
+    machine, at, held = contact.machine, contact.at.tolist(), contact.held.tolist()
+    functions = EventFunctions(machine.chain, functions.stop_at, q, functions.push_back, at, held)
     going_on = replace(progress, y=contact.y, values=functions.at_start(q), status=None, reason="", next_step=None)
     going_on = replace(going_on, short=0, switches=switches, switched=progress.t)
-    return replace(problem, machine=machine, functions=functions), going_on
+    return replace(problem, machine=machine, functions=functions, held=contact.held), going_on
 
 
 class _Rate:
@@ -540,7 +552,7 @@ def _rest(problem: InitialValueProblem, step: Step, sheet: Sheet) -> float | Non
 def _release(problem: InitialValueProblem, step: Step, hold: Command | None) -> Event | None:
     """Return the event at which a stop would first have to pull the joint that it holds in a step, if it does."""
     machine, functions = problem.machine, problem.functions
-    stops, side = sides_of(machine, functions, step.at(0.0)[: functions.nq])
+    side = functions.stops[2, problem.held]
 
     def push(fraction: float) -> Array:
         return pushing(machine, step.time(fraction), step.at(fraction), hold, side)
@@ -554,7 +566,7 @@ def _release(problem: InitialValueProblem, step: Step, hold: Command | None) -> 
                 for i in np.flatnonzero(after < 0.0)
             ]
             first = int(np.argmin(roots))
-            stop = stops[np.flatnonzero(after < 0.0)[first]]
+            stop = problem.held[np.flatnonzero(after < 0.0)[first]]
             return Event(RELEASE, functions.names[stop], step.time(roots[first]), terminal=False)
         left, before = right, after
     return None

@@ -175,9 +175,19 @@ def simulate(
         machine.dynamics.adapt(first.q)
     machine.solve(first, command, sheet)
     unit = np.concatenate([position_unit(robot), velocity_unit(robot) / time])
-    settings = {"max_step": float(max_step), "rtol": rtol, "atol": atol * unit}
     problem = InitialValueProblem(
-        machine, machine, functions, integrator, settings, time, unit, int(max_steps), grid, breaks, sampling
+        machine=machine,
+        free=machine,
+        held=np.empty(0, dtype=np.intp),
+        functions=functions,
+        method=integrator,
+        settings={"max_step": float(max_step), "rtol": rtol, "atol": atol * unit},
+        time=time,
+        unit=unit,
+        max_steps=int(max_steps),
+        grid=grid,
+        breaks=breaks,
+        sampling=sampling,
     )
     record, progress = integrate(problem, y, values, command, sheet)
     parameters = {

@@ -14,13 +14,14 @@ joints (``Machine.held``) until they would have to pull.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray
+from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.simulation.controllers.base import Command
@@ -41,11 +42,15 @@ class Contact:
     Attributes:
         y: (nq + nv,) the state after the impact.
         machine: the machine with the joints held that stops push.
+        at: (l,) stops that joints are at, by their places among the event functions.
+        held: (h,) those of them that push.
         events: an impact each, with its impulse.
     """
 
     y: Array
     machine: Machine
+    at: IntArray
+    held: IntArray
     events: tuple[Event, ...]
 
 
@@ -56,7 +61,8 @@ def resolve_contact(
     y: Array,
     hold: Command | None,
     time: float,
-    released: str = "",
+    reached: Sequence[int] = (),
+    released: int | None = None,
 ) -> Contact | None:
     """Return what the stops make of a closed state; None where no joint is at one.
 
@@ -67,13 +73,16 @@ def resolve_contact(
         y: (nq + nv,) the state, from before an impact.
         hold: command that is held; None where the controller answers at this instant.
         time: time scale, s.
-        released: name of a stop that has just let go.
+        reached: stops that joints are at all the same, though an integration step was off: one that was just met, and
+            those that have held.
+        released: a stop that has just let go.
 
     Raises:
         IllPosedModelError, SingularPoseError: as ``Machine.rate``.
     """
     nq = functions.nq
     at = functions.touching(y[:nq]) & functions.pushes[: functions.stops.shape[1]]
+    at[list(reached)] = True
     if not at.any():
         return None
     stops = np.flatnonzero(at)
@@ -91,17 +100,18 @@ def resolve_contact(
         for i, size in zip(stops[hit], impulse[hit], strict=True)
     )
     rests = -side * v[columns] <= _AT_REST * velocity_unit(free.robot)[columns] / time
-    rests &= np.array([functions.names[i] != released for i in stops])
+    rests &= stops != (-1 if released is None else released)
     state = free.state(t, y)
     command = free.amplifiers.command(state) if hold is None else hold
     a = free.rate(state, command)[-len(v) :]
     _, force = least_constraint(inertia, moves[rests], (-side * a[columns])[rests])
-    held, own = columns[rests][force > 0.0], moves[rests][force > 0.0]
+    pushed = np.flatnonzero(rests)[force > 0.0]
+    held, own = columns[pushed], moves[pushed]
     if len(held):
         response = np.linalg.solve(inertia, own.T)
-        v -= basis @ (response @ np.linalg.solve(own @ response, (-side * v[columns])[rests][force > 0.0]))
+        v -= basis @ (response @ np.linalg.solve(own @ response, -side[pushed] * v[held]))
         v[held] = 0.0
-    return Contact(np.concatenate([q, v]), free.holding(held, q), events)
+    return Contact(np.concatenate([q, v]), free.holding(held, q), stops, stops[pushed], events)
 
 
 def least_constraint(inertia: Array, moves: Array, rate: Array) -> tuple[Array, Array]:
@@ -141,11 +151,3 @@ def pushing(machine: Machine, t: float, y: Array, hold: Command | None, side: Ar
     command = machine.amplifiers.command(state) if hold is None else hold
     inward: Array = -side * machine.solve(state, command).stop_force[machine.held]
     return inward
-
-
-def sides_of(machine: Machine, functions: EventFunctions, q: Array) -> tuple[IntArray, Array]:
-    """Return which stop holds each held joint, by its place among the functions, and its side."""
-    at: BoolArray = functions.touching(q)
-    table = functions.stops
-    held = [int(np.flatnonzero(at & (table[1] == column))[0]) for column in machine.held]
-    return np.array(held, dtype=np.intp), table[2, held]

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeGuard
 
 from redundancy_pin.errors import InputError, did_you_mean, shown
-from redundancy_pin.loading import RobotLike
+from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.trajectory.points import from_points
 from redundancy_pin.trajectory.reference import TRAJECTORIES
 from redundancy_pin.trajectory.trajectory import Trajectory
@@ -46,6 +46,10 @@ def split_trajectory(text: str) -> tuple[str, dict[str, object]]:
     return name, values
 
 
+_PLANAR = ("circle", "line", "corner", "square", "polygon")
+"""Trajectories of a point in a plane, m, which joints do not follow."""
+
+
 def trajectory_by_name(name: object, values: Mapping[str, object], robot: RobotLike | None = None) -> Trajectory:
     """Return a trajectory by its name in ``TRAJECTORIES``, or through the points of a file (``from_points``).
 
@@ -71,6 +75,14 @@ def trajectory_by_name(name: object, values: Mapping[str, object], robot: RobotL
     else:
         remedy = f"{did_you_mean(name, TRAJECTORIES)}Choose one of {', '.join(TRAJECTORIES)}, or a CSV or JSON file."
         raise InputError(f"The trajectory is {shown(name)}.", remedy=remedy, value=name)
+    if robot is not None and name in _PLANAR and (machine := as_robot(robot)).platform is None:
+        axes = ", ".join(machine.independent_joints)
+        raise InputError(
+            f"The trajectory {name} leads a point along x and y, m; the coordinates of {machine.name} are joints: "
+            f"{axes}.",
+            remedy="Declare `independent: {platform: LINK, axes: [x, y]}`, or give points of these joints.",
+            value=name,
+        )
     known = {key: one for key, one in inspect.signature(make).parameters.items() if key != "robot"}
     for key in values.keys() - known.keys():
         remedy = f"{did_you_mean(key, known)}It takes {', '.join(known)}."

@@ -293,3 +293,11 @@ def test_what_a_remedy_says_works(
                            ("--stop-at never ", "")):  # fmt: skip
         line = line if done else line.replace(mistake, right)
     assert call(*shlex.split(f"{line} {done}")).exit_code in (0, 3, 4)
+
+
+@pytest.mark.parametrize("name", ["circle", "line", "corner", "square"])
+def test_joints_do_not_follow_a_point_in_a_plane(name: str, tmp_path: Path) -> None:
+    """Metres taken for radians would give numbers that look right."""
+    said = refused("inverse-dynamics", "--robot", "four_bar", "--trajectory", name, "--out", tmp_path / "out.csv")
+    assert "leads a point along x and y" in said
+    assert f"are joints: {', '.join(rp.load_robot('four_bar').independent_joints)}." in said

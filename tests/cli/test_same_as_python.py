@@ -404,6 +404,12 @@ def test_a_slice_of_the_workspace_goes_through_a_pose() -> None:
     with Path("w.csv").open() as stream:
         margins = [float(row["margin"]) for row in csv.DictReader(stream)]
     np.testing.assert_allclose(margins, space.margin[0], rtol=1e-9)
+    poses = np.repeat(pose[None], 3, axis=0)
+    poses[:, 2, 3] = [0.5, 0.7, 0.9]
+    still = np.zeros((3, 6))
+    motion = rp.PlatformMotion([0.0, 1.0, 2.0], poses, still, still, check_rates=False)
+    there = rp.distribute(rp.RneaDynamics("gough").reduce(motion))
+    np.testing.assert_allclose(margins, there.margin, rtol=1e-6)
     assert [part["reachable"] for part in facts["modes"].values()] == [3]
 
 
@@ -526,6 +532,11 @@ def test_a_motion_is_simulated_with_its_carriers_or_parked_ones() -> None:
     moving = facts_of("simulate --robot 3rrr --duration 0.2 --motion corner.csv")
     parked = facts_of("simulate --robot 3rrr --duration 0.2 --trajectory corner:radius=0.05 --park 0.1")
     assert moving["largest_distance"] < 1e-6  # between samples that are 0.05 s apart
+    motion, carriers = from_csv("corner.csv"), carriers_from_csv("corner.csv")
+    forces = rp.RneaDynamics("3rrr").along(motion).reduce(carriers).carrier_force[motion.t <= 0.2]
+    peak = np.abs(forces).max(axis=0)  # of the samples alone
+    assert (moving["peak_carrier_force"] >= (1.0 - 1e-6) * peak).all()
+    np.testing.assert_allclose(moving["peak_carrier_force"], peak, rtol=0.05)
     assert parked["largest_distance"] < 1e-9
     assert not np.allclose(parked["peak_carrier_force"], moving["peak_carrier_force"], rtol=0.1)
 

@@ -249,3 +249,19 @@ def test_least_constraint_is_the_optimum(seed: int) -> None:
     best = minimize(cost, np.zeros(d), constraints=bound, method="SLSQP", options={"ftol": 1e-14, "maxiter": 200})
     if best.success:
         assert cost(step / unit) <= cost(best.x) + 1e-8 * max(cost(best.x), 1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_loose_steps_meet_the_same_stops(five_bar: Robot, seed: int) -> None:
+    """Off by 1e-6 rad a joint may be farther from its stop than the slack of its range when it meets it."""
+    dice = np.random.default_rng(seed)
+    start = closed_state(five_bar, np.add([0.25, 0.7], dice.uniform(-0.03, 0.03, 2)), dice.uniform(-2.0, 2.0, 2))
+    loose, tight = (
+        inelastic(five_bar, start=start, duration=0.6, rtol=rtol, atol=rtol, integrator="RK45")
+        for rtol in (1e-5, 1e-10)
+    )
+    assert loose.status is ResultStatus.OK
+    names = [event.name for event in tight.events]
+    assert [event.name for event in loose.events][: len(names)] == names
+    np.testing.assert_allclose(loose.q[-1], tight.q[-1], atol=2e-3)
+    assert np.abs(loose.q[:, [1, 3]]).max() < 2.2 + 1e-4
