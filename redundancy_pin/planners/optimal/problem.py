@@ -245,7 +245,7 @@ def read_problem(
     model, singular = read(along), singular_nodes(task, grid, read)
     used = {*settings.objective, *settings.at_most}
     lam = settings.lam if "tracking" in used else 0.0
-    target, _ = target_effort(task.dynamics.robot, motion, lam, settings.baseline if lam else None)
+    target = target_effort(task.dynamics.robot, motion, lam, settings.baseline if lam else None)
     rate: Array = np.einsum("nim,ni->nm", model.W, motion.xd)
     sizes = scales or scales_of(model, settings, along.reduce(), task.source.end - task.source.start, rate)
     base = None

@@ -168,7 +168,7 @@ def plan_stepwise(
     )
     along = dynamics.along(motion)
     baseline = as_dynamics(goal.baseline) if isinstance(goal.baseline, (Robot, str, Path)) else goal.baseline
-    target, _ = target_effort(robot, motion, settings.lam, baseline)
+    target = target_effort(robot, motion, settings.lam, baseline)
     instants = np.flatnonzero(~motion.jumps)
     model = effort_model(along, settings.least_margin)
     missing = EffortModel(model.t[instants], (model.tau0 - target)[instants], model.tau_terms[instants])
