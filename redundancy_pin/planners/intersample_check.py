@@ -374,11 +374,9 @@ def _with_samples(pieces: PieceExtremes, t: Array, loads: Array) -> tuple[Array,
     inside = np.searchsorted(pieces.ends[1:, 0], t, side="right")
     size = np.where(np.isfinite(loads), np.abs(loads), 0.0)
     for j in range(loads.shape[1]):
-        order = np.argsort(size[:, j], kind="stable")
-        top = np.zeros(len(value), dtype=np.intp)
-        top[inside[order]] = order  # of several samples in a piece the largest is written last
-        larger = np.isin(np.arange(len(value)), inside) & (size[top, j] > np.abs(value[:, j]))
-        value[larger, j], time[larger, j] = loads[top[larger], j], t[top[larger]]
+        order = np.argsort(size[:, j], kind="stable")  # of several samples in a piece the largest is written last
+        larger = order[size[order, j] > np.abs(value[inside[order], j])]
+        value[inside[larger], j], time[inside[larger], j] = loads[larger, j], t[larger]
     return time, value
 
 
@@ -499,7 +497,8 @@ def _poles(
     times = ends[candidates].ravel()
     W = dynamics.along(functions.platform.sample_at(times)).reduce(functions.carriers_at(times)).W
     sides = np.linalg.slogdet(W)[0].reshape(-1, 2)
-    return candidates[sides.prod(axis=1) <= 0.0]
+    poles: IntArray = candidates[sides.prod(axis=1) <= 0.0]
+    return poles
 
 
 def _edges(functions: PlanFunctions, start: float, end: float, singular: Array) -> Array:

@@ -92,7 +92,7 @@ class MotionReference:
         self,
         robot: Robot,
         edges: Array,
-        motion: PiecewisePolynomial,
+        states: PiecewisePolynomial,
         efforts: PiecewisePolynomial,
         is_pose: bool,
         carrier_lag: Array,
@@ -106,7 +106,7 @@ class MotionReference:
         n, k, model = robot.n, robot.k, robot.model
         ends = np.cumsum([16 if is_pose else n, n, n, k, k, k, model.nq, model.nv, model.nv]).tolist()
         self._columns = [slice(first, stop) for first, stop in itertools.pairwise([0, *ends])]
-        self._motion = motion  # side by side, so that everything is one look-up
+        self._motion = states  # x, ẋ, ẍ, s, ṡ, s̈, q, v and a side by side
 
     def loads(self, t: float) -> tuple[Array, Array]:
         """Return main efforts (m,) and carrier forces (k,) at time t; outside the motion those at its ends."""
@@ -130,7 +130,7 @@ class MotionReference:
 
     def at(self, t: float) -> ReferencePoint:
         """Return everything at time t, s."""
-        return ReferencePoint(t, *self._states(t), *self.loads(t))
+        return ReferencePoint(t, *(*self._states(t), *self.loads(t)))
 
     def course(self, t: float) -> tuple[Array, Array, Array, Array, Array]:
         """Return x, ẋ, s, ṡ and all efforts (m + k) at time t, s: what a feedback compares with."""
