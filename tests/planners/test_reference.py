@@ -110,7 +110,7 @@ def test_between_two_samples_at_rest_a_plan_has_its_efforts() -> None:
 
 @pytest.mark.parametrize("name", ["3rrr", "gough"])
 def test_every_state_is_that_of_the_motion(name: str) -> None:
-    """Of a planar robot, and of one whose platform has poses and whose joints have more positions than velocities."""
+    """Of a planar robot, and of one whose platform has poses."""
     robot = zoo.robot_of(name)
     motion = zoo.smooth_motion(robot).at(np.linspace(0.0, 0.2, 11))
     reference = motion_reference(robot, motion, step=0.02)

@@ -159,11 +159,12 @@ def _return(
 ) -> PiecewisePolynomial | None:
     """Return the carriers' way back after a crossing; None where there is none that ends before the next window."""
     state, end, duration = crossing.exit, source.end, settings.return_time
-    room = (min(end, later[0].start - settings.ramp_down) if later else end) - state.t
+    until = min(end, later[0].start - settings.ramp_down) if later else end
+    room = until - state.t
     if later and room <= 0.0:
         return None
     if duration == "shortest":
-        model = TimedModel.of(dynamics, source, state.t, state.t + room)
+        model = TimedModel.of(dynamics, source, state.t, until)
         try:
             return shortest_return(
                 settings.limits,
