@@ -13,7 +13,7 @@ combination of 1, cos s, sin s, cos 2s and sin 2s, of the same with ṡ, with �
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, TypeGuard, cast, get_args
 
@@ -193,10 +193,6 @@ class CarrierModel:
     def k(self) -> int:
         """Number of carriers."""
         return int(self.f_terms.shape[2])
-
-    def __getitem__(self, index: slice) -> CarrierModel:
-        """Return the model at a slice of the instants."""
-        return CarrierModel(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def f(self, s: Array, sd: Array, sdd: Array) -> Array:
         """Return f (N, n) for a carrier motion, each (N, k)."""
@@ -469,10 +465,8 @@ class TimedModel:
         return CarrierModel(instants, *(part.reshape(len(instants), *shape) for part, shape in parts))
 
 
-def target_effort(
-    robot: Robot, motion: PlatformMotion, lam: float, baseline: Dynamics | ArrayLike | None
-) -> tuple[Array, Array | None]:
-    """Return (N, m) λ τ̂, and τ̂ itself where there is a baseline."""
+def target_effort(robot: Robot, motion: PlatformMotion, lam: float, baseline: Dynamics | ArrayLike | None) -> Array:
+    """Return (N, m) λ τ̂, N or N·m: zero without a baseline."""
     shape = (len(motion), robot.m)
     if baseline is None:
         if lam > 0.0:
@@ -481,7 +475,7 @@ def target_effort(
                 remedy='Pass Objective(lam=..., baseline=load_robot("3rrr", carriers=False)), or an array (N, m); '
                 "on the command line --baseline carriers=false.",
             )
-        return np.zeros(shape), None
+        return np.zeros(shape)
     if is_dynamics(baseline):
         other = baseline.robot
         if (other.n, other.m) != (robot.n, robot.m):
@@ -500,7 +494,8 @@ def target_effort(
             )
     else:
         tau = checked(cast(ArrayLike, baseline), "baseline", shape)
-    return lam * tau, tau
+    target: Array = lam * tau
+    return target
 
 
 def is_dynamics(baseline: Dynamics | ArrayLike) -> TypeGuard[Dynamics]:

@@ -14,14 +14,14 @@ from redundancy_pin.planners.limits import OF_CARRIERS, LimitEvent, ResolvedLimi
 from redundancy_pin.trajectory import boundary_polynomial
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
-CANDIDATES = 160
+CANDIDATES = 32
 """Durations tried, evenly in their logarithm, before the search is refined between neighbours."""
 
 SHORTEST_FRACTION = 1e-3
 """Of the time there is, that the shortest candidate takes."""
 
 SAMPLES = 65
-"""Samples of a candidate; the chosen one is judged at its extremes."""
+"""Samples of a candidate, which is also evaluated at its extremes."""
 
 ALLOWED = 1.0 + 1e-12
 """Largest use of a limit that keeps it: the shortest return lies on one, to rounding."""
@@ -81,8 +81,8 @@ def shortest_return(
     """Return the shortest return (``return_polynomial``) that keeps every limit of the carriers.
 
     The overshoot of the polynomial grows with its duration and its acceleration with the inverse, so the durations
-    that keep the limits form an interval if there are any. It is bracketed on a logarithmic grid; where no candidate
-    lies in it, the neighbourhood of the best ones is searched before it is called empty.
+    that keep the limits form an interval if there are any. It is bracketed on a logarithmic grid. Where no candidate
+    lies in it, the minimum of the limit use is sought between candidates before the interval counts as empty.
 
     Args:
         limits: of the carriers.
@@ -97,55 +97,43 @@ def shortest_return(
             of which carrier it exceeds, when and by how much.
     """
 
-    def limit_use(duration: float) -> tuple[float, LimitEvent]:
+    def use(duration: float) -> tuple[float, LimitEvent]:
         return _limit_use(limits, force, return_polynomial(state, duration, datum))
 
-    def use(duration: float) -> float:
-        return limit_use(duration)[0]
-
-    durations = np.geomspace(SHORTEST_FRACTION * available, available, CANDIDATES)
-    uses = _sampled_uses(limits, force, state, datum, durations)
-    padded = np.concatenate([[np.inf], uses, [np.inf]])
-    dips = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:]) & (uses > ALLOWED)
-    if limit_uses(limits, state.s, state.sd, state.sdd, np.zeros_like(state.s)).max() > ALLOWED:
-        dips[:] = False  # it begins beyond a limit, whatever its duration
-    for i in np.flatnonzero(dips | (uses <= ALLOWED)).tolist():
-        low, high = float(durations[max(i - 1, 0)]), float(durations[i])
-        if uses[i] > ALLOWED:  # the limits may be kept between two candidates
-            bounds = (low, float(durations[min(i + 1, CANDIDATES - 1)]))
-            best = minimize_scalar(lambda T: use(float(T)), bounds=bounds, method="bounded")
-            high, uses[i] = float(best.x), float(best.fun)
-            durations[i] = high
-        if use(high) <= ALLOWED:
-            shortest = low
-            if use(low) > ALLOWED:
-                exact = {"xtol": _TIME_TOLERANCE * low, "rtol": _TIME_TOLERANCE}
-                shortest = float(brentq(lambda T: use(float(T)) - ALLOWED, low, high, **exact))
-                if use(shortest) > ALLOWED:  # the root is known from one side only
-                    shortest = min(shortest * (1.0 + 2.0 * _TIME_TOLERANCE), high)
+    durations = np.geomspace(SHORTEST_FRACTION * available, available, CANDIDATES).tolist()
+    found = [use(duration) for duration in durations]
+    beside = [np.inf, *(most for most, _ in found), np.inf]
+    for i in range(CANDIDATES):
+        if found[i][0] > ALLOWED and beside[i] > found[i][0] <= beside[i + 2]:
+            # the limits may be kept between two candidates
+            ends = np.log([durations[max(i - 1, 0)], durations[min(i + 1, CANDIDATES - 1)]])
+            least = minimize_scalar(lambda T: use(np.exp(T))[0], bounds=ends, method="bounded")
+            durations[i] = float(np.exp(least.x))
+            found[i] = use(durations[i])
+        if found[i][0] <= ALLOWED:
+            # the candidates before it break a limit
+            shortest = _first_within(lambda T: use(T)[0], durations[i - 1], durations[i]) if i else durations[i]
             return return_polynomial(state, shortest, datum)
-    raise _no_return(limit_use(float(durations[uses.argmin()]))[1], state.t, available, remedy)
-
-
-def _sampled_uses(
-    limits: ResolvedLimits, force: CarrierForce, state: CarrierState, datum: Array, durations: Array
-) -> Array:
-    """Return (T,) the largest limit use of the samples of each return."""
-    # all at once, as one polynomial in the fraction of the time that has passed
-    fractions, T = np.linspace(0.0, 1.0, SAMPLES), durations[:, None]
-    end = np.broadcast_to(datum, (len(durations), len(datum))).ravel()
-    start = [np.ravel(value * T**order) for order, value in enumerate((state.s, state.sd, state.sdd))]
-    zero = np.zeros_like(end)
-    path = boundary_polynomial(0.0, 1.0, [*start, zero], [end, zero, zero, zero])
-    times = state.t + T * fractions
-    s, sd, sdd = (
-        np.swapaxes(path(fractions, order=order).reshape(SAMPLES, *T.shape[:1], -1), 0, 1).reshape(-1, len(datum))
-        / np.repeat(durations, SAMPLES)[:, None] ** order
-        for order in range(3)
+    _, event = min(found, key=lambda one: one[0])
+    raise InfeasiblePlanError(
+        f"No return of the carriers of at most {available:.6g} s from t = {state.t:.6g} s keeps their limits: the best "
+        f"one breaks the {event.quantity} limit {event.limit:g} of {event.joint} by {event.amount:.4g} at "
+        f"t = {event.worst:.6g} s.",
+        remedy=remedy,
+        constraint=event.quantity,
+        joint=event.joint,
+        time=event.worst,
+        amount=event.amount,
     )
-    uses = limit_uses(limits, s, sd, sdd, force(times.ravel(), s, sd, sdd))
-    largest: Array = uses.reshape(len(durations), -1).max(axis=1)
-    return largest
+
+
+def _first_within(use: Callable[[float], float], low: float, high: float) -> float:
+    """Return the shortest duration, s, that keeps the limits, between one that breaks them and one that does not."""
+    tolerance = {"xtol": _TIME_TOLERANCE * low, "rtol": _TIME_TOLERANCE}
+    shortest = float(brentq(lambda T: use(float(T)) - ALLOWED, low, high, **tolerance))
+    if use(shortest) > ALLOWED:  # the root is known from one side only
+        shortest = min(shortest * (1.0 + 2.0 * _TIME_TOLERANCE), high)
+    return shortest
 
 
 def _limit_use(limits: ResolvedLimits, force: CarrierForce, path: PiecewisePolynomial) -> tuple[float, LimitEvent]:
@@ -162,17 +150,3 @@ def _limit_use(limits: ResolvedLimits, force: CarrierForce, path: PiecewisePolyn
     limit = upper if abs(value - upper) <= abs(value - lower) else lower
     amount = abs(value - limit) if use > 1.0 else 0.0
     return use, LimitEvent(limits.names[i], OF_CARRIERS[which], t, t, t, value, limit, amount)
-
-
-def _no_return(use: LimitEvent, start: float, available: float, remedy: str) -> InfeasiblePlanError:
-    """Return the error that says that no return keeps the limits, which one stands in the way, and by how much."""
-    return InfeasiblePlanError(
-        f"No return of the carriers of at most {available:.6g} s from t = {start:.6g} s keeps their limits: the best "
-        f"one breaks the {use.quantity} limit {use.limit:g} of {use.joint} by {use.amount:.4g} at "
-        f"t = {use.worst:.6g} s.",
-        remedy=remedy,
-        constraint=use.quantity,
-        joint=use.joint,
-        time=use.worst,
-        amount=use.amount,
-    )

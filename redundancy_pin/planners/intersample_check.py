@@ -374,11 +374,9 @@ def _with_samples(pieces: PieceExtremes, t: Array, loads: Array) -> tuple[Array,
     inside = np.searchsorted(pieces.ends[1:, 0], t, side="right")
     size = np.where(np.isfinite(loads), np.abs(loads), 0.0)
     for j in range(loads.shape[1]):
-        order = np.argsort(size[:, j], kind="stable")
-        top = np.zeros(len(value), dtype=np.intp)
-        top[inside[order]] = order  # of several samples in a piece the largest is written last
-        larger = np.isin(np.arange(len(value)), inside) & (size[top, j] > np.abs(value[:, j]))
-        value[larger, j], time[larger, j] = loads[top[larger], j], t[top[larger]]
+        order = np.argsort(size[:, j], kind="stable")  # of several samples in a piece the largest is written last
+        larger = order[size[order, j] > np.abs(value[inside[order], j])]
+        value[inside[larger], j], time[inside[larger], j] = loads[larger, j], t[larger]
     return time, value
 
 
@@ -471,7 +469,11 @@ class _Scale:
         loads = robot.m + robot.k
         limited = np.concatenate([limits.of(key)[joints] for key, joints in limits.evaluated().items()])[loads:]
         size[loads:] = np.maximum(size[loads:], SMALL * limited)  # an actuator that stands has a rate of rounding
-        return _Scale(size, np.append(_rounding(robot, reduced), np.zeros(len(limited))))
+        rounding = np.zeros(len(size))
+        if reduced.force_size is not None:
+            arms = np.concatenate([reduced.column_scale, velocity_scale(robot)[robot.carrier_velocity]])
+            rounding[:loads] = ROUNDING * float(reduced.force_size.max(initial=0.0)) * arms
+        return _Scale(size, rounding)
 
     def resolves(self, series: Array, values: Array) -> BoolArray:
         """Return (P,) whether Chebyshev series (P, d, c) of the values (P, d, c) resolve them."""
@@ -485,12 +487,18 @@ def _poles(
 ) -> IntArray:
     """Return the indices of unsettled pieces in which the main efforts have a pole.
 
-    A pole grows with every halving; a spike that ends does not change the sign of det W.
+    A pole grows with every halving, and det W of a square W changes its sign there; at a spike that ends it does not.
     """
     main = slice(dynamics.robot.m)
     grown = (np.abs(values[:, :, main]).max(axis=1) > GROWN * scale.size[main]).any(axis=1)
     candidates = np.flatnonzero(unsettled & grown)
-    return candidates[_crosses(dynamics, functions, ends[candidates])]
+    if not len(candidates) or dynamics.robot.n != dynamics.robot.m:
+        return candidates[:0]
+    times = ends[candidates].ravel()
+    W = dynamics.along(functions.platform.sample_at(times)).reduce(functions.carriers_at(times)).W
+    sides = np.linalg.slogdet(W)[0].reshape(-1, 2)
+    poles: IntArray = candidates[sides.prod(axis=1) <= 0.0]
+    return poles
 
 
 def _edges(functions: PlanFunctions, start: float, end: float, singular: Array) -> Array:
@@ -524,26 +532,6 @@ def _values(
     for key, joints in limits.evaluated().items():
         values.append(np.asarray(QUANTITIES[key].values(states))[:, joints])
     return reduced, np.concatenate(values, axis=1).reshape(len(ends), PIECE_DEGREE + 1, -1)
-
-
-def _rounding(robot: Robot, reduced: ReducedDynamics) -> Array:
-    """Return (m + k,) the rounding of main efforts and carrier forces along a motion, N or N·m."""
-    if reduced.force_size is None:
-        return np.zeros(robot.m + robot.k)
-    arms: Array = np.concatenate([reduced.column_scale, velocity_scale(robot)[robot.carrier_velocity]])
-    return ROUNDING * float(reduced.force_size.max(initial=0.0)) * arms
-
-
-def _crosses(dynamics: Dynamics, functions: PlanFunctions, ends: Array) -> BoolArray:
-    """Return (P,) whether det W of a square W changes its sign between the (P, 2) ends of pieces."""
-    if not len(ends):
-        return np.zeros(0, dtype=bool)
-    signs = []
-    for times in ends.T:
-        W = np.asarray(dynamics.along(functions.platform.sample_at(times)).reduce(functions.carriers_at(times)).W)
-        signs.append(np.linalg.slogdet(W)[0] if W.shape[1] == W.shape[2] else np.ones(len(W)))
-    crosses: BoolArray = signs[0] * signs[1] <= 0.0
-    return crosses
 
 
 def _extremes(ends: Array, series: Array, values: Array, finite: BoolArray) -> tuple[Array, Array]:

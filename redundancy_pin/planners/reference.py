@@ -8,9 +8,7 @@ engine can ask for any instant. The efforts of the samples, interpolated, would 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -94,7 +92,8 @@ class MotionReference:
         self,
         robot: Robot,
         edges: Array,
-        series: Mapping[str, PiecewisePolynomial],
+        states: PiecewisePolynomial,
+        efforts: PiecewisePolynomial,
         is_pose: bool,
         carrier_lag: Array,
         deviation: float,
@@ -102,11 +101,12 @@ class MotionReference:
         self.robot, self.edges = robot, edges
         self.start, self.end = float(edges[0]), float(edges[-1])
         self.carrier_lag, self.effort_deviation = carrier_lag, deviation
-        self.efforts, self.jumps = series["loads"], series["loads"].jumps()
-        self._carriers, self._platform, self._tree = (series[name] for name in ("carriers", "platform", "tree"))
+        self.efforts, self.jumps = efforts, efforts.jumps()
         self.is_pose = is_pose
-        parts = (self._platform, self._carriers)
-        self._cuts: list[int] = np.cumsum([part.coefficients.shape[2] for part in parts]).tolist()
+        n, k, model = robot.n, robot.k, robot.model
+        ends = np.cumsum([16 if is_pose else n, n, n, k, k, k, model.nq, model.nv, model.nv]).tolist()
+        self._columns = [slice(first, stop) for first, stop in itertools.pairwise([0, *ends])]
+        self._motion = states  # x, ẋ, ẍ, s, ṡ, s̈, q, v and a side by side
 
     def loads(self, t: float) -> tuple[Array, Array]:
         """Return main efforts (m,) and carrier forces (k,) at time t; outside the motion those at its ends."""
@@ -115,56 +115,39 @@ class MotionReference:
 
     def carriers(self, t: float) -> tuple[Array, Array, Array]:
         """Return s, ṡ, s̈ (k,) at time t."""
-        return self._carriers_of(self._carriers.at(t))
+        _, _, _, s, sd, sdd, *_ = self._states(t)
+        return s, sd, sdd
 
     def platform(self, t: float) -> tuple[Array, Array, Array]:
         """Return x, (n,) or a pose (4, 4), ẋ and ẍ (n,) at time t."""
-        return self._platform_of(self._platform.at(t))
+        x, xd, xdd, *_ = self._states(t)
+        return x, xd, xdd
 
     def tree(self, t: float) -> tuple[Array, Array, Array]:
         """Return q (nq,), v and a (nv,) at time t."""
-        return self._tree_of(self._tree.at(t))
+        *_, q, v, a = self._states(t)
+        return q, v, a
 
     def at(self, t: float) -> ReferencePoint:
         """Return everything at time t, s."""
-        flat, (a, b) = self._motion.at(t), self._cuts
-        return ReferencePoint(
-            t, *self._platform_of(flat[:a]), *self._carriers_of(flat[a:b]), *self._tree_of(flat[b:]), *self.loads(t)
-        )
+        return ReferencePoint(t, *(*self._states(t), *self.loads(t)))
 
     def course(self, t: float) -> tuple[Array, Array, Array, Array, Array]:
-        """Return x, ẋ, s, ṡ and all efforts (m + k) at time t, s: what a feedback compares with, in one look-up."""
-        flat, (a, b) = self._course.at(t), self._cuts
-        x, xd, _ = self._platform_of(flat[:a])
-        s, sd, _ = self._carriers_of(flat[a:b])
-        return x, xd, s, sd, flat[b:]
+        """Return x, ẋ, s, ṡ and all efforts (m + k) at time t, s: what a feedback compares with."""
+        x, xd, _, s, sd, *_ = self._states(t)
+        return x, xd, s, sd, self.efforts.at(t)
 
-    @cached_property
-    def _course(self) -> PiecewisePolynomial:
-        return self._platform.hstack(self._carriers).hstack(self.efforts)
-
-    @cached_property
-    def _motion(self) -> PiecewisePolynomial:
-        """Platform, carriers and tree side by side: one look-up in place of three."""
-        return self._platform.hstack(self._carriers).hstack(self._tree)
-
-    def _carriers_of(self, flat: Array) -> tuple[Array, Array, Array]:
-        k = self.robot.k
-        return flat[:k], flat[k : 2 * k], flat[2 * k :]
-
-    def _platform_of(self, flat: Array) -> tuple[Array, Array, Array]:
-        n = self.robot.n
-        x = flat[: -2 * n]
-        return (x.reshape(4, 4) if self.is_pose else x), flat[-2 * n : -n], flat[-n:]
-
-    def _tree_of(self, flat: Array) -> tuple[Array, Array, Array]:
-        nv = self.robot.model.nv
-        return flat[: -2 * nv], flat[-2 * nv : -nv], flat[-nv:]
+    def _states(self, t: float) -> list[Array]:
+        """Return x, ẋ, ẍ, s, ṡ, s̈, q, v and a at time t."""
+        flat = self._motion.at(t)
+        x, *others = (flat[columns] for columns in self._columns)
+        return [x.reshape(4, 4) if self.is_pose else x, *others]
 
     def tree_and_loads(self, times: Array) -> tuple[Array, Array, Array, Array]:
         """Return q (N, nq), v and a (N, nv), and main efforts and carrier forces side by side (N, m + k), at times."""
-        nv, tree = self.robot.model.nv, self._tree(times)
-        return tree[:, : -2 * nv], tree[:, -2 * nv : -nv], tree[:, -nv:], self.efforts(times)
+        flat = self._motion(times)
+        q, v, a = (flat[:, columns] for columns in self._columns[-3:])
+        return q, v, a, self.efforts(times)
 
 
 def plan_reference(
@@ -255,15 +238,11 @@ def reference_of(robot: Robot, functions: PlanFunctions, edges: Array, plan: Pla
         limits = {float(plan.t[i]): np.asarray(plan.tau[i]) for i in singular if np.isfinite(plan.tau[i]).all()}
         lag = np.abs(functions.carriers(plan.t) - plan.carriers.s).max(axis=0, initial=0.0)
     tau = functions.effort_polynomials(edges, reduced, limits)
-    series = {
-        "loads": tau.hstack(polynomials(reduced.carrier_force)),
-        "carriers": polynomials(along.s, along.sd, along.sdd),
-        "platform": polynomials(motion.x, motion.xd, motion.xdd),
-        "tree": polynomials(tree.q, tree.v, tree.a),
-    }
+    together = polynomials(motion.x, motion.xd, motion.xdd, along.s, along.sd, along.sdd, tree.q, tree.v, tree.a)
+    efforts = tau.hstack(polynomials(reduced.carrier_force))
     lag = read_only(np.where(lag < SHIFT, 0.0, lag))
     deviation = float("nan") if plan is None else _deviation(plan, tau)
-    return MotionReference(robot, read_only(edges), series, motion.is_pose, lag, deviation)
+    return MotionReference(robot, read_only(edges), together, efforts, motion.is_pose, lag, deviation)
 
 
 def _deviation(plan: Plan, tau: PiecewisePolynomial) -> float:

@@ -12,8 +12,10 @@ from scipy.optimize import brentq
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import motion_reference, plan_reference
+from redundancy_pin.trajectory.continuous_motion import as_motion
 
 SERIES = 1e-10
 """m, m/s: ten nodes in 5 ms of a smooth motion leave rounding, magnified by differentiation to 1e-11."""
@@ -104,6 +106,30 @@ def test_between_two_samples_at_rest_a_plan_has_its_efforts() -> None:
     assert np.abs(expected).max() > 0.1
     # half a second is long for one polynomial
     np.testing.assert_allclose([reference.loads(t)[0] for t in times], expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["3rrr", "gough"])
+def test_every_state_is_that_of_the_motion(name: str) -> None:
+    """Of a planar robot, and of one whose platform has poses."""
+    robot = zoo.robot_of(name)
+    motion = zoo.smooth_motion(robot).at(np.linspace(0.0, 0.2, 11))
+    reference = motion_reference(robot, motion, step=0.02)
+    times = np.array([0.0313, 0.1171, 0.1999])
+    exact = as_motion(motion).sample_at(times)
+    tree = inverse_kinematics(robot, exact)
+    for i, t in enumerate(times):
+        point = reference.at(t)
+        for part in ("x", "xd", "xdd"):
+            np.testing.assert_allclose(getattr(point, part), getattr(exact, part)[i], atol=1e-7)
+        for part in ("q", "v", "a"):
+            np.testing.assert_allclose(getattr(point, part), getattr(tree, part)[i], atol=1e-6)
+        for same, parts in (
+            (reference.platform(t), (point.x, point.xd, point.xdd)),
+            (reference.carriers(t), (point.s, point.sd, point.sdd)),
+            (reference.tree(t), (point.q, point.v, point.a)),
+        ):
+            for ours, theirs in zip(same, parts, strict=True):
+                np.testing.assert_array_equal(ours, theirs)
 
 
 def test_a_trajectory_that_a_plan_was_not_made_for_is_refused() -> None:

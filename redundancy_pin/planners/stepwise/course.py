@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from functools import partial
 from itertools import pairwise
-from typing import Any, Literal, get_args
+from typing import Literal
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, one_of, positive, require_few
-from redundancy_pin.errors import InfeasiblePlanError, InputError
-from redundancy_pin.planners.base_wrench import weights_of
+from redundancy_pin.arrays import Array, BoolArray, IntArray, require_few
+from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.carrier_model import EffortModel
 from redundancy_pin.planners.carrier_return import CarrierState, no_force, return_polynomial, shortest_return
 from redundancy_pin.planners.limits import ResolvedLimits
-from redundancy_pin.planners.options import NO_NODES, Limits, Objective, refuse_fields, return_duration
 from redundancy_pin.planners.stepwise.step import AccelerationBox, OptimisedSteps, optimise
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -27,9 +23,6 @@ Active = Literal["always", "accelerating"]
 
 Stop = Literal["after", "within"]
 """When the carriers are brought to rest: after the motion, with the platform held, or by its last sample."""
-
-GOALS = ("effort", "tracking")
-"""Objectives of a step, by the names of ``plan_whole_trajectory``."""
 
 PHASES = ("parked", "optimise", "return", "brake")
 """What the carriers do: stand, follow the optimiser, follow the degree-seven polynomial, are braked."""
@@ -57,40 +50,6 @@ class StepwiseSettings:
         """The settings as plain data, for the plan."""
         own = {each.name: getattr(self, each.name) for each in fields(self)[1:]}
         return own | {name: tuple(own[name].tolist()) for name in ("start", "datum")}
-
-
-REFUSED = {
-    **NO_NODES,
-    "calm": "each step has one minimum, and there is none that is calmer",
-    "base_point": "the stepwise planner minimises no moment on the base",
-    "jerk": "the carriers' accelerations jump from step to step; use plan_whole_trajectory",
-}
-"""Fields of groups that the planner does not take, and why."""
-
-
-def checked_settings(robot: Robot, objective: Objective, limits: Limits, **options: Any) -> StepwiseSettings:
-    """Return the settings of ``plan_stepwise`` after checking them; ``options`` are the other fields."""
-    for name, allowed in (("active", get_args(Active)), ("stop", get_args(Stop)), ("anticipate", (True, False))):
-        one_of(options[name], name, allowed)
-    weights = weights_of(objective.weights or {}, GOALS)
-    if len(weights) > 1:
-        raise InputError("Each step has one objective.", remedy=f"Use {' or '.join(GOALS)}.", name="objective")
-    refuse_fields(REFUSED, objective, limits)
-    resolved = limits.resolved(robot)
-    if options["stop"] == "within" and np.isinf(resolved.acceleration).any():
-        raise InputError(
-            'stop="within" needs acceleration limits: without them nothing says when to brake.',
-            remedy='Declare or pass acceleration limits, or use stop="after".',
-        )
-    checks: dict[str, Callable[[Any, str], object]] = {
-        "start": resolved.on_track,
-        "datum": resolved.on_track,
-        "return_time": return_duration,
-        "brake_time": partial(positive, unit="s"),
-        "least_margin": partial(positive, unit=""),
-    }
-    checked = {name: check(options[name], name) for name, check in checks.items()}
-    return StepwiseSettings(resolved, float(objective.lam), **{**options, **checked})
 
 
 @dataclass(eq=False)

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, runs
+from redundancy_pin.arrays import Array, BoolArray, IntArray, one_of, positive, runs
 from redundancy_pin.dynamics.default import DynamicsLike, as_cached_dynamics, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.base_wrench import weights_of
 from redundancy_pin.planners.carrier_model import (
     EffortModel,
     effort_model,
@@ -26,22 +27,23 @@ from redundancy_pin.planners.intersample_check import Findings, PlannedMotion
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.options import (
     LARGEST_STEP,
+    NO_NODES,
     Limits,
     Mesh,
     Objective,
     group_of,
     refuse_fields,
+    return_duration,
     takes_groups,
 )
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.course import (
     PHASES,
-    REFUSED,
     RETURN,
     Active,
     Course,
+    StepwiseSettings,
     Stop,
-    checked_settings,
     plan_course,
 )
 from redundancy_pin.planners.stepwise.step import AccelerationBox, OptimisedSteps, gradient_tolerance
@@ -52,6 +54,17 @@ from redundancy_pin.trajectory.trajectory import sample_times
 
 LEAST_MARGIN = 1e-3
 """Smallest margin of W that is accepted: efforts grow with its inverse."""
+
+GOALS = ("effort", "tracking")
+"""Objectives of a step, by the names of ``plan_whole_trajectory``."""
+
+REFUSED = {
+    **NO_NODES,
+    "calm": "each step has one minimum, and there is none that is calmer",
+    "base_point": "the stepwise planner minimises no moment on the base",
+    "jerk": "the carriers' accelerations jump from step to step; use plan_whole_trajectory",
+}
+"""Fields of groups that the planner does not take, and why."""
 
 _ROUNDING = 1e-9
 """Of the largest speed or acceleration of the platform; below it is zero. The straights of a path leave rounding."""
@@ -152,23 +165,34 @@ def plan_stepwise(
             samples=len(motion),
         )
     platform = as_motion(motion) if source is None else source
-    goal = Objective.of(objective)
-    settings = checked_settings(
-        robot,
-        goal,
-        group_of(limits, Limits),
+    goal, given = Objective.of(objective), group_of(limits, Limits)
+    one_of(active, "active", get_args(Active))
+    one_of(stop, "stop", get_args(Stop))
+    one_of(anticipate, "anticipate", (True, False))
+    if len(weights_of(goal.weights or {}, GOALS)) > 1:
+        raise InputError("Each step has one objective.", remedy=f"Use {' or '.join(GOALS)}.", name="objective")
+    refuse_fields(REFUSED, goal, given)
+    resolved = given.resolved(robot)
+    if stop == "within" and np.isinf(resolved.acceleration).any():
+        raise InputError(
+            'stop="within" needs acceleration limits: without them nothing says when to brake.',
+            remedy='Declare or pass acceleration limits, or use stop="after".',
+        )
+    settings = StepwiseSettings(
+        limits=resolved,
+        lam=float(goal.lam),
         active=active,
-        start=start,
-        datum=datum,
-        return_time=return_time,
-        stop=stop,
-        brake_time=brake_time,
+        start=resolved.on_track(start, "start"),
+        datum=resolved.on_track(datum, "datum"),
         anticipate=anticipate,
-        least_margin=least_margin,
+        return_time=return_duration(return_time, "return_time"),
+        stop=stop,
+        brake_time=positive(brake_time, "brake_time", "s"),
+        least_margin=positive(least_margin, "least_margin", ""),
     )
     along = dynamics.along(motion)
     baseline = as_dynamics(goal.baseline) if isinstance(goal.baseline, (Robot, str, Path)) else goal.baseline
-    target, _ = target_effort(robot, motion, settings.lam, baseline)
+    target = target_effort(robot, motion, settings.lam, baseline)
     instants = np.flatnonzero(~motion.jumps)
     model = effort_model(along, settings.least_margin)
     missing = EffortModel(model.t[instants], (model.tau0 - target)[instants], model.tau_terms[instants])

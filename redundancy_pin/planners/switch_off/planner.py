@@ -15,7 +15,7 @@ from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import Actuation, Measure, TimedModel, require_carriers
-from redundancy_pin.planners.carrier_return import CarrierState, return_polynomial, shortest_return
+from redundancy_pin.planners.carrier_return import return_polynomial, shortest_return
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import Findings, PlannedMotion
@@ -157,12 +157,28 @@ def plan_switch_off(
 def _return(
     dynamics: Dynamics, source: Motion, crossing: Crossing, settings: SwitchOffSettings, later: list[Interval]
 ) -> PiecewisePolynomial | None:
-    """Return the carriers' way back after a crossing; None where it does not end before the next window."""
-    state, end = crossing.exit, source.end
-    room = (min(end, later[0].start - settings.ramp_down) if later else end) - state.t
-    if settings.return_time == "shortest":
-        return _shortest_return(dynamics, source, state, settings, room, bool(later))
-    duration = settings.return_time
+    """Return the carriers' way back after a crossing; None where there is none that ends before the next window."""
+    state, end, duration = crossing.exit, source.end, settings.return_time
+    until = min(end, later[0].start - settings.ramp_down) if later else end
+    room = until - state.t
+    if later and room <= 0.0:
+        return None
+    if duration == "shortest":
+        model = TimedModel.of(dynamics, source, state.t, until)
+        try:
+            return shortest_return(
+                settings.limits,
+                lambda t, *motion: model.at(t).carrier_force(*motion),
+                state,
+                settings.datum,
+                room,
+                "Raise the threshold (a shorter window moves the carriers less), lengthen the tracks, or pass a "
+                "return_time and accept a plan that violates limits.",
+            )
+        except InfeasiblePlanError:
+            if later:
+                return None
+            raise
     if duration <= room:
         return return_polynomial(state, duration, settings.datum)
     if later:
@@ -175,29 +191,6 @@ def _return(
         time=state.t,
         amount=duration - room,
     )
-
-
-def _shortest_return(
-    dynamics: Dynamics, source: Motion, state: CarrierState, settings: SwitchOffSettings, room: float, later: bool
-) -> PiecewisePolynomial | None:
-    """Return the shortest return within ``room``, s; None where none keeps the limits before a later window."""
-    if room <= 0.0:
-        return None
-    model = TimedModel.of(dynamics, source, state.t, state.t + room)
-
-    def force(t: Array, s: Array, sd: Array, sdd: Array) -> Array:
-        return model.at(t).carrier_force(s, sd, sdd)
-
-    remedy = (
-        "Raise the threshold (a shorter window moves the carriers less), lengthen the tracks, or pass a return_time "
-        "and accept a plan that violates limits."
-    )
-    try:
-        return shortest_return(settings.limits, force, state, settings.datum, room, remedy)
-    except InfeasiblePlanError:
-        if later:
-            return None
-        raise
 
 
 def _require_inside(window: Interval, start: float, end: float, ramp_down: float) -> None:

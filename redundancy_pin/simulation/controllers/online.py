@@ -37,20 +37,11 @@ class OnlineReference(MotionReference):
         platform, parked = source.sample_at(times), CarrierMotion.parked(len(times), robot.k)
         tree = inverse_kinematics(robot, platform).with_carriers(parked)
 
-        def polynomials(*parts: Array) -> PiecewisePolynomial:
-            values = np.concatenate([part.reshape(len(times), -1) for part in parts], axis=1)
-            return PiecewisePolynomial.from_values(edges, values.reshape(len(edges) - 1, -1, values.shape[1]))
-
-        def still(count: int) -> PiecewisePolynomial:
-            return PiecewisePolynomial.constant(np.zeros(count), source.start, source.end)
-
-        series = {
-            "loads": still(robot.m + robot.k),
-            "carriers": polynomials(parked.s, parked.sd, parked.sdd),
-            "platform": polynomials(platform.x, platform.xd, platform.xdd),
-            "tree": polynomials(tree.q, tree.v, tree.a),
-        }
-        super().__init__(robot, edges, series, platform.is_pose, np.zeros(robot.k), float("nan"))
+        parts = platform.x, platform.xd, platform.xdd, parked.s, parked.sd, parked.sdd, tree.q, tree.v, tree.a
+        values = np.concatenate([part.reshape(len(times), -1) for part in parts], axis=1)
+        states = PiecewisePolynomial.from_values(edges, values.reshape(len(edges) - 1, -1, values.shape[1]))
+        efforts = PiecewisePolynomial.constant(np.zeros(robot.m + robot.k), source.start, source.end)
+        super().__init__(robot, edges, states, efforts, platform.is_pose, np.zeros(robot.k), float("nan"))
         self.plan: planning.Command | None = None
 
     def carriers(self, t: float) -> tuple[Array, Array, Array]:

@@ -12,6 +12,7 @@ from leg_momentum import condition, free_carriers, imbalance, legs_along, moment
 
 from redundancy_pin import Mesh, VirtualWork, distribute, plan_switch_off
 from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.options import Limits
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, circle_path, reference
 
@@ -241,6 +242,25 @@ def test_windows_merge_where_the_return_does_not_fit_between_them():
         )
         assert len(plan.diagnostics["windows"]) == count
         require_exact(plan, reference.circle())
+
+
+@pytest.mark.parametrize(("limits", "count"), [(Limits(), 1), (Limits(speed=5.0, acceleration=100.0), 2)])
+def test_windows_merge_where_no_return_between_them_keeps_the_limits(limits, count):
+    plan = plan_switch_off(
+        virtual_work(), reference.circle(), threshold=20.0, ramp_down=0.01, return_time="shortest", limits=limits
+    )
+    assert len(plan.diagnostics["windows"]) == count
+    assert not plan.limits.violated
+    require_exact(plan, reference.circle())
+
+
+def test_a_shortest_return_is_sought_until_the_motion_ends_whatever_the_rounding_of_its_times():
+    """Entry plus what is left until the end may differ from the end by a bit; the model has no piece of that length."""
+    trajectory = reference.circle(0.8)
+    plan = plan_switch_off(virtual_work(), trajectory, threshold=20.0, ramp_down=0.01, return_time="shortest")
+    (window,) = plan.diagnostics["windows"]
+    assert window["return_end"] < trajectory.duration
+    require_exact(plan, trajectory)
 
 
 @examples(2, suppress_health_check=[HealthCheck.filter_too_much])
