@@ -13,14 +13,14 @@ combination of 1, cos s, sin s, cos 2s and sin 2s, of the same with แนก, with แน
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Literal, TypeGuard, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, checked, read_only
+from redundancy_pin.arrays import Array, IntArray, checked, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, terms_along
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
@@ -193,6 +193,10 @@ class CarrierModel:
     def k(self) -> int:
         """Number of carriers."""
         return int(self.f_terms.shape[2])
+
+    def __getitem__(self, index: slice | IntArray) -> CarrierModel:
+        """Return the model at some of the instants."""
+        return CarrierModel(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def f(self, s: Array, sd: Array, sdd: Array) -> Array:
         """Return f (N, n) for a carrier motion, each (N, k)."""

@@ -351,14 +351,16 @@ def trade_record(plans: Plans, task: Case, extent: Extent) -> Record:
     """Return effort against the carriers' acceleration: what each weight between the two leads to."""
     points = [_trade_point(0.0, 0.0, plans.plan(by_method(task, EFFORT, extent.coarser)))]
     points += [_trade_point(ratio, weight, plans.outcome(case)) for ratio, weight, case in weights(plans, task, extent)]
-    efforts, accelerations = ([point[key] for point in points] for key in ("rms_effort", "rms_acceleration"))
+    planned = [point for point in points if point["status"] != INFEASIBLE]
+    efforts, accelerations = ([point[key] for point in planned] for key in ("rms_effort", "rms_acceleration"))
     # between global optima effort rises and acceleration falls with the weight
     monotone = rises(efforts) and rises(accelerations[::-1])
     return {"task": task.name, "title": task.title, "unit": task.unit, "monotone": monotone, "points": points}
 
 
 def _trade_point(ratio: float, weight: float, outcome: Plan | InfeasiblePlanError) -> Record:
-    point = {"ratio": ratio, "weight": weight, "rms_effort": 0.0, "rms_acceleration": 0.0, "peak": 0.0}
+    nothing = dict.fromkeys(("rms_effort", "rms_acceleration", "peak"), math.nan)
+    point = {"ratio": ratio, "weight": weight, **nothing}
     if isinstance(outcome, InfeasiblePlanError):
         return {**point, "status": INFEASIBLE}
     shown, acceleration = measures.numbers(outcome), measures.rms_acceleration(outcome)

@@ -45,7 +45,7 @@ info --robot 4rrr => There is no robot '4rrr'
 {ONLINE} --start 0,0,0 => start is [0.0
 {ONLINE} --step 0 => step is 0 s
 {ONLINE} --out a.csv => --out a.csv does not end in .npz
-online --robot four_bar --trajectory circle => four_bar has no carriers to plan for
+online --robot 3rrr --set carriers=false --trajectory corner => 3rrr has no carriers to plan for
 online --robot 2rpr => On-line planning needs either a trajectory or a motion
 {LINE} --motion m.csv => A plan needs either a trajectory or a motion
 {LINE} --trajectory lien => The trajectory is 'lien'

@@ -280,7 +280,7 @@ def coarser(problem: Problem) -> Problem:
     return replace(
         problem,
         grid=Grid(read_only(grid.t[at]), np.searchsorted(at, grid.singular), grid.smooth[at]),
-        model=model[at],  # type: ignore[index]  # indices do as well as a slice
+        model=model[at],
         singular=tuple(replace(node, index=int(np.searchsorted(at, node.index))) for node in problem.singular),
         actuated_rate=problem.actuated_rate[at],
         target=problem.target[at],
