@@ -265,3 +265,13 @@ def test_loose_steps_meet_the_same_stops(five_bar: Robot, seed: int) -> None:
     assert [event.name for event in loose.events][: len(names)] == names
     np.testing.assert_allclose(loose.q[-1], tight.q[-1], atol=2e-3)
     assert np.abs(loose.q[:, [1, 3]]).max() < 2.2 + 1e-4
+
+
+@pytest.mark.parametrize("joint_stops", ["end", "inelastic"])
+def test_a_joint_that_leaves_its_stop_and_comes_back_at_once_meets_it_then(tmp_path: Path, joint_stops: str) -> None:
+    robot, speed = pendulum(tmp_path, (-0.5, 2.0)), 0.02
+    start = tree_state(robot, [-0.5], [speed])
+    run = rp.simulate(robot, start=start, duration=0.05, dt=0.01, joint_stops=joint_stops)
+    falls = MASS * G * CENTRE * np.cos(0.5) / (INERTIA + MASS * CENTRE**2)
+    assert run.events[0].t == pytest.approx(2.0 * speed / falls, rel=1e-4)
+    assert run.status is (ResultStatus.STOPPED if joint_stops == "end" else ResultStatus.OK)
