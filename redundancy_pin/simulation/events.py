@@ -418,10 +418,6 @@ def _root(functions: EventFunctions, step: Step, index: int, left: float, right:
     def value(fraction: float) -> float:
         return float(functions(step.at(fraction)[None, : functions.nq])[0, index])
 
-    if index < functions.stops.shape[1] and functions.approach(step.at(left)[None])[0, index] > 0.0:
-        # from its stop inward and back: the root is not where it starts
-        first = next((x for x in left + (right - left) * 0.5 ** np.arange(1.0, 40.0) if value(x) > 0.0), left)
-        left = float(first)
     at_left, at_right = value(left), value(right)
     if at_left * at_right < 0.0:
         # secants crawl towards a root of third order or more
