@@ -68,9 +68,7 @@ _LISTED = 8  # events that the table lists; the rest is counted
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, metavar="N", help="Of the noise.")
 @options.settings_option("--friction", "friction", f"Friction of the joints: {', '.join(FRICTION)}; N, N·m, s. "
                          "May be repeated.")  # fmt: skip
-@options.keyword_options(
-    run_simulation, only=("carriers", "effort_limit", "carrier_force_limit", "joint_stops", "duration")
-)
+@options.keyword_options(run_simulation, only=KEYWORDS)
 @click.option("--stop-at", type=click.Choice([*KINDS, NEVER]), multiple=True, default=("track", "joint_limit"),
               show_default=True, help="Events at which it stops. May be repeated.")  # fmt: skip
 @click.option("--dt", type=float, metavar="SECONDS", help="Between the samples.  [default: --period, or 0.005]")

@@ -240,7 +240,7 @@ class LimitedQuantity:
         exceeding: excess up to which a limit is kept, in ``unit``.
         touching: distance from a limit up to which it is touched, in ``unit``.
         unit: (j,); when left out, for each limit the larger of its magnitude and half the distance of both limits (of
-            one alone: and the largest value).
+            one alone that is zero, the largest value).
     """
 
     name: str
@@ -273,7 +273,8 @@ def limit_events(quantities: Iterable[LimitedQuantity]) -> tuple[Events, Events]
                 if not np.isfinite(limit):
                     continue
                 half = 0.5 * (ends[0] - ends[1])
-                half = half if np.isfinite(half) else float(np.abs(value).max(initial=0.0))  # limited on one side
+                if not np.isfinite(half):  # limited on one side, maybe at zero
+                    half = 0.0 if limit else float(np.abs(value).max(initial=0.0))
                 size = max(abs(limit), half) if row.unit is None else row.unit[j]
                 broken = excess > row.exceeding * size
                 near = (excess > -row.touching * size) & ~broken

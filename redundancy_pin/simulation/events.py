@@ -41,6 +41,10 @@ _ROUNDING = 1e-12
 _HELD = 0.9
 """Part of its slack by which a joint that starts at its limit may exceed it: a run then stops within the slack."""
 
+_NOT_AT = 1e-3
+"""Part of its slack that a joint at a stop that pushes is from where it leaves it: more than rounding, and too little
+to creep."""
+
 _UNLIMITED = 1e6
 """rad, or characteristic lengths; URDF writers put large numbers where there is no limit."""
 
@@ -112,13 +116,14 @@ class EventFunctions:
         """(4, l) index in q and in v, side and bound of each stop; they come first among the functions."""
         indices = stops[:2].astype(np.intp)
         self._position, self._rate, self._side, self._bound = indices[0], self.nq + indices[1], stops[2], stops[3]
-        self._slack, self._limit = slack, stops[3].copy()
+        self.slack = self._slack = slack
+        self._limit = stops[3].copy()
         if start is not None:
             # a joint that starts at its limit is within it, however it was rounded, and may stay there
             at_limit = np.abs(self._side * (self._bound - start[self._position])) <= slack
             self._bound += np.where(at_limit, _HELD * self._side * slack, 0.0)
-            beyond = np.maximum(self._side * (start[self._position] - self._bound), 0.0)
-            self._bound[list(at)] += (self._side * (beyond + _HELD * slack))[list(at)]
+            beyond = np.maximum(self._side * (start[self._position] - self._bound) + _NOT_AT * slack, 0.0)
+            self._bound[list(at)] += (self._side * beyond)[list(at)]
             self._bound[list(held)] = np.inf * self._side[list(held)]
         legs = 0 if robot.working_modes is None else len(robot.working_modes.joints)
         self._by_legs = legs > 0
@@ -181,8 +186,8 @@ class EventFunctions:
         return values
 
     def touching(self, q: Array) -> BoolArray:
-        """Return (l,) which stops joints are at, at a configuration (nq,)."""
-        result: BoolArray = np.abs(self._limit - q.take(self._position)) <= self._slack
+        """Return (l,) which stops joints are at, or beyond, at a configuration (nq,)."""
+        result: BoolArray = self._side * (self._limit - q.take(self._position)) <= self._slack
         return result
 
     def sign_changes(self, before: Array, after: Array) -> BoolArray:
@@ -418,10 +423,6 @@ def _root(functions: EventFunctions, step: Step, index: int, left: float, right:
     def value(fraction: float) -> float:
         return float(functions(step.at(fraction)[None, : functions.nq])[0, index])
 
-    if index < functions.stops.shape[1] and functions.approach(step.at(left)[None])[0, index] > 0.0:
-        # from its stop inward and back: the root is not where it starts
-        first = next((x for x in left + (right - left) * 0.5 ** np.arange(1.0, 40.0) if value(x) > 0.0), left)
-        left = float(first)
     at_left, at_right = value(left), value(right)
     if at_left * at_right < 0.0:
         # secants crawl towards a root of third order or more

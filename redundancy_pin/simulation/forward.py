@@ -109,13 +109,21 @@ class ForwardDynamics:
         prescribed: whether the carriers' motion is given in place of their forces.
         held: (h,) tree velocities that are zero, of joints at their stops.
         q: (nq,) configuration at which the independent velocities are chosen first; the reference when left out.
+        basis: of the closure rows in use, see ``ClosedChain``.
     """
 
     def __init__(
-        self, robot: Robot, *, prescribed: bool = False, held: Sequence[int] = (), q: Array | None = None
+        self,
+        robot: Robot,
+        *,
+        prescribed: bool = False,
+        held: Sequence[int] = (),
+        q: Array | None = None,
+        basis: Array | None = None,
     ) -> None:
         self.robot = robot
         self.chain = ClosedChain(robot)
+        self.chain.use_basis(basis)
         self.prescribed = prescribed
         nothing = np.empty(0, dtype=np.intp)
         self._carriers = np.array(robot.carrier_velocity)

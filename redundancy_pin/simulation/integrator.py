@@ -87,6 +87,9 @@ and for each rad that it moves."""
 _FARTHEST = 4.0 * np.pi
 """rad; a step that moves farther and may come to a rank loss is taken again, shorter."""
 
+_STILL = 1e-12
+"""rad; a step that moves less, as where stops hold all there is, comes to no rank loss."""
+
 _LEAST_TRAVEL = 0.01
 """rad; a rank loss that is nearer, and cannot be carried across, is given up."""
 
@@ -247,12 +250,16 @@ def integrate(
                 commands.append(machine.amplifiers.command(machine.state(stretch.start, progress.y)))
             hold = None if stretch.acting is None else commands[stretch.acting]
             progress = _integrate_stretch(problem, progress, stretch, hold, record, ordinary)
-            while (past := _past_stop(problem, progress, hold, record)) is not None:
-                problem, progress = past
+            while progress.status is not None:
+                going_on = _past_stop(problem, progress, hold, record)
+                if going_on is None:
+                    going_on = _with_all_rows(problem, progress, changed)
+                    if going_on is None:
+                        break
+                    changed, ordinary = progress.t, None
+                    going_on = _past_stop(*going_on, hold, record, at_start=True) or going_on
+                problem, progress = going_on
                 progress = _integrate_stretch(problem, progress, stretch, hold, record, ordinary)
-            while (other := _with_all_rows(problem, progress, changed)) is not None:
-                (problem, progress), changed, ordinary = other, progress.t, None
-                progress = _integrate_stretch(problem, progress, stretch, hold, record, None)
             if progress.status is not None:
                 break
     record.samples.append(_sample(problem.machine, progress.t, progress.y, hold, progress.sheet))
@@ -273,11 +280,11 @@ def _with_all_rows(
     machine = problem.machine.with_all_rows(q)
     if machine is None:
         return None
-    functions = EventFunctions(machine.chain, problem.functions.stop_at, q, problem.functions.push_back)
+    old = problem.functions
+    functions = EventFunctions(machine.chain, old.stop_at, q, old.push_back, np.flatnonzero(old.touching(q)).tolist())
     going_on = replace(progress, status=None, reason="", sheet=None, near=NEAR, next_step=None, short=0)
     going_on = replace(going_on, values=functions.at_start(q))
-    nothing = np.empty(0, dtype=np.intp)
-    return replace(problem, machine=machine, free=machine, functions=functions, held=nothing), going_on
+    return replace(problem, machine=machine, free=machine, functions=functions), going_on
 
 
 def _past_stop(
@@ -293,8 +300,9 @@ def _past_stop(
     stopped = bool(last) and progress.status is ResultStatus.STOPPED and last[0].kind in (*functions.push_back, RELEASE)
     if not functions.push_back or not (stopped or at_start):
         return None
-    met = functions.names.index(last[0].name) if stopped else None
+    met = functions.names.index(last[0].name) if stopped and last[0].name else None
     released = met if stopped and last[0].kind == RELEASE else None
+    is_release = stopped and last[0].kind == RELEASE
     reached = [*problem.held.tolist(), *(() if met is None else (met,))]
     switches = progress.switches + 1 if progress.t <= progress.switched + problem.shortest else 1
     if switches > _MOST_SWITCHES:
@@ -307,16 +315,21 @@ def _past_stop(
         return problem, progress.failed(str(error))
     if contact is None:
         return None
-    if stopped and released is None:
+    if stopped:
         record.events.pop()
-        hit = {event.name for event in contact.events}
-        record.events.extend([] if last[0].name in hit else [replace(last[0], terminal=False)])
+    hit = {event.name for event in contact.events}
+    if stopped and not is_release and last[0].name not in hit:
+        record.events.append(replace(last[0], terminal=False))
     record.events.extend(contact.events)
+    let_go = [functions.names[i] for i in problem.held.tolist() if i not in contact.held]
+    record.events.extend(Event(RELEASE, name, progress.t, terminal=False) for name in let_go)
     q = contact.y[: functions.nq]
     machine, at, held = contact.machine, contact.at.tolist(), contact.held.tolist()
     functions = EventFunctions(machine.chain, functions.stop_at, q, functions.push_back, at, held)
     going_on = replace(progress, y=contact.y, values=functions.at_start(q), status=None, reason="", next_step=None)
     going_on = replace(going_on, short=0, switches=switches, switched=progress.t)
+    if held:  # the motion that the closures leave is another one
+        going_on = replace(going_on, sheet=None, near=NEAR)
     return replace(problem, machine=machine, functions=functions, held=contact.held), going_on
 
 
@@ -550,7 +563,10 @@ def _rest(problem: InitialValueProblem, step: Step, sheet: Sheet) -> float | Non
 
 
 def _release(problem: InitialValueProblem, step: Step, hold: Command | None) -> Event | None:
-    """Return the event at which a stop would first have to pull the joint that it holds in a step, if it does."""
+    """Return the event at which a stop would first have to pull the joint that it holds in a step, if it does.
+
+    It names the stop where that comes to it in the step, not where it pulls from the start.
+    """
     machine, functions = problem.machine, problem.functions
     side = functions.stops[2, problem.held]
 
@@ -566,8 +582,10 @@ def _release(problem: InitialValueProblem, step: Step, hold: Command | None) -> 
                 for i in np.flatnonzero(after < 0.0)
             ]
             first = int(np.argmin(roots))
-            stop = problem.held[np.flatnonzero(after < 0.0)[first]]
-            return Event(RELEASE, functions.names[stop], step.time(roots[first]), terminal=False)
+            i = int(np.flatnonzero(after < 0.0)[first])
+            # where efforts have jumped, which of them lets go is not known from their signs alone
+            name = functions.names[problem.held[i]] if before[i] > 0.0 else ""
+            return Event(RELEASE, name, step.time(roots[first]), terminal=False)
         left, before = right, after
     return None
 
@@ -590,6 +608,8 @@ def require_no_rank_loss(problem: InitialValueProblem, earlier: SimulationProgre
     moved = pin.difference(machine.robot.model, q, step.at(1.0)[: len(q)]) / velocity_unit(machine.robot)
     moved[machine.robot.carrier_velocity] = 0.0
     travel = float(np.linalg.norm(moved))
+    if travel < _STILL:
+        return
     if travel > _FARTHEST:  # the way ahead is followed point by point
         raise RetryStep(0.5 * length, None, _at_pose(functions, q, "its closures may lose rank within a step of turns"))
     ahead = sheet_ahead(machine.chain, q, v, 1.2 * travel + WIDEST)

@@ -217,7 +217,6 @@ def _check(simulation: Simulation) -> None:
         "a": (nv,),
         "xd": (n,),
         "closure_force": (r,),
-        "stop_force": (nv,),
     }
     widths |= {"x": (4, 4) if simulation.x.ndim == 3 else (n,), "tau": (m,), "actuated_rate": (m,)}
     widths |= {"s": (k,), "sd": (k,), "sdd": (k,), "carrier_force": (k,), "gap": (), "energy": (), "stop_force": (nv,)}

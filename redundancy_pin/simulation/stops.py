@@ -28,11 +28,15 @@ from redundancy_pin.simulation.controllers.base import Command
 from redundancy_pin.simulation.events import Event, EventFunctions
 from redundancy_pin.simulation.system import Machine
 
-_AT_REST = 1e-4
-"""Inward speed, characteristic lengths or rad in a time scale, up to which a joint rests at a stop that pushes it.
+_ROUNDING = 1e-12
+"""Rates that are none: characteristic lengths or rad over the time scale, accelerations over its square."""
 
-A bar that rocks on two stops meets them infinitely often in finite time; within the slack of ``JointRange``, 1e-9 rad,
-and at this speed it is at rest."""
+_NO_PUSH = 1e-9
+"""Force of a stop, relative to the largest, that is none: where one redundant stop takes over from another, both are
+zero but for rounding."""
+
+_CONSISTENT = 1e-6
+"""Contradiction between rates of stopped joints, relative to the largest, that is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +76,7 @@ def resolve_contact(
         t: time, s.
         y: (nq + nv,) the state, from before an impact.
         hold: command that is held; None where the controller answers at this instant.
-        time: time scale, s.
+        time: time scale, s, for what is rounding.
         reached: stops that joints are at all the same, though an integration step was off: one that was just met, and
             those that have held.
         released: a stop that has just let go.
@@ -90,7 +94,8 @@ def resolve_contact(
     q, v = y[:nq], y[nq:].copy()
     basis, inertia = free.dynamics.reduced_inertia(q, v)
     moves = -side[:, None] * basis[columns]
-    step, impulse = least_constraint(inertia, moves, -side * v[columns])
+    nothing = _ROUNDING * velocity_unit(free.robot)[columns] / time
+    step, impulse = least_constraint(inertia, moves, _rounded(-side * v[columns], nothing))
     hit = impulse > 0.0
     v += basis @ step
     v[columns[hit]] = 0.0
@@ -99,19 +104,27 @@ def resolve_contact(
         Event(functions.kinds[i], functions.names[i], t, terminal=False, impulse=float(size))
         for i, size in zip(stops[hit], impulse[hit], strict=True)
     )
-    rests = -side * v[columns] <= _AT_REST * velocity_unit(free.robot)[columns] / time
-    rests &= stops != (-1 if released is None else released)
     state = free.state(t, y)
     command = free.amplifiers.command(state) if hold is None else hold
     a = free.rate(state, command)[-len(v) :]
-    _, force = least_constraint(inertia, moves[rests], (-side * a[columns])[rests])
-    pushed = np.flatnonzero(rests)[force > 0.0]
+    # a bar that rocks from stop to stop meets them infinitely often in finite time: what comes back from within the
+    # slack is at rest
+    outward = np.maximum(side * a[columns], 0.0)
+    rests = -side * v[columns] <= np.sqrt(2.0 * outward * functions.slack[stops])
+    rests &= stops != (-1 if released is None else released)
+    _, force = least_constraint(inertia, moves[rests], _rounded(-side * a[columns], nothing / time)[rests])
+    pushed = np.flatnonzero(rests)[force > _NO_PUSH * force.max(initial=0.0)]
     held, own = columns[pushed], moves[pushed]
     if len(held):
         response = np.linalg.solve(inertia, own.T)
         v -= basis @ (response @ np.linalg.solve(own @ response, -side[pushed] * v[held]))
         v[held] = 0.0
     return Contact(np.concatenate([q, v]), free.holding(held, q), stops, stops[pushed], events)
+
+
+def _rounded(rate: Array, nothing: Array) -> Array:
+    """Return rates (l,) with zeros in place of rounding."""
+    return np.where(np.abs(rate) <= nothing, 0.0, rate)
 
 
 def least_constraint(inertia: Array, moves: Array, rate: Array) -> tuple[Array, Array]:
@@ -134,6 +147,11 @@ def least_constraint(inertia: Array, moves: Array, rate: Array) -> tuple[Array, 
     wanted = -rate / length
     size = np.abs(wanted).max()
     responses /= length
+    motion = np.linalg.lstsq(responses.T, -wanted, rcond=None)[0]
+    if np.abs(responses.T @ motion + wanted).max() <= _CONSISTENT * size:
+        # the rates are of a motion, which rest stops: of redundant stops but for squares of speeds that count as rest
+        scaled, _ = nnls(responses, -motion)
+        return solve_triangular(lower, responses @ scaled, lower=True, trans=1), scaled / length
     weights, _ = nnls(np.vstack([responses, wanted / size]), np.append(np.zeros(len(inertia)), 1.0))
     slack = 1.0 - float(wanted @ weights) / size
     if not slack > np.finfo(float).eps:

@@ -102,7 +102,8 @@ class Machine:
         external: further generalised forces.
         method: how accelerations are computed.
         kernel: machine code for it, and for the projection; what it refuses is computed here.
-        held: (h,) tree velocities of joints that stops hold; ``q`` (nq,) is where they do.
+        held: (h,) tree velocities of joints that stops hold; ``q`` (nq,) is where they do, and ``basis`` that of the
+            closure rows in use there.
 
     Raises:
         InputError, UnsupportedRobotError: ``method`` is unknown, or cannot take prescribed carriers, or not the robot.
@@ -118,10 +119,11 @@ class Machine:
         kernel: ForwardKernel | None = None,
         held: Sequence[int] = (),
         q: Array | None = None,
+        basis: Array | None = None,
     ) -> None:
         self.robot = robot
         self.kernel = kernel
-        self.dynamics = ForwardDynamics(robot, prescribed=carrier_law is not None, held=held, q=q)
+        self.dynamics = ForwardDynamics(robot, prescribed=carrier_law is not None, held=held, q=q, basis=basis)
         self.held, self.chain = self.dynamics.held, self.dynamics.chain
         self.manifold = Manifold(self.chain, held)
         self.amplifiers, self._law, self._external = amplifiers, carrier_law, external
@@ -150,7 +152,10 @@ class Machine:
         """Return the machine with joints at rest at q (nq,) that stops hold, by their tree velocities (h,)."""
         if not len(held):
             return self
-        return Machine(self.robot, self.amplifiers, self._law, self._external, "projected", None, held.tolist(), q)
+        basis = self.chain.basis
+        return Machine(
+            self.robot, self.amplifiers, self._law, self._external, "projected", None, held.tolist(), q, basis
+        )
 
     def state(self, t: float, y: Array) -> State:
         """Return the state of y = (q, v) at time t, carriers where the law wants them."""

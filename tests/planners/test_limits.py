@@ -58,7 +58,7 @@ def by_a_loop(rows: list[LimitedQuantity]) -> tuple[set, set]:
                     continue
                 values = [x if np.isfinite(x) else 0.0 for x in row.values[:, i]]
                 both = np.isfinite(low) and np.isfinite(high)
-                size = max(abs(edge), (high - low) / 2.0 if both else max(map(abs, values)))
+                size = max(abs(edge), (high - low) / 2.0 if both else 0.0)
                 excess = [sign * (x - edge) for x in values]
                 over = [x > row.exceeding * size for x in excess]
                 near = [x > -row.touching * size and not far for x, far in zip(excess, over, strict=True)]

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from flat_linkages import row_of_four_bars
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
@@ -265,3 +268,75 @@ def test_loose_steps_meet_the_same_stops(five_bar: Robot, seed: int) -> None:
     assert [event.name for event in loose.events][: len(names)] == names
     np.testing.assert_allclose(loose.q[-1], tight.q[-1], atol=2e-3)
     assert np.abs(loose.q[:, [1, 3]]).max() < 2.2 + 1e-4
+
+
+@pytest.mark.parametrize("joint_stops", ["end", "inelastic"])
+def test_a_joint_that_leaves_its_stop_and_comes_back_at_once_meets_it_then(tmp_path: Path, joint_stops: str) -> None:
+    robot, speed = pendulum(tmp_path, (-0.5, 2.0)), 0.02
+    start = tree_state(robot, [-0.5], [speed])
+    run = rp.simulate(robot, start=start, duration=0.05, dt=0.01, joint_stops=joint_stops)
+    falls = MASS * G * CENTRE * np.cos(0.5) / (INERTIA + MASS * CENTRE**2)
+    assert run.events[0].t == pytest.approx(2.0 * speed / falls, rel=1e-4)
+    assert run.status is (ResultStatus.STOPPED if joint_stops == "end" else ResultStatus.OK)
+
+
+def test_a_stop_beside_a_rank_loss_of_the_closures_holds() -> None:
+    """A four-bar of equal cranks falls flat: its stop, 0.1 rad behind that pose, is met on the branch across it."""
+    shipped = row_of_four_bars(1)
+    model = pin.Model(shipped.model)
+    limits = np.array(model.lowerPositionLimit)
+    limits[0] = -0.1
+    model.lowerPositionLimit = limits
+    robot = replace(shipped, model=model)
+    run = inelastic(robot, start=closed_state(robot, [0.5 * np.pi], [-2.0]), duration=0.7)
+    (hit,) = of_kind(run, "joint_limit")
+    after = run.t > hit.t
+    assert run.status is ResultStatus.OK
+    np.testing.assert_allclose(run.q[after, 0], -0.1, atol=1e-9)
+    np.testing.assert_allclose(run.v[after], 0.0, atol=1e-20)
+    np.testing.assert_allclose(np.diff(run.energy[after]), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_a_start_at_several_stops_with_speed(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+    """Motors and elbows at limits from where they are, pushed and thrown any way."""
+    dice = np.random.default_rng(seed)
+    shipped = rp.load_robot("five_bar", gravity=(0, -G, 0))
+    start = closed_state(shipped, np.add([0.25, 0.7], dice.uniform(-0.1, 0.1, 2)), dice.uniform(-1.0, 1.0, 2))
+    model, at = pin.Model(shipped.model), dice.integers(0, 3, 4)
+    model.lowerPositionLimit = np.where(at == 1, start.q, -10.0)
+    model.upperPositionLimit = np.where(at == 2, start.q, 10.0)
+    robot = replace(shipped, model=model)
+    efforts = Efforts(*dice.uniform(-300.0, 300.0, 2))
+    run = inelastic(robot, efforts, start=tree_state(robot, start.q, start.v), duration=0.2)
+    assert run.status is ResultStatus.OK
+    assert (run.q >= model.lowerPositionLimit - 2e-9).all()
+    assert (run.q <= model.upperPositionLimit + 2e-9).all()
+    assert (run.stop_force[:, at == 1] >= 0.0).all()
+    assert (run.stop_force[:, at == 2] <= 0.0).all()
+    assert (run.stop_force[:, at == 0] == 0.0).all()
+
+
+def test_what_rests_does_not_depend_on_the_duration(tmp_path: Path) -> None:
+    robot = pendulum(tmp_path, (-0.5, 2.0))
+    start = tree_state(robot, [-0.5], [0.01])
+    long, short = (inelastic(robot, start=start, duration=end, dt=1e-3) for end in (0.5, 0.001))
+    np.testing.assert_allclose(short.q[-1], long.q[1], rtol=0.0, atol=1e-12)
+    assert not short.stop_force[0].any()
+
+
+@pytest.mark.parametrize("sampling", [None, Sampling(0.02, 0.01)])
+def test_at_a_jump_of_efforts_the_stop_lets_go_that_would_pull(tmp_path: Path, sampling: Sampling | None) -> None:
+    class Jump:
+        breaks = np.array([0.1])
+
+        def effort(self, t: float, state: State) -> tuple[Array, Array]:
+            return np.full(2, -5.0 if t < 0.1 else 30.0), np.zeros(0)
+
+    robot = pendulum(tmp_path, (-0.5, 2.0), (-1.0, 1.0))
+    run = inelastic(robot, Jump(), start=tree_state(robot, [-0.5, -1.0], [0.0, 0.0]), duration=0.2, sampling=sampling)
+    (release,) = run.events
+    # hinge_2 lets go at once; the first link stays pressed on its stop by the reaction of the second
+    assert (release.kind, release.name) == ("release", "hinge_2 lower")
+    assert release.t == pytest.approx(0.1 if sampling is None else 0.11, abs=1e-9)
+    assert (run.stop_force[run.t > release.t, 0] > 0.0).all()
