@@ -85,7 +85,6 @@ class Command(Frozen):
         singular: (r,) singular instants ahead, s.
         known_until: until when the plan has the platform's motion, s.
         seconds: time taken, s.
-        solver_seconds: of which by the solver.
         scaling: which time of the preview the platform is at, where a planner that may slow down has done so; None
             where that is the clock's.
     """
@@ -101,7 +100,6 @@ class Command(Frozen):
     singular: Array
     known_until: float
     seconds: float
-    solver_seconds: float
     scaling: TimeScaling | None = None
 
     def __repr__(self) -> str:
@@ -132,13 +130,14 @@ class Command(Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class TickPlan:
-    """A plan of a tick, and what the next one begins with.
+class UpdatePlan:
+    """The plan of an update at its N nodes; n coordinates, k carriers.
 
     ``nodes`` (N,) s; ``at``: s, ṡ and s̈ (N, k) there; ``multipliers`` (N, n) of W τ = f there; ``left``: by which
-    fraction of f that is missed at most; ``largest``: |τ| of the command in the step from the tick on, N or N·m;
-    ``solution``: what the next programme begins with, in the order of machine code;
-    ``iterations``: how many of its interior point method that took, over all ``rounds``, the programmes of its tick.
+    fraction of f that is missed at most; ``largest``: |τ| of the command in the step from the update on, N or N·m;
+    ``iterations``: how many of its interior point method that took, over all ``rounds``, the programmes of its update;
+    ``tau`` N or N·m, and ``row`` (n,) N or N·m: what efforts and rows are divided by; ``so_far``: largest |τ| of this
+    and all plans before, N or N·m.
     """
 
     command: Command
@@ -147,6 +146,8 @@ class TickPlan:
     multipliers: Array
     left: float
     largest: float
-    solution: Array | None = None
-    iterations: int = 0
-    rounds: int = 0
+    iterations: int
+    rounds: int
+    tau: float
+    row: Array
+    so_far: float

@@ -1,4 +1,4 @@
-"""A tick as machine code: ``tick.c`` for a robot's sizes, what it is given and what it gives back.
+"""The on-line planner as machine code: C for a robot's sizes, its memory, what it asks of a backend and what it answers.
 
 It is compiled once for each set of sizes and kept on disk (``machine_code``).
 """
@@ -9,7 +9,7 @@ import ctypes
 import importlib.resources
 import time
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,9 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array, frozen, read_only
-from redundancy_pin.errors import CompilerError
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.results import CarrierTerms
+from redundancy_pin.errors import CompilerError, InfeasiblePlanError
 from redundancy_pin.machine_code import (
     FLAGS,
     NATIVE,
@@ -29,265 +31,320 @@ from redundancy_pin.machine_code import (
     loaded,
     processor,
 )
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.planners.carrier_model import SLIDING_TERMS, TURNING_TERMS, carrier_model
 from redundancy_pin.planners.limits import ResolvedLimits
-from redundancy_pin.planners.receding_horizon.ahead import Ahead, Coefficients
-from redundancy_pin.planners.receding_horizon.command import Command, TickPlan, Weights
-from redundancy_pin.planners.receding_horizon.constants import CONSTANTS, INSTANTS, MOST_SINGULAR, SAME
-from redundancy_pin.planners.receding_horizon.preview import place_of
+from redundancy_pin.planners.receding_horizon.command import Command, UpdatePlan, Weights
+from redundancy_pin.planners.receding_horizon.constants import (
+    CONSTANTS,
+    CURVE,
+    EXTRA,
+    FULL,
+    INSTANTS,
+    MOST_ROOTS,
+    NEAR,
+)
+from redundancy_pin.planners.receding_horizon.preview import Preview, place_of
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import row_scale, turning_velocities
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.time_scaling import TimeScaling, scaled_rates
 
-SOURCES = "tick_sight.c", "tick_programme.c", "tick_solver.c", "tick.c"
-OK, UNSOLVED, RELAXED, REFUSED, MISSING = range(5)
-"""What ``rp_tick`` returns: a plan that keeps every limit; none; the one that misses W τ = f least; one up
-to where the machine cannot go; instants that are not evaluated yet."""
+SOURCES = "window.c", "nodes.c", "programme.c", "solver.c", "update.c", "planner.c"
 
-NONE = frozen([])
-"""No singular instants."""
+OK, UNSOLVED, RELAXED, REFUSED, FALLBACK, TIME_SCALED, STOPPED = range(7)
+"""What ``rp_planner_update`` returns; ``UNSOLVED``: there is no plan yet; ``STOPPED``: by an error of Python's."""
 
-_COUNTS = ("instants", "edges", "nodes", "roots", "breaks", "sharps", "same_time", "first", "strict", "guesses")
-_SIGHT = ("t", "W", "constant", "terms", "known")
-_PLAN = ("edge", "piece", "node", "at", "multiplier", "solution")
-_POINTERS = (*_PLAN, "root", "broken", "sharp", "row_scale", "row", "track", "speed")
-_LIMITS = ("acceleration", "jerk", "carrier_force", "effort")
-_NUMBERS = ("now", "until", "step", "horizon", "spacing", "tau", "largest", "peak")
+STATUSES = {
+    OK: UpdateStatus.OK,
+    RELAXED: UpdateStatus.RELAXED,
+    REFUSED: UpdateStatus.REFUSED,
+    FALLBACK: UpdateStatus.FALLBACK,
+    TIME_SCALED: UpdateStatus.TIME_SCALED,
+}
+
+REASONS = (
+    "",
+    "the solver found none",
+    "no plan keeps every limit",
+    "ahead {left:.0%} of the force is missing",
+    "at t = {known:.6g} s the preview leads where the machine cannot go, to {place}",
+    "between the nodes a carrier exceeds its speed",
+    "between the nodes a carrier exceeds its force",
+    "between the nodes the efforts meet their limits",
+)
+"""In the order of ``planner.c``."""
+
+BLOCKED = 4
+"""The place of the fifth."""
+
+_LIMITS = ("track", "speed", "acceleration", "jerk", "carrier_force", "effort")
+
+_EVALUATE = ctypes.CFUNCTYPE(ctypes.c_long, ctypes.c_void_p, ctypes.c_long, *[ctypes.c_void_p] * 7)
 
 
-class _Given(ctypes.Structure):
+class _Preview(ctypes.Structure):
     _fields_ = [
-        *((name, ctypes.c_long) for name in _COUNTS),
-        *((name, ctypes.c_void_p) for name in (*_SIGHT, *_POINTERS, *_LIMITS, "unit", "weight", "s", "sd")),
-        *((name, ctypes.c_double) for name in _NUMBERS),
+        ("evaluate", _EVALUATE),
+        ("context", ctypes.c_void_p),
+        ("start", ctypes.c_double),
+        ("end", ctypes.c_double),
+        ("broken", ctypes.c_void_p),
+        ("breaks", ctypes.c_long),
+        ("changing", ctypes.c_long),
+        ("number", ctypes.c_long),
     ]
 
 
-@dataclass(frozen=True, eq=False)
-class TickScales:
-    """What unknowns and rows are divided by: ``tau``, N or N·m; ``row`` (n,), N or N·m."""
-
-    tau: float
-    row: Array
-
-
-def units_of(limits: ResolvedLimits) -> tuple[Array, Array, Array]:
-    """Return what s, ṡ and s̈ are divided by, (k,) each."""
-    width = np.diff(limits.track, axis=1)[:, 0]
-    return (
-        np.where(np.isfinite(width), 0.5 * width, 1.0),
-        np.where(np.isfinite(limits.speed), limits.speed, 1.0),
-        np.where(np.isfinite(limits.acceleration), limits.acceleration, 10.0),
-    )
-
-
-class CompiledTick:
-    """The planner's ticks in fixed memory; one for each planner.
+class Terms:
+    """W and f as terms of the carriers' motion at a few instants of a preview, by a backend.
 
     Args:
-        library: as of ``tick_library``.
-        sizes: which that was made of.
+        dynamics: the backend.
+
+    Attributes:
+        count: of terms of each carrier.
+    """
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        robot = dynamics.robot
+        self.dynamics, self._checked = dynamics, False
+        self._turning = bool(turning_velocities(robot)[robot.carrier_velocity].any())
+        self.count = (TURNING_TERMS if self._turning else SLIDING_TERMS)[-1] + 1
+
+    def at(self, preview: Preview, t: Array, sigma: Array, rate: Array, bend: Array) -> CarrierTerms:
+        """Return them at (N,) times t, s, at which the preview is at σ, s, with σ̇ and σ̈; NaN where out of reach."""
+        once, place = np.unique(sigma, return_inverse=True)  # a platform that stands still
+        x, xd, xdd = (part[place] for part in preview.states(once))
+        if (rate != 1.0).any() or bend.any():
+            xd, xdd = scaled_rates(xd, xdd, rate, bend)
+        if self._checked and not self._turning:
+            return self.dynamics.carrier_terms(t, x, xd, xdd)
+        along = self.dynamics.along(PlatformMotion(t, x, xd, xdd, check_rates=False), unreachable="mark")
+        model = carrier_model(along, turning=self._turning)  # looks whether the terms are all there is
+        self._checked = True
+        own = np.arange(model.k)
+        of_f = model.f_terms.transpose(0, 2, 3, 1)
+        of_force = np.zeros((*of_f.shape[:3], model.k))
+        of_force[:, own, :, own] = model.force_terms.transpose(1, 0, 2)
+        constant = np.concatenate([model.f0, model.force0], axis=1)
+        return CarrierTerms(model.W, constant, np.concatenate([of_f, of_force], axis=3))
+
+
+class CompiledPlanner:
+    """The planner's updates in fixed memory; one for each ``RecedingHorizon``.
+
+    Args:
+        dynamics: the backend.
         step, horizon: s.
         weights: of the objective.
         limits: in force; ``set_limits`` changes them.
+        slow_down: whether the platform may go more slowly where no plan keeps every limit.
+        memory, last, number: of a planner that goes on, with the number of its preview.
+
+    Attributes:
+        last: the plan of the last update; None before the first.
+
+    Raises:
+        CompilerError: there is no C compiler, or it fails.
     """
 
     def __init__(
         self,
-        library: ctypes.CDLL,
-        sizes: Mapping[str, int],
+        dynamics: Dynamics,
         step: float,
         horizon: float,
         weights: Weights,
         limits: ResolvedLimits,
-        guesses: int = 0,
+        slow_down: bool,
+        memory: Array | None = None,
+        last: UpdatePlan | None = None,
+        number: int = 0,
     ) -> None:
-        self._made_of = dict(sizes), step, horizon, weights
-        self._guesses = guesses
+        self._made_of = dynamics, step, horizon, weights
+        self._slow_down, self._terms = slow_down, Terms(dynamics)
+        sizes = sizes_of(dynamics.robot, step, horizon, self._terms.count)
         n, m, k, count = (sizes[name] for name in ("N", "M", "K", "COUNT"))
-        library.rp_tick_work.restype = library.rp_tick_solution.restype = ctypes.c_long
-        self._call, self._shape = library.rp_tick, (n, m, k, count)
-        self._solution = library.rp_tick_solution() // 8
-        parts = {
-            "counts": 9, "numbers": 5, "row": n, "solution": self._solution,
-            "node": count, "at": 3 * count * k, "multiplier": count * n,
-            "edge": count + k + 1, "piece": 4 * (count + k) * k,
-            "effort_edge": INSTANTS + count, "effort": 2 * (INSTANTS + count) * m,
-            "force_edge": INSTANTS, "force": 2 * INSTANTS * k,
-            "missing_time": count + 2 * MOST_SINGULAR + INSTANTS,
-        }  # fmt: skip
-        ends = np.cumsum([0, *parts.values()]).tolist()
-        self._places = {name: slice(a, b) for name, a, b in zip(parts, ends[:-1], ends[1:], strict=True)}
-        self._result = np.zeros(ends[-1])
-        self._counts, self._numbers = self._result[self._places["counts"]].view(np.int64), self._result[9:14]
-        self._work = np.zeros(library.rp_tick_work() // 8 + 1)
-        self._given = _Given(step=step, horizon=horizon)
-        self._kept: dict[str, tuple[Array, Array]] = {}
-        self._known: Coefficients | None = None
-        self._sight: tuple[object, float] = None, np.nan
-        self._own: tuple[Array | None, Array | None] = None, None
-        self._begins: Array | None = None
+        self._shape, self._robot = (n, m, k, count), dynamics.robot
+        self._library = library = planner_library(sizes)
+        times, carriers = INSTANTS + count, 2 * (count + k)
+        length = library.rp_planner_solution() // 8
+        self._places = _places({
+            "counts": 12, "numbers": 9, "row": n, "solution": length, "node": count, "at": 3 * count * k,
+            "multiplier": count * n, "singular": MOST_ROOTS, "edge": carriers + 1, "piece": 4 * carriers * k,
+            "effort_edge": 2 * times + 1, "effort": 4 * times * m, "force_edge": 2 * INSTANTS + 1,
+            "force": 4 * INSTANTS * k,
+        })  # fmt: skip
+        self._memory = np.zeros(library.rp_planner_size() // 8 + 1) if memory is None else memory.copy()
+        self._address = ctypes.c_void_p(self._memory.ctypes.data)
+        self._given = _Preview(evaluate=_EVALUATE(self._evaluate), number=number)
+        self._known: Preview | None = None
+        self._breaks = np.empty(0)
+        self._raised: BaseException | None = None
         self._nowhere = np.full(k, np.nan)
-        self._arguments = ctypes.byref(self._given), *map(_address, (self._result, self._work))
-        self._point("weight", np.array(astuple(weights)))
-        self.set_limits(limits)
+        self._changes, self._scaling = 0, None if last is None else last.command.scaling
+        self.last = last
+        self._limits = limits
+        if memory is None:
+            library.rp_planner_start(self._address, _address(self._settings()), ctypes.c_long(slow_down))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Make it again, in memory of its own, where it is copied or sent to."""
-        return _again, (*self._made_of, self._limits, self._guesses)
+        return _again, (*self._made_of, self._limits, self._slow_down, self._memory, self.last, self._given.number)
 
-    def _point(self, name: str, array: Array) -> None:
-        """Have an argument point to an array, which is kept as long."""
-        if name not in self._kept or self._kept[name][0] is not array:
-            laid_out = np.ascontiguousarray(array, dtype=np.float64)
-            self._kept[name] = array, laid_out
-            setattr(self._given, name, laid_out.ctypes.data)
-
-    def _point_to_sight(self, known: Coefficients) -> None:
-        """Have the arguments point to what is in sight, of which more may be known in the same memory."""
-        self._given.instants, self._known = len(known.t), known
-        begins = known.t.base, known.t[0]  # there is no other beginning at that time in the same memory
-        if begins[0] is not self._sight[0] or begins[1] != self._sight[1]:
-            self._sight = begins
-            for name in _SIGHT:
-                setattr(self._given, name, getattr(known, name).ctypes.data)
-
-    def _point_to_last(self, last: TickPlan) -> None:
-        """Have the arguments point to the last plan; this one's own it is in its memory already."""
-        own, carriers = self._given, last.command.carriers
-        own.edges, own.nodes = len(carriers.edges), len(last.nodes)
-        if last.nodes is not self._own[0]:
-            self._own = None, self._own[1]
-            self._point("node", last.nodes)
-            self._point("multiplier", last.multipliers)
-        if carriers.edges is not self._own[1]:
-            self._own = self._own[0], None
-            self._point("edge", carriers.edges)
-            self._point("piece", carriers.coefficients)
-        solution = last.solution
-        if solution is None or solution is not self._begins:
-            self._begins = solution
-            if solution is not None and len(solution) == self._solution:
-                self._point("solution", solution)
-            else:  # of another version
-                self._kept.pop("solution", None)
-                own.solution = None
-        if own.same_time:  # else it is not looked at
-            self._point("at", np.array(last.at))
+    def _settings(self) -> Array:
+        _, step, horizon, weights = self._made_of
+        limits = (getattr(self._limits, name).ravel() for name in _LIMITS)
+        return np.concatenate([[step, horizon], row_scale(self._robot), astuple(weights), *limits])
 
     def set_limits(self, limits: ResolvedLimits) -> None:
-        """Use limits from now on."""
+        """Use limits from the next update on."""
         self._limits = limits
-        for name in ("track", "speed", *_LIMITS):
-            self._point(name, getattr(limits, name))
-        self._point("unit", np.array(units_of(limits)))
+        self._library.rp_planner_set(self._address, _address(self._settings()))
 
-    def plan(
-        self,
-        ahead: Ahead,
-        t: float,
-        until: float,
-        given: tuple[Array | None, ...],
-        last: TickPlan | None,
-        sizes: TickScales | None,
-        largest: float,
-        *,
-        strict: bool,
-    ) -> tuple[TickPlan | None, TickScales | None]:
-        """Return a plan about the last one, if there is any, and what is divided by; None as long as there is no plan.
+    def time_of(self, t: float) -> float:
+        """Return which time of the preview, s, the platform is at, at a time of the clock."""
+        return float(self._library.rp_planner_sigma(self._address, ctypes.c_double(t)))
 
-        Args:
-            ahead: what is in sight.
-            t: the tick, s.
-            until: until when the motion is known, s.
-            given: (k,) s and ṡ of the carriers; None where those of the last plan are to be believed.
-            last: the last plan, of cubic motions; None of a first one.
-            sizes: what is divided by; None of a first one.
-            largest: |τ| so far, N or N·m.
-            strict: whether a plan that does not keep every limit is none.
+    @property
+    def largest(self) -> float:
+        """Largest |τ| so far, N or N·m."""
+        return 0.0 if self.last is None else self.last.so_far
+
+    @property
+    def roots(self) -> Array:
+        """Singular instants in sight, and those that are hardly past, s."""
+        return self._in_sight(0)
+
+    @property
+    def sharp(self) -> Array:
+        """Instants in sight about which f of the parked machine bends most, s."""
+        return self._in_sight(1)
+
+    def _in_sight(self, which: int) -> Array:
+        window = self._library.rp_planner_window(self._address)
+        count = (ctypes.c_long * 2).from_address(window)[which]
+        first = window + 16 + 8 * MOST_ROOTS * which
+        return np.array((ctypes.c_double * count).from_address(first))
+
+    def _evaluate(self, _: object, count: int, *addresses: int) -> int:
+        """Write W, f and forces by terms; return the number of instants before the first out of reach."""
+        try:
+            n, m, k, _ = self._shape
+            t, sigma, rate, bend = (np.array((ctypes.c_double * count).from_address(part)) for part in addresses[:4])
+            read = self._terms.at(self._known, t, sigma, rate, bend)
+            finite = np.isfinite(read.constant).all(axis=1)
+            for part, at in zip(read, addresses[4:], strict=True):
+                np.copyto(np.frombuffer((ctypes.c_double * part.size).from_address(at)), part.ravel())
+            return count if finite.all() else int(finite.argmin())
+        except BaseException as error:  # raised again by ``update``
+            self._raised = error
+            return -1
+
+    def update(self, t: float, preview: Preview, given: tuple[Array | None, ...]) -> UpdatePlan:
+        """Return the plan from a time on, s; ``given``: (k,) s and ṡ of the carriers, None where the last plan's count.
+
+        Raises:
+            InfeasiblePlanError: a first update has no plan.
         """
-        own, first = self._given, last is None or sizes is None
-        own.now, own.until, own.spacing, own.largest = t, until, ahead.spacing, largest
-        own.roots, own.breaks, own.sharps = len(ahead.roots), len(ahead.preview.breaks), len(ahead.sharp)
-        own.first, own.strict, own.guesses, own.same_time = first, strict, self._guesses, False
-        if last is not None and sizes is not None:
-            own.tau, own.peak, own.same_time = sizes.tau, last.command.peak, bool(last.command.t == t)
-            self._point_to_last(last)
-            self._point("row", sizes.row)
-        else:
-            own.edges = own.nodes = 0
-            own.solution, self._begins = None, None
-        self._point("root", ahead.roots)
-        self._point("broken", ahead.preview.breaks)
-        self._point("sharp", ahead.sharp)
-        self._point("row_scale", ahead.row_scale)
-        for name, array in zip(("s", "sd"), given, strict=True):
-            self._point(name, self._nowhere if array is None else array)
-        seconds, status = 0.0, MISSING
-        for _ in range(3):  # once is enough
-            self._point_to_sight(ahead.known)
-            began = time.perf_counter()
-            status = self._call(*self._arguments)
-            seconds += time.perf_counter() - began
-            if status != MISSING:
-                break
-            places = self._places["missing_time"]
-            ahead.at(self._result[places][: self._counts[3]])
-        if status in (UNSOLVED, MISSING):
-            return None, sizes
-        if sizes is None:
-            sizes = TickScales(float(self._numbers[4]), frozen(self._result[self._places["row"]]))
-        self._guesses += int(self._counts[8])
-        plan = self._made(t, ahead.roots, seconds)
-        if status == OK:
-            return plan, sizes
-        told = UpdateStatus.RELAXED, "no plan keeps every limit"
-        if status == REFUSED:
-            blocked = plan.nodes[self._counts[4] : self._counts[4] + 1]
-            where = place_of(ahead.preview.states(blocked)[0][0])
-            reason = f"at t = {blocked[0]:.6g} s the preview leads where the machine cannot go, to {where}"
-            told = UpdateStatus.REFUSED, reason
-        elif not self._counts[7]:
-            told = UpdateStatus.RELAXED, f"ahead {plan.left:.0%} of the force is missing"
-        return replace(plan, command=replace(plan.command, status=told[0], reason=told[1])), sizes
+        own = self._given
+        if preview is not self._known:
+            breaks = np.ascontiguousarray(preview.breaks, dtype=np.float64)
+            self._known, self._breaks = preview, breaks
+            own.start, own.end, own.changing = preview.start, preview.end, preview.changing
+            own.broken, own.breaks, own.number = breaks.ctypes.data, len(breaks), own.number + 1
+        s, sd = (self._nowhere if part is None else np.ascontiguousarray(part, dtype=np.float64) for part in given)
+        status = self._library.rp_planner_update(
+            self._address, ctypes.c_double(t), ctypes.byref(own), _address(s), _address(sd)
+        )
+        if status == STOPPED:
+            raised, self._raised = self._raised, None
+            raise raised or RuntimeError("The on-line planner ran out of memory.")
+        if status == UNSOLVED:
+            raise InfeasiblePlanError(
+                f"No plan was found at t = {t:.6g} s.", remedy="Start elsewhere, or widen the limits.", time=t
+            )
+        self.last = self._read()
+        return self.last
 
-    def _made(self, t: float, roots: Array, seconds: float) -> TickPlan:
-        result = self._result.copy()
-        base, own = ctypes.addressof(ctypes.c_double.from_buffer(result.data)), self._given  # sooner than by numpy
+    def _read(self) -> UpdatePlan:
+        """Return the result in memory, copied."""
+        places, (n, m, k, count) = self._places, self._shape
+        here = self._library.rp_planner_result(self._address)
+        result = np.array((ctypes.c_double * self._places["force"].stop).from_address(here))
         read_only(result)
-        (n, m, k, count), places = self._shape, self._places
-        pieces, efforts, forces, _, known, iterations, rounds, _, _ = self._counts.tolist()
-        residual, peak, left, largest, _ = self._numbers.tolist()
+        numbers = result[places["numbers"]].tolist()
+        counts = result[places["counts"]].view(np.int64).tolist()
+        status, why, pieces, efforts, forces, known, iterations, rounds, _, _, singular, changes = counts
+        t, residual, peak, left, largest, known_until, blocked, tau, so_far = numbers
 
         def function(edges: str, coefficients: str, order: int, pieces: int, width: int) -> PiecewisePolynomial:
             first, start = places[edges].start, places[coefficients].start
             used = result[start : start + order * pieces * width].reshape(order, pieces, width)
             return PiecewisePolynomial(result[first : first + pieces + 1], used)
 
-        at, nodes = result[places["at"]].reshape(3, count, k), result[places["node"]]
-        carriers = function("edge", "piece", 4, pieces, k)
-        coming = frozen(roots[roots > t - SAME]) if len(roots) else NONE
+        told = STATUSES[status], REASONS[why].format(left=left, known=0.0, place="")
+        if why == BLOCKED:
+            place = place_of(self._known.states(np.array([blocked]))[0][0]) if self._known else []
+            told = told[0], REASONS[why].format(known=float(result[places["node"]][known]), place=place)
+        scaling = self._scaling_after(changes)
+        if scaling is not None and told[0] is UpdateStatus.TIME_SCALED:
+            reason = f"the platform goes over to {scaling.final_rate:.1%} of the preview's speed"
+            if scaling.final_rate < FULL:
+                reason += ": with more of it no plan was found that keeps every limit"
+            told = told[0], reason
         command = Command(
-            t, UpdateStatus.OK, "", carriers,
-            function("effort_edge", "effort", 2, efforts, m), function("force_edge", "force", 2, forces, k),
-            residual, peak, coming, float(nodes[max(known - 1, 0)]), 0.0, seconds,
+            t, *told, function("edge", "piece", 4, pieces, k), function("effort_edge", "effort", 2, efforts, m),
+            function("force_edge", "force", 2, forces, k), residual, peak, result[places["singular"]][:singular],
+            known_until, 0.0, scaling,
         )  # fmt: skip
-        for name in ("node", "multiplier", "solution", "edge", "piece"):
-            setattr(own, name, base + 8 * places[name].start)
-            self._kept.pop(name, None)
-        multipliers, solution = result[places["multiplier"]].reshape(count, n), result[places["solution"]]
-        self._own, self._begins = (nodes, carriers.edges), solution
-        return TickPlan(command, nodes, (at[0], at[1], at[2]), multipliers, left, largest, solution, iterations, rounds)
+        at = result[places["at"]].reshape(3, count, k)
+        return UpdatePlan(
+            command, result[places["node"]], (at[0], at[1], at[2]), result[places["multiplier"]].reshape(count, n),
+            left, largest, iterations, rounds, tau, result[places["row"]], so_far,
+        )  # fmt: skip
+
+    def _scaling_after(self, changes: int) -> TimeScaling | None:
+        """Return σ by the clock's time after so many changes: the same object until the next one."""
+        if changes != self._changes:
+            here = self._library.rp_planner_scaling(self._address)
+            pieces = ctypes.c_long.from_address(here).value
+            numbers = np.array((ctypes.c_double * (6 * CURVE + 1)).from_address(here + 8))
+            coefficients = numbers[CURVE + 1 :].reshape(CURVE, 5)[:pieces]
+            edges = frozen(numbers[: pieces + 1])
+            self._scaling = TimeScaling(PiecewisePolynomial(edges, frozen(coefficients.T[:, :, None])))
+            self._changes = changes
+        return self._scaling
 
 
-def tick_library(sizes: Mapping[str, int]) -> ctypes.CDLL:
-    """Return the library of robots of some sizes, N, M, K, TERMS and COUNT, from disk or new.
+def sizes_of(robot: Robot, step: float, horizon: float, terms: int) -> dict[str, int]:
+    """Return what C needs to know of a robot and its plans: ``COUNT``, nodes of a plan, among them."""
+    steps = round(horizon / step)
+    count = min(steps, NEAR) + max(steps - NEAR, 0) // 2 + EXTRA + 1
+    return {"N": robot.n, "M": robot.m, "K": robot.k, "TERMS": terms, "STEPS": steps, "COUNT": count}
+
+
+def planner_source(sizes: Mapping[str, int]) -> str:
+    """Return the C of the planner of robots of some sizes, as of ``sizes_of``."""
+    head = [f"#define {name} {value}" for name, value in sizes.items()]
+    for name, constant in CONSTANTS.items():
+        if constant.in_c and isinstance(constant.value, tuple):
+            rows = ", ".join(f"{{{', '.join(map(repr, row))}}}" for row in constant.value)
+            head.append(f"static const double {name}[][{len(constant.value[0])}] = {{{rows}}};")
+        elif constant.in_c:
+            head.append(f"#define {name} {constant.value!r}")
+    folder = importlib.resources.files(__package__)
+    return "\n".join([*head, *(folder.joinpath(name).read_text("utf-8") for name in SOURCES)])
+
+
+def planner_library(sizes: Mapping[str, int]) -> ctypes.CDLL:
+    """Return the library of robots of some sizes, as of ``sizes_of``, from disk or new.
 
     Raises:
         CompilerError: there is no C compiler, or it fails.
     """
-    named = {**sizes, **{name: constant.value for name, constant in CONSTANTS.items() if constant.in_c}}
-    head = [f"#define {name} {value!r}" for name, value in named.items()]
-    folder = importlib.resources.files(__package__)
-    text = "\n".join(["#define EXPORTED", *head, *(folder.joinpath(name).read_text("utf-8") for name in SOURCES)])
+    text = f"#define EXPORTED\n{planner_source(sizes)}"
     compiler = find_compiler()
     where = "" if compiler is None else compiler.identity, str(cache_folder())
     # a sixth less time with it; not every compiler has it
@@ -304,16 +361,26 @@ def _built(
     text: str, flags: tuple[str, ...], machine: str, compiler: str, folder: str
 ) -> tuple[ctypes.CDLL | None, str]:
     def load(path: Path) -> ctypes.CDLL:
-        library = loaded(path)
-        # AttributeError where the file is another one
-        _ = library.rp_tick, library.rp_tick_work, library.rp_tick_solution
+        library = loaded(path)  # AttributeError below where the file is another one
+        for name in ("size", "solution"):
+            getattr(library, f"rp_planner_{name}").restype = ctypes.c_long
+        for name in ("result", "window", "scaling"):
+            getattr(library, f"rp_planner_{name}").restype = ctypes.c_void_p
+        library.rp_planner_sigma.restype = ctypes.c_double
+        _ = library.rp_planner_start, library.rp_planner_set, library.rp_planner_update
         return library
 
     return built(lambda identity: digest([text, identity, *flags, machine]), lambda: text, load, flags)
 
 
-def _again(sizes: Mapping[str, int], *settings: Any) -> CompiledTick:
-    return CompiledTick(tick_library(sizes), sizes, *settings)
+def _places(parts: Mapping[str, int]) -> dict[str, slice]:
+    """Return where parts of some lengths are that lie one behind the other."""
+    ends = np.cumsum([0, *parts.values()]).tolist()
+    return {name: slice(a, b) for name, a, b in zip(parts, ends[:-1], ends[1:], strict=True)}
+
+
+def _again(*made_of: Any) -> CompiledPlanner:
+    return CompiledPlanner(*made_of)
 
 
 def _address(array: Array) -> Any:

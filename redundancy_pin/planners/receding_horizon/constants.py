@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple, TypeVar
 
+from redundancy_pin.planners.limits import LIMIT_TOLERANCE
+
 Number = TypeVar("Number", int, float, tuple[tuple[float, float], ...])
 
 
@@ -34,24 +36,25 @@ def _line(name: str, value: Number, unit: str, meaning: str, source: str, in_c: 
 SAME = _line("SAME", 1e-9, "s", "times that differ by less are one", "accuracy: rounding of clocks of hours")
 BESIDE = _line("BESIDE", 1e-8, "s", "before and after a jump of ẍ: f and the efforts jump with it", "accuracy")
 FOR_EVER = _line("FOR_EVER", 1e6, "s", "how long a motion that ends at rest is held", "convention", False)
+NO_END = _line("NO_END", 1e9, "s", "how long the last rate of slowing down is written out", "convention")
 STILL = _line("STILL", 1e-9, "1", "last over largest speed of a motion that ends at rest", "accuracy", False)
 
 # instants at which W τ = f is known
-PARTS = _line("PARTS", 8, "1/step", "instants: two crossings closer than that show as a dip of det W", "trial", False)
+PARTS = _line("PARTS", 8, "1/step", "instants: two crossings closer than that show as a dip of det W", "trial")
 INSTANTS = _line(
     "INSTANTS", 320, "1", "most instants at which a plan's efforts are exact", "memory; a plan has 25 to 60"
 )
-ROOM = _line("ROOM", 512, "1", "instants for which there is memory at first", "memory", False)
+BATCH = _line("BATCH", 128, "1", "instants that are evaluated at once, at most", "memory")
 KEPT = _line(
-    "KEPT", 3, "steps", "that are past and kept, for nodes around a singular instant that is past", "as ZONE", False
+    "KEPT", 3, "steps", "that are past and kept, for nodes around a singular instant that is past", "as ZONE"
 )
 
 # singular instants
 POINTS = _line(
-    "POINTS", 9, "1", "samples of det W for its polynomial", "accuracy: to rounding for steps to 50 ms", False
+    "POINTS", 9, "1", "samples of det W for its polynomial", "accuracy: to rounding for steps to 50 ms"
 )
 ROUNDING = _line(
-    "ROUNDING", 1e-14, "1", "coefficients of that, over the largest det W, that are none", "accuracy", False
+    "ROUNDING", 1e-14, "1", "coefficients of that, over the largest det W, that are none", "accuracy"
 )
 SHALLOW = _line(
     "SHALLOW",
@@ -59,12 +62,19 @@ SHALLOW = _line(
     "1",
     "least over largest |det W| of a dip without zeros; a touching parabola: 1/45",
     "accuracy",
-    False,
 )
-TOUCH = _line("TOUCH", 1e-3, "1", "|det W| over its largest at a dip that counts as singular", "trial", False)
-AT_REST = _line("AT_REST", 1e-9, "1", "|det W| over its largest that counts as zero", "accuracy", False)
+ROOTED = _line(
+    "ROOTED", 1e-13, "1", "|det W| over its largest, at a dip or an end, that is a zero: ten roundings of it", "accuracy"
+)
+PI = _line("PI", 3.141592653589793, "rad", "half a turn", "convention")
+TOUCH = _line("TOUCH", 1e-3, "1", "|det W| over its largest at a dip that counts as singular", "trial")
+AT_REST = _line("AT_REST", 1e-9, "1", "|det W| over its largest that counts as zero", "accuracy")
 DIFFERENCE = _line("DIFFERENCE", 1e-4, "s", "central differences of W and f by time", "accuracy: off by its square")
-MOST_SINGULAR = _line("MOST_SINGULAR", 12, "1", "singular instants whose rows a programme has, the next ones", "memory")
+MOST_ROOTS = _line(
+    "MOST_ROOTS", 64, "1", "singular instants, or sharp ones, in sight: more end what is in sight", "memory"
+)
+CURVE = _line("CURVE", 64, "1", "pieces of the platform's time by the clock's within three steps", "memory")
+MOST_SINGULAR = _line("MOST_SINGULAR", 12, "1", "singular instants of a plan: the motion behind them is not planned yet", "memory")
 BORDER_GIVES = _line(
     "BORDER_GIVES", 1e-13, "1", "by which their rows, which may depend on each other, give", "accuracy"
 )
@@ -78,14 +88,14 @@ EXTRA = _line("EXTRA", 8, "1", "nodes beyond those of even steps, for finer ones
 NEAR = _line("NEAR", 10, "steps", "from which on nodes are twice as far apart", "trial")
 ZONE = _line("ZONE", 2.5, "steps", "around a singular instant, nodes half as far apart: s̈ bends τ there", "trial")
 SHARP = _line(
-    "SHARP", 0.1, "1", "bend of f within a step over its largest of late that makes nodes finer", "trial", False
+    "SHARP", 0.1, "1", "bend of f within a step over its largest of late that makes nodes finer", "trial"
 )
 SHARP_ZONE = _line("SHARP_ZONE", 1.0, "steps", "around such a turn in which they are", "trial")
 MOST_SHARP = _line(
     "MOST_SHARP", 3, "1", "such turns with finer nodes, the next ones: the horizon must not be short", "trial"
 )
 FADES = _line(
-    "FADES", 0.5, "s", "in which that largest f falls by half: f has no bound next to out of reach", "trial", False
+    "FADES", 0.5, "s", "in which that largest f falls by half: f has no bound next to out of reach", "trial"
 )
 APART_SINGULAR = _line(
     "APART_SINGULAR", 0.05, "steps", "least distance of singular instants from each other and the start", "trial"
@@ -133,8 +143,10 @@ SHORTEST_STOP = _line("SHORTEST_STOP", 1e-9, "s", "a carrier that stops sooner s
 MOST_ACCELERATION = _line(
     "MOST_ACCELERATION", 1e3, "m/s²", "counted on for coming back from beyond a limit", "convention"
 )
-CUT_OFF = _line("CUT_OFF", 1e-3, "1", "of f that limits of effort may cut off between nodes", "trial", False)
-SAME_SPEED = _line("SAME_SPEED", 1e-8, "1", "by which a speed may exceed its limit", "accuracy", False)
+AT_LIMIT = _line("AT_LIMIT", 1e-12, "1", "below a limit at which an effort counts as cut off", "accuracy")
+LIMIT_TOLERANCE = _line("LIMIT_TOLERANCE", LIMIT_TOLERANCE, "1", "of limits between nodes", "accuracy: as of all plans")
+CUT_OFF = _line("CUT_OFF", 1e-3, "1", "of f that limits of effort may cut off between nodes", "trial")
+SAME_SPEED = _line("SAME_SPEED", 1e-8, "1", "by which a speed may exceed its limit", "accuracy")
 
 # interior point method
 ITERATIONS = _line("ITERATIONS", 40, "1", "steps of a programme at most; 5 in the median", "trial")
@@ -168,16 +180,15 @@ SLOWER = _line(
     "1, horizon",
     "factors of σ̇, and within which part of the horizon",
     "trial: without the last three one of 16 runs of weak carriers had an update without a plan, with them none of 56",
-    False,
 )
-FASTER = _line("FASTER", 0.25, "1", "by which σ̇ rises where the whole of the speed is too much", "trial", False)
-RISE = _line("RISE", 0.8, "horizon", "within which part it does", "trial", False)
+FASTER = _line("FASTER", 0.25, "1", "by which σ̇ rises where the whole of the speed is too much", "trial")
+RISE = _line("RISE", 0.8, "horizon", "within which part it does", "trial")
 CREEPING = _line(
-    "CREEPING", 0.05, "1", "σ̇ below which it rises by as much: to creep over a singular pose", "trial", False
+    "CREEPING", 0.05, "1", "σ̇ below which it rises by as much: to creep over a singular pose", "trial"
 )
-LEAST_RATE = _line("LEAST_RATE", 5e-3, "1", "σ̇ below which the platform rather stands still", "trial", False)
-HOLD = _line("HOLD", 5, "steps", "from one change of σ̇, or one that was tried, to the next rise", "trial", False)
-FULL = _line("FULL", 1.0 - 1e-9, "1", "σ̇ from which the speed is that of the preview", "accuracy", False)
+LEAST_RATE = _line("LEAST_RATE", 5e-3, "1", "σ̇ below which the platform rather stands still", "trial")
+HOLD = _line("HOLD", 5, "steps", "from one change of σ̇, or one that was tried, to the next rise", "trial")
+FULL = _line("FULL", 1.0 - 1e-9, "1", "σ̇ from which the speed is that of the preview", "accuracy")
 
 # whole motions (``run_online``)
 SAMPLES = _line("SAMPLES", 0.0025, "s", "between samples of the plan of a run", "convention", False)

@@ -13,12 +13,10 @@ from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.options import Limits, group_of
-from redundancy_pin.planners.receding_horizon.ahead import Ahead
+from redundancy_pin.planners.receding_horizon.compiled import CompiledPlanner
 from redundancy_pin.planners.receding_horizon.command import GOALS, Command, Goal, Weights
 from redundancy_pin.planners.receding_horizon.constants import SAME
 from redundancy_pin.planners.receding_horizon.preview import Preview, Source
-from redundancy_pin.planners.receding_horizon.slowing import Slowing
-from redundancy_pin.planners.receding_horizon.tick import TickPlanner
 from redundancy_pin.status import UpdateStatus
 
 
@@ -76,18 +74,17 @@ class RecedingHorizon:
         self.resolved = self._given_limits.resolved(robot)
         self._source: object = None
         self._preview: Preview | None = None
-        self.ticks = TickPlanner(robot, step, horizon, self.weights, self.resolved)
-        self._slowing = Slowing(self.ticks, horizon) if slow_down else None
+        self.updates = CompiledPlanner(dynamics, step, horizon, self.weights, self.resolved, slow_down)
 
     @property
     def started(self) -> bool:
         """Whether there is a plan."""
-        return self.ticks.last is not None
+        return self.updates.last is not None
 
     @property
     def largest(self) -> float:
         """Largest |τ| so far, N or N·m."""
-        return self.ticks.largest
+        return self.updates.largest
 
     @property
     def limits(self) -> Limits:
@@ -98,7 +95,7 @@ class RecedingHorizon:
     def limits(self, limits: Limits) -> None:
         self._given_limits = group_of(limits, Limits)
         self.resolved = self._given_limits.resolved(self.robot)
-        self.ticks.set_limits(self.resolved)
+        self.updates.set_limits(self.resolved)
 
     def update(self, t: float, preview: Source, s: ArrayLike | None = None, sd: ArrayLike | None = None) -> Command:
         """Return what to do from a time on.
@@ -115,29 +112,21 @@ class RecedingHorizon:
             InfeasiblePlanError: no plan at the first tick, with none before it to go on with.
         """
         began = time.perf_counter()
-        t, slowing = self._tick(t), self._slowing
+        t = self._time(t)
         known = self._preview if preview is self._source and self._preview is not None else Preview.of(preview)
-        own = t if slowing is None else slowing.time_of(t)
+        own = self.updates.time_of(t)
         if own < known.start - SAME:
             where = "" if own == t else f", {own:.6g} s of the preview (Command.scaling)"
             raise InputError(
-                f"The tick is at t = {t:.6g} s{where}, and the preview begins at {known.start:.6g} s.",
-                remedy="Pass what is known of the motion from the tick on.",
+                f"The update is at t = {t:.6g} s{where}, and the preview begins at {known.start:.6g} s.",
+                remedy="Pass what is known of the motion from the update on.",
             )
-        if known is not self._preview:
-            seen = known if slowing is None else slowing.shown(known)
-            before = self.ticks.ahead if self.started else None
-            self.ticks.ahead = Ahead(self.dynamics, seen, self.step) if before is None else before.along(seen, t)
-            self._source, self._preview = preview, known
+        self._source, self._preview = preview, known
         given = tuple(
             None if part is None else each(part, name, (self.robot.k,), finite=True)
             for part, name in ((s, "s"), (sd, "sd"))
         )
-        if slowing is None:
-            command = self.ticks.tick(t, min(t + self.horizon, known.end), given).command
-        else:
-            command = slowing.told(slowing.tick(t, given, known).command, t)
-        return replace(command, seconds=time.perf_counter() - began)
+        return replace(self.updates.update(t, known, given).command, seconds=time.perf_counter() - began)
 
     def skip(self, t: float) -> Command:
         """Return what to do where a tick is missed: the last plan goes on, to its end and to the stop behind it.
@@ -145,19 +134,18 @@ class RecedingHorizon:
         Raises:
             InputError: there is no plan yet.
         """
-        if self.ticks.last is None:
+        if self.updates.last is None:
             raise InputError("There is no plan to go on with.", remedy="Call update first.")
-        t, reason = self._tick(t), "the tick was missed"
-        command = replace(self.ticks.last.command, t=t, status=UpdateStatus.FALLBACK, reason=reason)
-        return command if self._slowing is None else self._slowing.told(command, t)
+        reason = "the update was missed"
+        return replace(self.updates.last.command, t=self._time(t), status=UpdateStatus.FALLBACK, reason=reason)
 
-    def _tick(self, t: float) -> float:
+    def _time(self, t: float) -> float:
         """Return the time of a tick, s, after checking that it goes on from the last one."""
         if not (isinstance(t, float) and math.isfinite(t)):
             t = float(each(t, "t", (1,), finite=True)[0])
-        if self.ticks.last is not None and t < self.ticks.last.command.t:
+        if self.updates.last is not None and t < self.updates.last.command.t:
             raise InputError(
-                f"The tick is at t = {t:.6g} s, after one at {self.ticks.last.command.t:.6g} s.",
+                f"The update is at t = {t:.6g} s, after one at {self.updates.last.command.t:.6g} s.",
                 remedy="Go on in time.",
             )
         return t

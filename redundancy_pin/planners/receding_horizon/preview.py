@@ -8,12 +8,11 @@ from typing import TypeAlias
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, Frozen, frozen, require_type
+from redundancy_pin.arrays import Array, Frozen, require_type
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.receding_horizon.constants import FOR_EVER, SAME, STILL
 from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory, as_motion, is_timed
-from redundancy_pin.trajectory.time_scaling import TimeScaling, scaled_rates
 
 Source: TypeAlias = "Preview | TimedTrajectory | PlatformMotion | Motion | Callable[[Array], PlatformMotion]"
 """A trajectory, samples, or what returns the motion at (N,) times, s."""
@@ -38,20 +37,11 @@ class Preview(Frozen):
 
     def states(self, times: Array) -> tuple[Array, Array, Array]:
         """Return x (N, n), or (N, 4, 4), ẋ and ẍ (N, n) at (N,) increasing times, s."""
-        if isinstance(self.motion, _Scaled):
-            return self.motion.states(times)
         continuous = getattr(self.motion, "__self__", None)
         if isinstance(continuous, Motion) and self.motion == continuous.sample_at:
             return continuous.states_at(times)  # whose values nobody need look at again
         motion = self.motion(times)
         return motion.x, motion.xd, motion.xdd
-
-    def scaled(self, scaling: TimeScaling) -> Preview:
-        """Return it in the time of the clock, where its own is another one."""
-        start, end = scaling.time_at(self.start), scaling.time_at(self.end)
-        first = float(scaling.at([scaling.start])[0][0])
-        breaks = frozen([scaling.time_at(t) for t in self.breaks[self.breaks > first].tolist()])
-        return Preview(_Scaled(self, scaling), start, end, self.changing, breaks)
 
     @staticmethod
     def of(source: Source) -> Preview:
@@ -75,23 +65,6 @@ class Preview(Frozen):
             f"The preview is {type(source).__name__}.",
             remedy="Pass a trajectory, a PlatformMotion, or a function from (N,) times to a PlatformMotion.",
         )
-
-
-@dataclass(frozen=True, eq=False)
-class _Scaled(Frozen):
-    """The motion of a preview at (N,) increasing times of the clock, s."""
-
-    preview: Preview
-    scaling: TimeScaling
-
-    def __call__(self, times: Array) -> PlatformMotion:
-        return PlatformMotion(times, *self.states(times), check_rates=False)
-
-    def states(self, times: Array) -> tuple[Array, Array, Array]:
-        sigma, rate, bend = self.scaling.at(times)
-        once, place = np.unique(sigma, return_inverse=True)  # a platform that stands still
-        x, along, curved = (part[place] for part in self.preview.states(once))
-        return x, *scaled_rates(along, curved, rate, bend)
 
 
 def place_of(x: Array) -> list[float]:

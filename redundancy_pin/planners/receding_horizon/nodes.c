@@ -1,32 +1,27 @@
-/* What a tick is given and what it works with; its nodes and instants, and f at them. In front of this stand sizes and
-   constants, see ``compiled.py``; behind it tick_programme.c, tick_solver.c and tick.c. */
-
-#include <math.h>
-#include <string.h>
+/* What an update is given and what it works with; its nodes and instants, and f at them. */
 
 /* Directions that are free at a node: in a relaxed programme all NF, else NZ, those that W tau = f leaves. */
 enum { NX = 3 * K, NF = K + M, NW = NX + M, NZ = NF > N ? NF - N : 0, LANES = COUNT * K, EFFORTS = COUNT * M };
 enum { NV = NX + NF, LONG = 4, WIDE = (NV + LONG - 1) / LONG, TALL = (NW + LONG - 1) / LONG };   /* vectors for NV and NW numbers */
 enum { BORDER = 2 * MOST_SINGULAR + 2, SIDES = BORDER + 1, BREAKS = INSTANTS / 4 };
 enum { TIMES = INSTANTS + COUNT };                  /* of efforts: at instants, and then at nodes */
-enum { OK = 0, UNSOLVED = 1, RELAXED = 2, REFUSED = 3, MISSING = 4 };
+enum { OK = 0, UNSOLVED = 1, RELAXED = 2, REFUSED = 3, FALLBACK = 4, TIME_SCALED = 5, STOPPED = 6 };   /* STOPPED: by who evaluates */
 
 /* As of GCC and Clang, anywhere in arrays of numbers; for processors that have none as long they make it of shorter ones. */
 typedef double Vector __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double)), may_alias));
 typedef long long Mask __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double)), may_alias));
 
 typedef struct {
-    long instants, edges, nodes, roots, breaks, sharps, same_time;
+    long edges, nodes, roots, breaks, sharps, same_time;
     long first, strict, guesses;                    /* no last plan; no relaxed one is wanted; which motion to try next */
-    const double *t, *W, *constant, *terms;         /* of the instants in sight */
-    const unsigned char *reachable;
+    const Window *window;                           /* the instants in sight */
     const double *edge, *piece;                     /* carriers of the last plan: (edges), (4, edges - 1, K) */
     const double *node, *at, *multiplier;           /* its nodes, (3, nodes, K) and (nodes, N) there */
     const double *solution;                         /* its ``Solution``; 0 of a plan that was made otherwise */
     const double *root, *broken, *sharp;                 /* singular instants, jumps of the platform's acceleration */
     const double *row_scale, *row, *track, *speed, *acceleration, *jerk, *carrier_force, *effort, *unit, *weight;
     const double *s, *sd;                           /* where the carriers are; NaN where the last plan is to be believed */
-    double now, until, step, horizon, spacing, tau, largest, peak;
+    double now, until, step, horizon, tau, largest, peak;
 } Given;
 
 /* Weights of the objective, in the order of ``Weights``. */
@@ -44,15 +39,17 @@ static inline __attribute__((always_inline)) int block_at(int block) { return bl
 /* Of a programme, where the next one begins: duals of its bounds, and efforts at its nodes. */
 typedef struct { double dual[BOUNDS], tau[EFFORTS]; } Solution;
 
+/* What an update brings, and the next one begins with. The beginning of a function may be that of the plan before. */
+enum { CARRIER_PIECES = 2 * (COUNT + K), EFFORT_PIECES = 2 * TIMES, FORCE_PIECES = 2 * INSTANTS };
+
 typedef struct {
-    long pieces, efforts, forces, missing, known, iterations, rounds, relaxed, guessed;
-    double residual, peak, left, largest, tau, row[N];
+    long status, reason, pieces, efforts, forces, known, iterations, rounds, relaxed, guessed, singulars, changes;
+    double t, residual, peak, left, largest, known_until, blocked, tau, so_far, row[N];
     Solution solution;
-    double node[COUNT], at[3 * LANES], multiplier[COUNT * N];
-    double edge[COUNT + K + 1], piece[4 * (COUNT + K) * K];       /* carriers, as (4, pieces, K) */
-    double effort_edge[TIMES], effort[2 * TIMES * M];       /* efforts, as (2, efforts, M) */
-    double force_edge[INSTANTS], force[2 * INSTANTS * K];
-    double missing_time[COUNT + 2 * MOST_SINGULAR + INSTANTS];
+    double node[COUNT], at[3 * LANES], multiplier[COUNT * N], singular[MOST_ROOTS];
+    double edge[CARRIER_PIECES + 1], piece[4 * CARRIER_PIECES * K];           /* carriers, as (4, pieces, K) */
+    double effort_edge[EFFORT_PIECES + 1], effort[2 * EFFORT_PIECES * M];     /* efforts, as (2, efforts, M) */
+    double force_edge[FORCE_PIECES + 1], force[2 * FORCE_PIECES * K];
 } Result;
 
 typedef struct { int node, other; double row[NW], beside[K], value; } Row;   /* of a singular instant */
@@ -104,23 +101,9 @@ typedef struct {
     double effort_time[TIMES], effort[TIMES * M], force_time[INSTANTS], force[INSTANTS * K];
 } Plan;
 
-/* fmax and fmin are calls, for the sake of NaN */
-static inline __attribute__((always_inline)) double larger(double a, double b) { return a > b ? a : b; }
-
-static inline __attribute__((always_inline)) double smaller(double a, double b) { return a < b ? a : b; }
-
 static inline __attribute__((always_inline)) Vector largest_of(Vector a, Vector b) {
     Mask first = (Mask)(a > b);
     return (Vector)((first & (Mask)a) | (~first & (Mask)b));
-}
-
-static int found(const Given *g, double time) {
-    long low = 0, high = g->instants;
-    while (low < high) {
-        long middle = (low + high) / 2;
-        if (g->t[middle] < time - SAME) low = middle + 1; else high = middle;
-    }
-    return low < g->instants && g->t[low] <= time + SAME ? (int)low : -1;
 }
 
 /* s, sd, sdd of piecewise cubics at a time; held after their end. */
@@ -174,10 +157,10 @@ static void terms_of(double s, double v, double a, double *value, double (*first
 }
 
 static void value_at(const Given *g, int place, const double *s, const double *sd, const double *sdd, double *value) {
-    memcpy(value, g->constant + place * (N + K), (N + K) * sizeof *value);
+    memcpy(value, g->window->constant[place], (N + K) * sizeof *value);
     for (int j = 0; j < K; j++) {
         double phi[TERMS], first[TERMS][3], second[TERMS][4];
-        const double *by_term = g->terms + ((long)place * K + j) * TERMS * (N + K);
+        const double *by_term = g->window->terms[place] + j * TERMS * (N + K);
         terms_of(s[j], sd[j], sdd[j], phi, first, second);
         for (int term = 0; term < TERMS; term++)
             for (int i = 0; i < N + K; i++) value[i] += phi[term] * by_term[term * (N + K) + i];
@@ -187,12 +170,12 @@ static void value_at(const Given *g, int place, const double *s, const double *s
 /* Value, slopes (3, N + K, K) and, along y, second derivatives (K, 4). */
 static void slopes_at(const Given *g, int place, const double *s, const double *sd, const double *sdd, const double *y,
                       double *value, double (*slope)[(N + K) * K], double (*bend)[4]) {
-    memcpy(value, g->constant + place * (N + K), (N + K) * sizeof *value);
+    memcpy(value, g->window->constant[place], (N + K) * sizeof *value);
     memset(slope, 0, 3 * sizeof *slope);
     if (bend) memset(bend, 0, K * sizeof *bend);
     for (int j = 0; j < K; j++) {
         double phi[TERMS], first[TERMS][3], second[TERMS][4];
-        const double *by_term = g->terms + ((long)place * K + j) * TERMS * (N + K);
+        const double *by_term = g->window->terms[place] + j * TERMS * (N + K);
         terms_of(s[j], sd[j], sdd[j], phi, first, second);
         for (int term = 0; term < TERMS; term++) {
             const double *c = by_term + term * (N + K);
@@ -304,25 +287,20 @@ static void set_nodes(const Given *g, Work *w) {
     }
 }
 
-/* The instants at which efforts are evaluated (``Ahead.instants``), and of very many jumps beside the first; their number. */
-static int set_instants(const Given *g, const Work *w, double *t) {
-    int nodes = 0, count = 0;
-    while (nodes < w->early && w->node[nodes] <= g->until + SAME) nodes++;
-    if (!nodes) nodes = 1;
-    double first = w->node[0], last = w->node[nodes - 1], broken[BREAKS];
-    int breaks = 0;
-    for (long b = 0; b < g->breaks && breaks < BREAKS; b++) {
-        if (!(g->broken[b] > first + 2.0 * BESIDE && g->broken[b] < last - 2.0 * BESIDE)) continue;
-        broken[breaks++] = g->broken[b];
-    }
-    double from = ceil(first / g->spacing), end = ceil(last / g->spacing);
-    for (int i = 0; i < nodes; i++) t[count++] = w->node[i];
+/* The nodes, the instants of the grid and both sides of jumps of the acceleration from the first node to a last time; of very many
+   jumps beside the first. Returns their number. */
+static int instants_between(const Given *g, const double *node, int nodes, double last, double *t) {
+    double first = node[0], broken[BREAKS], spacing = g->step / PARTS;
+    int breaks = 0, count = 0, kept = 0;
+    for (long b = 0; b < g->breaks && breaks < BREAKS; b++)
+        if (g->broken[b] > first + 2.0 * BESIDE && g->broken[b] < last - 2.0 * BESIDE) broken[breaks++] = g->broken[b];
+    for (int i = 0; i < nodes; i++) t[count++] = node[i];
     for (int b = 0; b < breaks; b++) t[count++] = broken[b] - BESIDE, t[count++] = broken[b] + BESIDE;
-    for (double i = from; i < end; i++) {
-        double grid = g->spacing * i, nearest = INFINITY;
-        for (int j = 0; j < nodes; j++) nearest = smaller(nearest, fabs(grid - w->node[j]));
+    for (double i = ceil(first / spacing); i < ceil(last / spacing); i++) {
+        double grid = spacing * i, nearest = INFINITY;
+        for (int j = 0; j < nodes; j++) nearest = smaller(nearest, fabs(grid - node[j]));
         for (int b = 0; b < breaks; b++) nearest = smaller(nearest, fabs(grid - broken[b]));
-        if (nearest > 0.1 * g->spacing && count < INSTANTS - 1) t[count++] = grid;
+        if (nearest > 0.1 * spacing && count < INSTANTS - 1) t[count++] = grid;
     }
     for (int i = 1; i < count; i++) {   /* few, and all but the nodes in order */
         double x = t[i];
@@ -330,31 +308,34 @@ static int set_instants(const Given *g, const Work *w, double *t) {
         for (; j > 0 && t[j - 1] > x; j--) t[j] = t[j - 1];
         t[j] = x;
     }
-    int kept = 0;
     for (int i = 0; i < count; i++)
         if (!i || t[i] != t[kept - 1]) t[kept++] = t[i];
     return kept;
 }
 
-/* Where all instants are that a tick needs; those that are not known yet are listed. */
-static void look_up(const Given *g, Work *w, Result *result, const double *instants, int count) {
-    result->missing = 0;
-    for (int i = 0; i < COUNT; i++) {
-        double time = smaller(w->node[i], g->until);
-        if ((w->place[i] = found(g, time)) < 0) result->missing_time[result->missing++] = time;
-    }
-    for (int r = 0; r < w->singulars; r++)
-        for (int side = 0; side < 2; side++) {
-            double time = smaller(w->node[w->singular[r]] + (side ? DIFFERENCE : -DIFFERENCE), g->until);
-            if ((w->beside[2 * r + side] = found(g, time)) < 0) result->missing_time[result->missing++] = time;
-        }
-    for (int i = 0; i < count; i++) {
-        double time = smaller(instants[i], g->until);
-        if (found(g, time) < 0) result->missing_time[result->missing++] = time;
-    }
+/* The instants at which the efforts of a plan are evaluated; their number. */
+static int set_instants(const Given *g, const Work *w, double *t) {
+    int nodes = 0;
+    while (nodes < w->early && w->node[nodes] <= g->until + SAME) nodes++;
+    if (!nodes) nodes = 1;
+    return instants_between(g, w->node, nodes, w->node[nodes - 1], t);
 }
 
-static const double *W_at(const Given *g, int place) { return g->W + (long)place * N * M; }
+/* Where all instants are that an update needs; 0 where the update is to end. */
+static int look_up(const Sight *v, const Given *g, Work *w, const double *instants, int count) {
+    double time[COUNT + 2 * MOST_SINGULAR + INSTANTS];
+    int many = 0;
+    for (int i = 0; i < COUNT; i++) time[many++] = smaller(w->node[i], g->until);
+    for (int r = 0; r < w->singulars; r++)
+        for (int side = -1; side < 2; side += 2) time[many++] = smaller(w->node[w->singular[r]] + side * DIFFERENCE, g->until);
+    for (int i = 0; i < count; i++) time[many++] = smaller(instants[i], g->until);
+    if (!ensure(v, time, many)) return 0;
+    for (int i = 0; i < COUNT; i++) w->place[i] = found(g->window, time[i]);
+    for (int i = 0; i < 2 * w->singulars; i++) w->beside[i] = found(g->window, time[COUNT + i]);
+    return 1;
+}
+
+static const double *W_at(const Given *g, int place) { return g->window->W[place]; }
 
 /* The direction u that W loses, the square of its largest singular value, if wanted, and that of the smallest over it. */
 static double spectrum(const Given *g, const double *W, double *u, double *largest) {

@@ -1,7 +1,4 @@
-/* One control update: programmes about the last plan until W tau = f is met, and what becomes of their solutions.
-
-   In front of this stand N, M, K, TERMS and COUNT: coordinates, main actuators, carriers, terms of f, nodes; and the
-   constants of ``constants.py``; then tick_sight.c, tick_programme.c and tick_solver.c.
+/* One plan: programmes about the last one until W tau = f is met, and what becomes of their solutions.
 
    The programme is condensed: with the motion before it given, W tau = f leaves of (sdd, tau) at a node the M + K - N
    directions of its null space, and s and sd follow. W alone may be singular: that [dW tau, df] is not is what carriers
@@ -63,7 +60,7 @@ static void set_efforts(const Given *g, const Work *w, const double *t, int coun
     plan->forces = count;
     for (int p = 0; p < count; p++) {
         double s[K], sd[K], sdd[K];
-        int place = found(g, smaller(t[p], g->until));
+        int place = found(g->window, smaller(t[p], g->until));
         const double *W = W_at(g, place);
         extended(plan->edge, plan->piece, plan->pieces, t[p], s, sd, sdd);
         value_at(g, place, s, sd, sdd, value[p]);
@@ -186,10 +183,6 @@ static void linear(const double *t, const double *value, long pieces, int c, dou
             piece[(pieces + i) * c + j] = value[i * c + j];
         }
 }
-
-EXPORTED long rp_tick_solution(void) { return sizeof(Solution); }
-
-EXPORTED long rp_tick_work(void) { return sizeof(Work) + 3 * sizeof(Plan); }
 
 /* Sizes of W and f along a first motion, which unknowns and rows are divided by from then on. */
 static void set_sizes(const Given *g, Work *w, Result *result) {
@@ -323,7 +316,7 @@ static double largest_soon(const Given *g, const Plan *plan) {
 static void give(const Given *g, const Work *w, const Plan *plan, Result *result) {
     result->pieces = plan->pieces, result->relaxed = plan->relaxed;
     result->residual = plan->residual, result->peak = plan->peak, result->left = plan->left;
-    result->solution = w->solution, result->iterations = w->iterations, result->rounds = w->rounds;
+    result->solution = w->solution;
     memcpy(result->at, plan->at, sizeof plan->at);
     memcpy(result->multiplier, plan->multiplier, sizeof plan->multiplier);
     memcpy(result->edge, plan->edge, sizeof plan->edge);
@@ -335,24 +328,22 @@ static void give(const Given *g, const Work *w, const Plan *plan, Result *result
 
 /* Plans from ``now`` on. OK: within every limit. RELAXED: what misses W tau = f least. REFUSED: up to where the preview
    leads where the machine cannot go. UNSOLVED: there is no plan; nor is one that does not keep every limit if it has to be
-   ``strict``. MISSING: W and f are wanted at further instants first. */
-EXPORTED int rp_tick(const Given *g, Result *result, void *memory) {
-    Work *w = memory;
-    Plan *plan[3] = {(Plan *)(w + 1), (Plan *)(w + 1) + 1, (Plan *)(w + 1) + 2};
+   ``strict``. STOPPED: by who evaluates W and f. */
+static int plan_from_now(const Sight *v, const Given *g, Result *result, Work *w, Plan *first) {
+    Plan *plan[3] = {first, first + 1, first + 2};
     double t[INSTANTS], coming = INFINITY;
     for (long r = 0; r < g->roots; r++)
         if (g->root[r] > g->now - SAME) coming = smaller(coming, g->root[r]);
     w->start = coming <= g->now + NEAR_ROOT * g->step && !g->first ? coming : g->now;
     set_nodes(g, w);
     int count = set_instants(g, w, t);
-    look_up(g, w, result, t, count);
-    if (result->missing) return MISSING;
+    if (!look_up(v, g, w, t, count)) return STOPPED;
     memcpy(result->node, w->node, sizeof w->node);
     int known = 1, refused = 0;
     result->known = COUNT;
     for (int i = 0; i < COUNT; i++) {
         int in_sight = w->node[i] <= g->until + SAME;
-        known = known && g->reachable[w->place[i]];
+        known = known && g->window->reachable[w->place[i]];
         w->known[i] = known && in_sight;
         if (!w->known[i] && result->known == COUNT) result->known = i, refused = in_sight;
         w->counts[i] = w->known[i] && (i || g->first || w->is_singular[0]);
@@ -378,5 +369,6 @@ EXPORTED int rp_tick(const Given *g, Result *result, void *memory) {
         result->guessed = 1;
         if (rounds(g, w, t, count, refused, others) && doubt(others[0]) < doubt(plan[0])) plan[0] = others[0], give(g, w, plan[0], result);
     }
+    result->iterations = w->iterations, result->rounds = w->rounds;
     return refused ? REFUSED : is_short(plan[0]) ? RELAXED : OK;
 }
