@@ -313,6 +313,14 @@ class Dynamics(Protocol):
         motion = PlatformMotion(t, x, xd, xdd, check_rates=False)
         return terms_along(self.along(motion, unreachable="mark"))
 
+    @property
+    def terms_call(self) -> tuple[int, int, int] | None:
+        """``carrier_terms`` as C, as ``rp_terms`` of ``dynamics/compiled/batch.c``; None if the backend has none.
+
+        Addresses of the function, of the robot's numbers, and of configurations that this thread goes on from.
+        """
+        return None
+
     def forward(self) -> ForwardKernel | None:
         """Return forward dynamics as machine code; None if the backend has none."""
         return None

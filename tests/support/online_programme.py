@@ -1,23 +1,26 @@
 """The quadratic programme of an on-line update, written out node by node and solved by DAQP: the C planner's judge.
 
-Nothing of the planner's own solver is used: f and its derivatives are made of the table of coefficients by complex
+Nothing of the planner's own is used: f and its derivatives are made of a backend's terms along whole motions by complex
 steps, and the programme is dense, in s, ṡ, s̈ and τ at each node, with its equations eliminated by a null space.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import daqp
 import numpy as np
 from scipy.linalg import polar, qr
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
-from redundancy_pin.planners.carrier_model import terms
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.planners.carrier_model import carrier_model, terms
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, Weights
-from redundancy_pin.planners.receding_horizon.ahead import Ahead
-from redundancy_pin.planners.receding_horizon.command import TickPlan, extended
+from redundancy_pin.planners.receding_horizon.command import UpdatePlan, extended
+from redundancy_pin.planners.receding_horizon.preview import Preview
+from redundancy_pin.robot.scales import row_scale, turning_velocities
 
 CLOSER, IN_HAND, FORCE_KEPT, BEYOND = 1e-5, 0.1, 0.98, 1e-6
 """Of the limits at the end of the horizon, of forces between the nodes, m."""
@@ -73,23 +76,55 @@ class Linearised:
     until: float
 
 
+class Table(NamedTuple):
+    """Of N instants: whether they can be reached (N,), W (N, n, m), and f and the carriers' forces by terms."""
+
+    known: BoolArray
+    W: Array
+    constant: Array
+    terms: Array
+
+
+class Ahead:
+    """W and f along a preview as sums of terms of the carriers' motion, read off a backend along whole motions."""
+
+    def __init__(self, dynamics: Dynamics, preview: Preview) -> None:
+        self.dynamics, self.preview, self.row_scale = dynamics, preview, row_scale(dynamics.robot)
+        robot = dynamics.robot
+        self._turning = bool(turning_velocities(robot)[robot.carrier_velocity].any())
+
+    def at(self, times: Array) -> Table:
+        """Return what is at times, s."""
+        once, places = np.unique(times, return_inverse=True)
+        along = self.dynamics.along(self.preview.motion(once), unreachable="mark")
+        model, own = carrier_model(along, turning=self._turning), np.arange(self.dynamics.robot.k)
+        of_f = model.f_terms.transpose(0, 2, 3, 1)
+        of_force = np.zeros((*of_f.shape[:3], model.k))
+        of_force[:, own, :, own] = model.force_terms.transpose(1, 0, 2)
+        known = np.logical_and.accumulate(np.isfinite(model.f0).all(axis=1))
+        parts = (
+            model.W,
+            np.concatenate([model.f0, model.force0], axis=1),
+            np.concatenate([of_f, of_force], axis=3),
+        )
+        return Table(known[places], *(np.nan_to_num(part)[places] for part in parts))
+
+
 def slopes(ahead: Ahead, times: Array, s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
     """Return f and the carriers' forces (N, n + k), and their derivatives (3, N, n + k, k) by s, ṡ and s̈."""
-    places = ahead.at(times)
-    table = ahead.known  # with these times
+    table = ahead.at(times)
     stacked = np.stack([s, sd, sdd])[:, None] + 1j * TINY * np.eye(3)[:, :, None, None]
     by_term = np.stack(terms(*stacked, table.terms.shape[2], np), axis=-1)  # type: ignore[arg-type, misc]
     by_term = np.concatenate([by_term[:1].real, by_term.imag / TINY]).transpose(1, 2, 0, 3)
-    of_all = by_term @ table.terms[places]
-    return table.constant[places] + of_all[:, :, 0].sum(axis=1), of_all[:, :, 1:].transpose(2, 0, 3, 1)
+    of_all = by_term @ table.terms
+    return table.constant + of_all[:, :, 0].sum(axis=1), of_all[:, :, 1:].transpose(2, 0, 3, 1)
 
 
 def curvature(ahead: Ahead, times: Array, at: tuple[Array, ...], along: Array) -> Array:
     """Return second derivatives (N, k, 3, 3) of f along directions (N, n), by s, ṡ and s̈ of each carrier."""
-    places = ahead.at(times)
-    table = ahead.known
+    table = ahead.at(times)
     count, n = table.terms.shape[2], along.shape[1]
-    by_term = (table.terms[places][..., :n] @ along[:, None, :, None])[..., 0]
+    by_term = (table.terms[..., :n] @ along[:, None, :, None])[..., 0]
     steps = BEND * np.stack([np.eye(3), -np.eye(3)])[:, None] + 1j * TINY * np.eye(3)[:, None]
     s, sd, sdd = np.moveaxis(steps[..., None, None] + np.stack(at), 3, 0)
     slope = np.stack(terms(s, sd, sdd, count, np), axis=-1).imag / TINY
@@ -103,15 +138,14 @@ def linearised(
     """Return W τ = f about a motion of the carriers, three (N, k), and multipliers (N, n) of it there."""
     n, k, times = len(ahead.row_scale), at[0].shape[1], np.minimum(nodes, until)
     value, by = slopes(ahead, times, *at)
-    places = ahead.at(times)
-    W, reachable = ahead.known.W[places], ahead.known.known[places]
+    table = ahead.at(times)
+    W, reachable = table.W, table.known
     own, sides = np.arange(k), []
     s, sd, sdd = (part[singular] for part in at)
     for h in (-DIFFERENCE, DIFFERENCE) if len(singular) else ():
         beside = np.minimum(nodes[singular] + h, until)
         f, slope = slopes(ahead, beside, s + h * sd, sd + h * sdd, sdd)
-        places = ahead.at(beside)
-        sides.append((ahead.known.W[places], f[:, :n], slope[:, :, :n]))
+        sides.append((ahead.at(beside).W, f[:, :n], slope[:, :, :n]))
     u = np.linalg.svd(W[singular] / ahead.row_scale[:, None])[0][:, :, -1] / ahead.row_scale
     if not sides:
         sides = [(W[singular], value[singular, :n], by[:, singular, :n])] * 2
@@ -498,26 +532,25 @@ class Asked:
     """
 
     planner: RecedingHorizon
-    last: TickPlan | None
-    made: TickPlan
+    last: UpdatePlan | None
+    made: UpdatePlan
     given: tuple[Array | None, ...]
     largest: float
 
     def problem(self, about: tuple[Array, ...], multipliers: Array, *, relaxed: bool) -> Problem:
         """Return a programme at the nodes of the plan, linear about a motion, three (N, k), and multipliers (N, n)."""
         planner, nodes, t = self.planner, self.made.nodes, self.made.command.t
-        ahead, sizes, tau, jerk = planner.ticks.ahead, planner.ticks.sizes, 0.0, None
-        assert sizes is not None
-        tau = sizes.tau
+        ahead, made, jerk = Ahead(planner.dynamics, planner._preview), self.made, None
+        tau = made.tau
         if self.last is not None:
             tau *= min(max(self.last.command.peak / tau, SMALLEST), 1.0)
             carriers = self.last.command.carriers
             piece = max(int(np.searchsorted(carriers.edges, nodes[0])) - 1, 0)
             jerk = 6.0 * carriers.coefficients[-4, min(piece, len(carriers.edges) - 2)]
         until = min(t + planner.horizon, ahead.preview.end)
-        lin = linearised(ahead, nodes, np.flatnonzero(np.isin(nodes, ahead.roots)), about, multipliers, until)
+        lin = linearised(ahead, nodes, np.flatnonzero(np.isin(nodes, planner.updates.roots)), about, multipliers, until)
         return Problem(
-            lin, planner.resolved, planner.weights, Sizes(tau, sizes.row), self.first, self.last is None, jerk,
+            lin, planner.resolved, planner.weights, Sizes(tau, made.row), self.first, self.last is None, jerk,
             planner.step, planner.horizon, self.largest, relaxed,
         )  # fmt: skip
 
@@ -528,7 +561,7 @@ class Asked:
         if self.last is None:
             return *(np.zeros(k) if part is None else part for part in self.given), np.zeros(k)
         own = [part[0] for part in extended(self.last.command.carriers, self.made.nodes[:1])]
-        coming = planner.ticks.ahead.roots[planner.ticks.ahead.roots > t - SAME]
+        coming = planner.updates.roots[planner.updates.roots > t - SAME]
         settled = len(coming) and coming[0] <= t + SETTLED * planner.step
         pairs = zip(self.given, own[:2], strict=True)
         return *(planned if part is None or settled else part for part, planned in pairs), own[2]

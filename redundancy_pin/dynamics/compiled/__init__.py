@@ -159,6 +159,11 @@ class CompiledDynamics(Dynamics):
         """
         return self._calls.carrier_terms(t, x, xd, xdd)
 
+    @property
+    def terms_call(self) -> tuple[int, int, int] | None:
+        """See ``Dynamics.terms_call``; None where wrenches act on the robot: they depend on more than its motion."""
+        return self._calls.carrier_terms.addresses
+
     def forward(self) -> CompiledForward | None:
         """Return forward dynamics, compiled when they are first asked for; None where that fails, with a warning."""
         try:

@@ -43,6 +43,14 @@ class Continued:
         self._function, self._numbers = dynamics.kernel.library.rp_terms, dynamics.kernel.numbers
         self._make_room(8)
 
+    @property
+    def addresses(self) -> tuple[int, int, int] | None:
+        """Those of ``rp_terms``, the robot's numbers, and where it goes on from; None where wrenches act."""
+        if self._loads:
+            return None
+        function = ctypes.cast(self._function, ctypes.c_void_p).value
+        return function or 0, self._numbers.value or 0, int(self._near.ctypes.data)
+
     def _make_room(self, samples: int) -> None:
         """Make memory for so many samples, whose addresses are looked up once."""
         self._room = samples

@@ -135,7 +135,8 @@ class UpdatePlan:
 
     ``nodes`` (N,) s; ``at``: s, ṡ and s̈ (N, k) there; ``multipliers`` (N, n) of W τ = f there; ``left``: by which
     fraction of f that is missed at most; ``largest``: |τ| of the command in the step from the update on, N or N·m;
-    ``iterations``: how many of its interior point method that took, over all ``rounds``, the programmes of its update;
+    ``rounds``: programmes that led to it, each about the plan of the one before; ``iterations``: of the interior point
+    method in this update, of other motions that were tried too;
     ``tau`` N or N·m, and ``row`` (n,) N or N·m: what efforts and rows are divided by; ``so_far``: largest |τ| of this
     and all plans before, N or N·m.
     """

@@ -1,4 +1,4 @@
-"""The on-line planner as machine code: C for a robot's sizes, its memory, what it asks of a backend and what it answers.
+"""The on-line planner as machine code: C for a robot's sizes, its memory, and what it asks of a backend.
 
 It is compiled once for each set of sizes and kept on disk (``machine_code``).
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ctypes
 import importlib.resources
-import time
 from collections.abc import Mapping
 from dataclasses import astuple
 from functools import lru_cache
@@ -46,6 +45,7 @@ from redundancy_pin.planners.receding_horizon.constants import (
 )
 from redundancy_pin.planners.receding_horizon.preview import Preview, place_of
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.scales import row_scale, turning_velocities
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -81,7 +81,7 @@ BLOCKED = 4
 
 _LIMITS = ("track", "speed", "acceleration", "jerk", "carrier_force", "effort")
 
-_EVALUATE = ctypes.CFUNCTYPE(ctypes.c_long, ctypes.c_void_p, ctypes.c_long, *[ctypes.c_void_p] * 7)
+_EVALUATE = ctypes.CFUNCTYPE(ctypes.c_long, ctypes.c_void_p, ctypes.c_long, *[ctypes.c_void_p] * 5)
 
 
 class _Preview(ctypes.Structure):
@@ -94,6 +94,17 @@ class _Preview(ctypes.Structure):
         ("breaks", ctypes.c_long),
         ("changing", ctypes.c_long),
         ("number", ctypes.c_long),
+    ]
+
+
+class _Polynomials(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_void_p) for name in ("terms", "numbers", "near", "edge", "piece")),
+        ("pieces", ctypes.c_long),
+        ("order", ctypes.c_long),
+        ("moves_until", ctypes.c_double),
+        ("otherwise", _EVALUATE),
+        ("context", ctypes.c_void_p),
     ]
 
 
@@ -112,6 +123,11 @@ class Terms:
         self.dynamics, self._checked = dynamics, False
         self._turning = bool(turning_velocities(robot)[robot.carrier_velocity].any())
         self.count = (TURNING_TERMS if self._turning else SLIDING_TERMS)[-1] + 1
+
+    @property
+    def generated(self) -> tuple[int, int, int] | None:
+        """Addresses of ``rp_terms`` of generated code, its robot's numbers, and where this thread goes on from."""
+        return self.dynamics.terms_call if self._checked and not self._turning else None
 
     def at(self, preview: Preview, t: Array, sigma: Array, rate: Array, bend: Array) -> CarrierTerms:
         """Return them at (N,) times t, s, at which the preview is at σ, s, with σ̇ and σ̈; NaN where out of reach."""
@@ -178,8 +194,9 @@ class CompiledPlanner:
         })  # fmt: skip
         self._memory = np.zeros(library.rp_planner_size() // 8 + 1) if memory is None else memory.copy()
         self._address = ctypes.c_void_p(self._memory.ctypes.data)
-        self._given = _Preview(evaluate=_EVALUATE(self._evaluate), number=number)
-        self._known: Preview | None = None
+        self._python = _EVALUATE(self._evaluate)
+        self._given = _Preview(number=number)
+        self._known = Preview(_nothing, 0.0, 0.0)
         self._breaks = np.empty(0)
         self._raised: BaseException | None = None
         self._nowhere = np.full(k, np.nan)
@@ -226,17 +243,16 @@ class CompiledPlanner:
         window = self._library.rp_planner_window(self._address)
         count = (ctypes.c_long * 2).from_address(window)[which]
         first = window + 16 + 8 * MOST_ROOTS * which
-        return np.array((ctypes.c_double * count).from_address(first))
+        return _at(first, count).copy()
 
     def _evaluate(self, _: object, count: int, *addresses: int) -> int:
         """Write W, f and forces by terms; return the number of instants before the first out of reach."""
         try:
-            n, m, k, _ = self._shape
-            t, sigma, rate, bend = (np.array((ctypes.c_double * count).from_address(part)) for part in addresses[:4])
+            t, sigma, rate, bend = (_at(part, count).copy() for part in addresses[:4])
             read = self._terms.at(self._known, t, sigma, rate, bend)
             finite = np.isfinite(read.constant).all(axis=1)
-            for part, at in zip(read, addresses[4:], strict=True):
-                np.copyto(np.frombuffer((ctypes.c_double * part.size).from_address(at)), part.ravel())
+            size = sum(part.size for part in read)
+            np.concatenate([part.ravel() for part in read], out=_at(addresses[4], size))
             return count if finite.all() else int(finite.argmin())
         except BaseException as error:  # raised again by ``update``
             self._raised = error
@@ -254,6 +270,8 @@ class CompiledPlanner:
             self._known, self._breaks = preview, breaks
             own.start, own.end, own.changing = preview.start, preview.end, preview.changing
             own.broken, own.breaks, own.number = breaks.ctypes.data, len(breaks), own.number + 1
+            own.evaluate, own.context = self._python, None
+        self._use_generated(preview)
         s, sd = (self._nowhere if part is None else np.ascontiguousarray(part, dtype=np.float64) for part in given)
         status = self._library.rp_planner_update(
             self._address, ctypes.c_double(t), ctypes.byref(own), _address(s), _address(sd)
@@ -268,12 +286,27 @@ class CompiledPlanner:
         self.last = self._read()
         return self.last
 
+    def _use_generated(self, preview: Preview) -> None:
+        """Have polynomials evaluated by generated code, without Python, where the backend has it."""
+        polynomials, call = preview.polynomials, self._terms.generated
+        if polynomials is None or call is None:
+            return
+        if self._given.context is None:
+            edges, pieces = (np.ascontiguousarray(part) for part in (polynomials.edges, polynomials.coefficients))
+            self._pieces = edges, pieces
+            own = self._polynomials = _Polynomials(
+                edge=edges.ctypes.data, piece=pieces.ctypes.data, pieces=len(edges) - 1, order=len(pieces),
+                moves_until=preview.moves_until, otherwise=self._python,
+            )  # fmt: skip
+            self._given.evaluate = ctypes.cast(self._library.rp_evaluate_polynomials, _EVALUATE)
+            self._given.context = ctypes.addressof(own)
+        self._polynomials.terms, self._polynomials.numbers, self._polynomials.near = call  # of this thread
+
     def _read(self) -> UpdatePlan:
         """Return the result in memory, copied."""
         places, (n, m, k, count) = self._places, self._shape
         here = self._library.rp_planner_result(self._address)
-        result = np.array((ctypes.c_double * self._places["force"].stop).from_address(here))
-        read_only(result)
+        result = read_only(_at(here, places["force"].stop).copy())
         numbers = result[places["numbers"]].tolist()
         counts = result[places["counts"]].view(np.int64).tolist()
         status, why, pieces, efforts, forces, known, iterations, rounds, _, _, singular, changes = counts
@@ -286,7 +319,7 @@ class CompiledPlanner:
 
         told = STATUSES[status], REASONS[why].format(left=left, known=0.0, place="")
         if why == BLOCKED:
-            place = place_of(self._known.states(np.array([blocked]))[0][0]) if self._known else []
+            place = place_of(self._known.states(np.array([blocked]))[0][0])
             told = told[0], REASONS[why].format(known=float(result[places["node"]][known]), place=place)
         scaling = self._scaling_after(changes)
         if scaling is not None and told[0] is UpdateStatus.TIME_SCALED:
@@ -310,7 +343,7 @@ class CompiledPlanner:
         if changes != self._changes:
             here = self._library.rp_planner_scaling(self._address)
             pieces = ctypes.c_long.from_address(here).value
-            numbers = np.array((ctypes.c_double * (6 * CURVE + 1)).from_address(here + 8))
+            numbers = _at(here + 8, 6 * CURVE + 1)
             coefficients = numbers[CURVE + 1 :].reshape(CURVE, 5)[:pieces]
             edges = frozen(numbers[: pieces + 1])
             self._scaling = TimeScaling(PiecewisePolynomial(edges, frozen(coefficients.T[:, :, None])))
@@ -322,7 +355,8 @@ def sizes_of(robot: Robot, step: float, horizon: float, terms: int) -> dict[str,
     """Return what C needs to know of a robot and its plans: ``COUNT``, nodes of a plan, among them."""
     steps = round(horizon / step)
     count = min(steps, NEAR) + max(steps - NEAR, 0) // 2 + EXTRA + 1
-    return {"N": robot.n, "M": robot.m, "K": robot.k, "TERMS": terms, "STEPS": steps, "COUNT": count}
+    places = 16 if is_pose(robot) else robot.n
+    return {"N": robot.n, "PLACES": places, "M": robot.m, "K": robot.k, "TERMS": terms, "STEPS": steps, "COUNT": count}
 
 
 def planner_source(sizes: Mapping[str, int]) -> str:
@@ -379,8 +413,18 @@ def _places(parts: Mapping[str, int]) -> dict[str, slice]:
     return {name: slice(a, b) for name, a, b in zip(parts, ends[:-1], ends[1:], strict=True)}
 
 
+def _nothing(times: Array) -> PlatformMotion:
+    raise RuntimeError(f"No preview at {times[0]:g} s.")
+
+
 def _again(*made_of: Any) -> CompiledPlanner:
     return CompiledPlanner(*made_of)
+
+
+def _at(address: int, count: int) -> Array:
+    """Return numbers that are in memory there, without a copy."""
+    numbers: Array = np.ctypeslib.as_array((ctypes.c_double * count).from_address(address))
+    return numbers
 
 
 def _address(array: Array) -> Any:

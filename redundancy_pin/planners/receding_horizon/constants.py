@@ -45,17 +45,11 @@ INSTANTS = _line(
     "INSTANTS", 320, "1", "most instants at which a plan's efforts are exact", "memory; a plan has 25 to 60"
 )
 BATCH = _line("BATCH", 128, "1", "instants that are evaluated at once, at most", "memory")
-KEPT = _line(
-    "KEPT", 3, "steps", "that are past and kept, for nodes around a singular instant that is past", "as ZONE"
-)
+KEPT = _line("KEPT", 3, "steps", "that are past and kept, for nodes around a singular instant that is past", "as ZONE")
 
 # singular instants
-POINTS = _line(
-    "POINTS", 9, "1", "samples of det W for its polynomial", "accuracy: to rounding for steps to 50 ms"
-)
-ROUNDING = _line(
-    "ROUNDING", 1e-14, "1", "coefficients of that, over the largest det W, that are none", "accuracy"
-)
+POINTS = _line("POINTS", 9, "1", "samples of det W for its polynomial", "accuracy: to rounding for steps to 50 ms")
+ROUNDING = _line("ROUNDING", 1e-14, "1", "coefficients of that, over the largest det W, that are none", "accuracy")
 SHALLOW = _line(
     "SHALLOW",
     0.1,
@@ -64,7 +58,11 @@ SHALLOW = _line(
     "accuracy",
 )
 ROOTED = _line(
-    "ROOTED", 1e-13, "1", "|det W| over its largest, at a dip or an end, that is a zero: ten roundings of it", "accuracy"
+    "ROOTED",
+    1e-13,
+    "1",
+    "|det W| over its largest, at a dip or an end, that is a zero: ten roundings of it",
+    "accuracy",
 )
 PI = _line("PI", 3.141592653589793, "rad", "half a turn", "convention")
 TOUCH = _line("TOUCH", 1e-3, "1", "|det W| over its largest at a dip that counts as singular", "trial")
@@ -74,7 +72,9 @@ MOST_ROOTS = _line(
     "MOST_ROOTS", 64, "1", "singular instants, or sharp ones, in sight: more end what is in sight", "memory"
 )
 CURVE = _line("CURVE", 64, "1", "pieces of the platform's time by the clock's within three steps", "memory")
-MOST_SINGULAR = _line("MOST_SINGULAR", 12, "1", "singular instants of a plan: the motion behind them is not planned yet", "memory")
+MOST_SINGULAR = _line(
+    "MOST_SINGULAR", 12, "1", "singular instants of a plan: the motion behind them is not planned yet", "memory"
+)
 BORDER_GIVES = _line(
     "BORDER_GIVES", 1e-13, "1", "by which their rows, which may depend on each other, give", "accuracy"
 )
@@ -87,16 +87,12 @@ REGULAR = _line(
 EXTRA = _line("EXTRA", 8, "1", "nodes beyond those of even steps, for finer ones", "trial", False)
 NEAR = _line("NEAR", 10, "steps", "from which on nodes are twice as far apart", "trial")
 ZONE = _line("ZONE", 2.5, "steps", "around a singular instant, nodes half as far apart: s̈ bends τ there", "trial")
-SHARP = _line(
-    "SHARP", 0.1, "1", "bend of f within a step over its largest of late that makes nodes finer", "trial"
-)
+SHARP = _line("SHARP", 0.1, "1", "bend of f within a step over its largest of late that makes nodes finer", "trial")
 SHARP_ZONE = _line("SHARP_ZONE", 1.0, "steps", "around such a turn in which they are", "trial")
 MOST_SHARP = _line(
     "MOST_SHARP", 3, "1", "such turns with finer nodes, the next ones: the horizon must not be short", "trial"
 )
-FADES = _line(
-    "FADES", 0.5, "s", "in which that largest f falls by half: f has no bound next to out of reach", "trial"
-)
+FADES = _line("FADES", 0.5, "s", "in which that largest f falls by half: f has no bound next to out of reach", "trial")
 APART_SINGULAR = _line(
     "APART_SINGULAR", 0.05, "steps", "least distance of singular instants from each other and the start", "trial"
 )
@@ -183,9 +179,7 @@ SLOWER = _line(
 )
 FASTER = _line("FASTER", 0.25, "1", "by which σ̇ rises where the whole of the speed is too much", "trial")
 RISE = _line("RISE", 0.8, "horizon", "within which part it does", "trial")
-CREEPING = _line(
-    "CREEPING", 0.05, "1", "σ̇ below which it rises by as much: to creep over a singular pose", "trial"
-)
+CREEPING = _line("CREEPING", 0.05, "1", "σ̇ below which it rises by as much: to creep over a singular pose", "trial")
 LEAST_RATE = _line("LEAST_RATE", 5e-3, "1", "σ̇ below which the platform rather stands still", "trial")
 HOLD = _line("HOLD", 5, "steps", "from one change of σ̇, or one that was tried, to the next rise", "trial")
 FULL = _line("FULL", 1.0 - 1e-9, "1", "σ̇ from which the speed is that of the preview", "accuracy")

@@ -13,8 +13,8 @@ from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.options import Limits, group_of
-from redundancy_pin.planners.receding_horizon.compiled import CompiledPlanner
 from redundancy_pin.planners.receding_horizon.command import GOALS, Command, Goal, Weights
+from redundancy_pin.planners.receding_horizon.compiled import CompiledPlanner
 from redundancy_pin.planners.receding_horizon.constants import SAME
 from redundancy_pin.planners.receding_horizon.preview import Preview, Source
 from redundancy_pin.status import UpdateStatus

@@ -13,6 +13,7 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.receding_horizon.constants import FOR_EVER, SAME, STILL
 from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory, as_motion, is_timed
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 Source: TypeAlias = "Preview | TimedTrajectory | PlatformMotion | Motion | Callable[[Array], PlatformMotion]"
 """A trajectory, samples, or what returns the motion at (N,) times, s."""
@@ -35,10 +36,26 @@ class Preview(Frozen):
     changing: bool = False
     breaks: Array = field(default_factory=lambda: np.empty(0))
 
+    @property
+    def polynomials(self) -> PiecewisePolynomial | None:
+        """x, ẋ and ẍ side by side, where the motion is that of polynomials; ``moves_until`` says how long."""
+        motion = self._continuous
+        return motion.source if motion is not None and isinstance(motion.source, PiecewisePolynomial) else None
+
+    @property
+    def moves_until(self) -> float:
+        """Time from which on the platform is held, s; infinite where that is not known."""
+        motion = self._continuous
+        return np.inf if motion is None or motion.moves_until == motion.end else motion.moves_until
+
+    @property
+    def _continuous(self) -> Motion | None:
+        motion = getattr(self.motion, "__self__", None)
+        return motion if isinstance(motion, Motion) and self.motion == motion.sample_at else None
+
     def states(self, times: Array) -> tuple[Array, Array, Array]:
         """Return x (N, n), or (N, 4, 4), ẋ and ẍ (N, n) at (N,) increasing times, s."""
-        continuous = getattr(self.motion, "__self__", None)
-        if isinstance(continuous, Motion) and self.motion == continuous.sample_at:
+        if (continuous := self._continuous) is not None:
             return continuous.states_at(times)  # whose values nobody need look at again
         motion = self.motion(times)
         return motion.x, motion.xd, motion.xdd

@@ -316,7 +316,7 @@ static double largest_soon(const Given *g, const Plan *plan) {
 static void give(const Given *g, const Work *w, const Plan *plan, Result *result) {
     result->pieces = plan->pieces, result->relaxed = plan->relaxed;
     result->residual = plan->residual, result->peak = plan->peak, result->left = plan->left;
-    result->solution = w->solution;
+    result->solution = w->solution, result->rounds = w->rounds;
     memcpy(result->at, plan->at, sizeof plan->at);
     memcpy(result->multiplier, plan->multiplier, sizeof plan->multiplier);
     memcpy(result->edge, plan->edge, sizeof plan->edge);
@@ -369,6 +369,6 @@ static int plan_from_now(const Sight *v, const Given *g, Result *result, Work *w
         result->guessed = 1;
         if (rounds(g, w, t, count, refused, others) && doubt(others[0]) < doubt(plan[0])) plan[0] = others[0], give(g, w, plan[0], result);
     }
-    result->iterations = w->iterations, result->rounds = w->rounds;
+    result->iterations = w->iterations;   /* of what was not kept too */
     return refused ? REFUSED : is_short(plan[0]) ? RELAXED : OK;
 }

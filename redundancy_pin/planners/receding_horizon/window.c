@@ -21,11 +21,10 @@ enum { BESIDE_GRID = COUNT + 2 * MOST_SINGULAR + INSTANTS + 3 * MOST_ROOTS, GRID
 enum { CAPACITY = 2 * GRID + KEPT * PARTS + BESIDE_GRID, WANTED = GRID + BESIDE_GRID };
 enum { SUM = N + K, ALL = K * TERMS * SUM };
 
-/* W (N, M), f and the carriers' forces at rest at s = 0 (N + K) and their terms (K, TERMS, N + K), side by side for `count`
-   increasing times t of the clock, at the preview's own time sigma with its derivatives. Returns how many there are before
-   the first that the machine cannot be at; -1 where the update is to end. */
-typedef long (*Evaluate)(void *context, long count, const double *t, const double *sigma, const double *rate, const double *bend, double *W,
-                         double *constant, double *terms);
+/* W (N, M), f and the carriers' forces at rest at s = 0 (N + K) and their terms (K, TERMS, N + K) at `count` increasing times t of
+   the clock, at the preview's own time sigma with its derivatives: those of all, one after the other. Returns how many there are
+   before the first that the machine cannot be at; -1 where the update is to end. */
+typedef long (*Evaluate)(void *context, long count, const double *t, const double *sigma, const double *rate, const double *bend, double *out);
 
 /* The platform's motion ahead, in its own time. */
 typedef struct {
@@ -59,7 +58,7 @@ typedef struct {
     long recents, bends;
     double recent_time[2 * PARTS + 1], recent[2 * PARTS + 1][N], bend_time[3], bend[3];
     double W[CAPACITY][N * M], constant[CAPACITY][SUM], terms[CAPACITY][ALL];
-    double some_W[BATCH * N * M], some_constant[BATCH * SUM], some_terms[BATCH * ALL];
+    double some[BATCH * (N * M + SUM + ALL)];
 } Window;
 
 typedef struct {
@@ -74,6 +73,42 @@ typedef struct {
 static inline double larger(double a, double b) { return a > b ? a : b; }
 
 static inline double smaller(double a, double b) { return a < b ? a : b; }
+
+/* The platform's motion as polynomials of its own time, and the generated dynamics that evaluate it. */
+typedef struct {
+    int (*terms)(const double *numbers, int samples, const double *in, int width, double *near, double *out, double *sizes);
+    const double *numbers;
+    double *near;                  /* configurations that it goes on from */
+    const double *edge, *piece;    /* x (PLACES), its rates and second rates (N): (order, pieces, PLACES + 2 N), the highest power first */
+    long pieces, order;
+    double moves_until;            /* the platform is held from then on */
+    Evaluate otherwise;            /* who is asked where the generated code does not close; 0: nobody */
+    void *context;
+} Polynomials;
+
+EXPORTED long rp_evaluate_polynomials(void *context, long count, const double *t, const double *sigma, const double *rate, const double *bend,
+                                      double *out) {
+    enum { WIDTH = 1 + PLACES + 2 * N };
+    const Polynomials *p = context;
+    double in[BATCH * WIDTH], sizes[2 * BATCH];
+    for (long k = 0, i = 0; k < count; k++) {
+        double *x = in + k * WIDTH + 1, at = sigma[k] < p->moves_until ? sigma[k] : p->moves_until;
+        while (i > 0 && p->edge[i] > at) i--;
+        while (i < p->pieces - 1 && p->edge[i + 1] <= at) i++;
+        at = at > p->edge[0] ? at - p->edge[i] : 0.0;
+        in[k * WIDTH] = t[k];
+        for (int c = 0; c < PLACES + 2 * N; c++) x[c] = p->piece[i * (PLACES + 2 * N) + c];
+        for (long d = 1; d < p->order; d++)
+            for (int c = 0; c < PLACES + 2 * N; c++) x[c] = x[c] * at + p->piece[(d * p->pieces + i) * (PLACES + 2 * N) + c];
+        for (int c = 0; c < N; c++) {
+            double *xd = x + PLACES + c, *xdd = xd + N;
+            if (sigma[k] >= p->moves_until) *xd = *xdd = 0.0;
+            *xdd = *xdd * rate[k] * rate[k] + *xd * bend[k], *xd *= rate[k];
+        }
+    }
+    long closed = p->terms(p->numbers, (int)count, in, WIDTH, p->near, out, sizes);
+    return closed < count && p->otherwise ? p->otherwise(p->context, count, t, sigma, rate, bend, out) : closed;
+}
 
 /* --- the preview's time -------------------------------------------------------------------------------------------- */
 
@@ -213,18 +248,19 @@ static int add_instants(const Sight *v, const double *t, long count) {
         long can = 0, there = 0;
         part = count < BATCH ? count : BATCH;
         for (; can < part && t[can] <= w->blocked; can++) sigma_at(v->scaling, t[can], sigma + can, rate + can, bend + can);
-        if (can) there = v->preview->evaluate(v->preview->context, can, t, sigma, rate, bend, w->some_W, w->some_constant, w->some_terms);
+        if (can) there = v->preview->evaluate(v->preview->context, can, t, sigma, rate, bend, w->some);
         if (there < 0 || w->frees < part) return 0;
         if (there < part) w->blocked = smaller(w->blocked, t[there]);
+        const double *constant = w->some + can * N * M, *terms = constant + can * SUM;
         for (long i = 0; i < part; i++) {
             int slot = w->free[--w->frees];
             long place = w->count++;
             for (; place > 0 && w->t[place - 1] > t[i]; place--) w->t[place] = w->t[place - 1], w->slot[place] = w->slot[place - 1];
             w->t[place] = t[i], w->slot[place] = slot, w->reachable[slot] = i < there;
             if (i < there) {
-                memcpy(w->W[slot], w->some_W + i * N * M, sizeof w->W[slot]);
-                memcpy(w->constant[slot], w->some_constant + i * SUM, sizeof w->constant[slot]);
-                memcpy(w->terms[slot], w->some_terms + i * ALL, sizeof w->terms[slot]);
+                memcpy(w->W[slot], w->some + i * N * M, sizeof w->W[slot]);
+                memcpy(w->constant[slot], constant + i * SUM, sizeof w->constant[slot]);
+                memcpy(w->terms[slot], terms + i * ALL, sizeof w->terms[slot]);
             } else {
                 memset(w->W[slot], 0, sizeof w->W[slot]);
                 memset(w->constant[slot], 0, sizeof w->constant[slot]);
@@ -329,11 +365,11 @@ static int zeros_within(const Sight *v, double start, double end, double *zero) 
         x[i] = -cos(PI * (i + 0.5) / POINTS), t[i] = middle + half * x[i];
         sigma_at(v->scaling, t[i], sigma + i, rate + i, bend + i);
     }
-    long there = v->preview->evaluate(v->preview->context, POINTS, t, sigma, rate, bend, w->some_W, w->some_constant, w->some_terms);
+    long there = v->preview->evaluate(v->preview->context, POINTS, t, sigma, rate, bend, w->some);
     if (there < POINTS) return there < 0 ? -1 : 0;
     memset(series, 0, sizeof series);
     for (int i = 0; i < POINTS; i++) {
-        double value = determinant_of(w->some_W + i * N * M) / w->largest, before = 1.0, now = x[i];
+        double value = determinant_of(w->some + i * N * M) / w->largest, before = 1.0, now = x[i];
         least = smaller(least, fabs(value)), most = larger(most, fabs(value)), low = smaller(low, value), high = larger(high, value);
         series[0] += value / POINTS;
         for (int k = 1; k < POINTS; k++) {

@@ -13,11 +13,9 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.receding_horizon import RecedingHorizon
-from redundancy_pin.planners.receding_horizon.tick import begun_with
 from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory import RestToRest, SpeedProfile, Trajectory
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line, circle_path
 
 _ARC = circle_path((0.25, 0.05), 0.09, start_angle=np.pi, sweep=np.pi)
@@ -37,7 +35,7 @@ def test_behind_a_plan_every_carrier_slows_down_as_fast_as_it_can(acceleration: 
     planner, later = planner_of(acceleration=acceleration, horizon=0.1), []
     for i in range(20):
         carriers = planner.update(STEP * i, ACROSS).carriers
-        last = float(planner.ticks.last.nodes[-1])
+        last = float(planner.updates.last.nodes[-1])
         begins, speeds = carriers.at(last), carriers.derivative()(np.array([last]), "left")[0]
         later.append(np.abs(speeds))
         durations = np.where(np.abs(speeds) > 1e-9 * np.array(acceleration), np.abs(speeds) / acceleration, 0.0)
@@ -52,24 +50,6 @@ def test_behind_a_plan_every_carrier_slows_down_as_fast_as_it_can(acceleration: 
             clear = np.abs(t - last - durations) > 1e-9
             np.testing.assert_allclose(carriers.derivative(2).at(float(t))[clear], (slows * moves)[clear], atol=1e-9)
     assert (np.max(later, axis=0) > 0.01).all()
-
-
-def test_functions_begin_with_the_last_ones_up_to_where_they_begin() -> None:
-    old = PiecewisePolynomial.linear(np.array([0.0, 1.0, 3.0]), np.array([[0.0], [2.0], [-4.0]]))
-    new = PiecewisePolynomial.linear(np.array([1.5, 2.0]), np.array([[7.0], [8.0]]))
-    times = np.array([0.5, 0.75, 1.0, 1.2, 1.4999, 1.6, 2.0])
-    # to 1.2 the last one, from there straight to where the new one begins
-    joined = begun_with(old, new, 0.5, 1.2)
-    expected = np.interp(times, [0.0, 1.0, 1.2, 1.5, 2.0], [0.0, 2.0, 1.4, 7.0, 8.0])
-    np.testing.assert_allclose(joined(times)[:, 0], expected, atol=1e-12)
-    assert joined.start == 0.5
-    np.testing.assert_allclose(begun_with(old, new, 1.2, 1.2)(times[3:])[:, 0], expected[3:], atol=1e-12)
-    np.testing.assert_allclose(begun_with(old, new, 1.0, 1.5).at(1.25), old.at(1.25), atol=1e-12)
-    for start in (1.5, 1.5 - 0.5e-9):  # at the same time
-        assert begun_with(old, new, start, start) is new
-
-
-# settings
 
 
 @pytest.mark.parametrize(("horizon", "fits"), [(1.99, False), (2.0, True), (200.0, True), (201.0, False)])
@@ -118,7 +98,7 @@ def test_a_start_counts_as_beyond_the_limits_by_more_than_a_millionth(carrier: i
 def test_ticks_say_how_long_they_took() -> None:
     planner, began = planner_of(), time.perf_counter()
     command = planner.update(0.06, ACROSS)
-    assert 0.0 < command.solver_seconds <= command.seconds <= time.perf_counter() - began
+    assert 0.0 < command.seconds <= time.perf_counter() - began
 
 
 def test_one_instant_that_is_known_has_efforts_for_a_step() -> None:
@@ -154,7 +134,7 @@ def test_nodes_are_half_as_far_apart_where_the_platform_turns(far: bool, kind: A
     preview = kind()
     for i in (24, 25) if far else (44, 45):
         planner.update(STEP * i, preview if kind() is CORNER else kind())
-    nodes = planner.ticks.last.nodes
+    nodes = planner.updates.last.nodes
     start = nodes[0]
     steps = np.diff(nodes)
     at = 0.5 * (nodes[1:] + nodes[:-1])
@@ -181,7 +161,7 @@ def test_turns_and_singular_instants_that_are_long_past_are_forgotten() -> None:
     most = 0
     for i in range(400):
         planner.update(0.02 * i, preview)
-        most = max(most, len(planner.ticks.ahead.roots) + len(planner.ticks.ahead.sharp))
+        most = max(most, len(planner.updates.roots) + len(planner.updates.sharp))
     assert 1 <= most < 8
 
 
@@ -191,10 +171,9 @@ def test_where_nothing_can_be_reached_is_no_turn_and_spoils_no_later_one() -> No
     away = Line(tuple(home), (home[0], home[1] + 0.9))
     planner = RecedingHorizon(dynamics)
     planner.update(0.0, Trajectory(away, SpeedProfile(away.length, 1.6, 0.2)))
-    ahead = planner.ticks.ahead
-    assert not ahead.known.known.all()
-    lost = ahead.known.t[~ahead.known.known][0]
-    assert (ahead.sharp < lost - 0.5 * STEP).all()
+    assert not len(planner.updates.sharp[planner.updates.sharp > 0.5])
+    first = planner.update(STEP, Trajectory(away, SpeedProfile(away.length, 1.6, 0.2)))
+    assert first.status is UpdateStatus.REFUSED
 
 
 def test_many_turns_leave_a_plan_its_horizon() -> None:
@@ -211,8 +190,8 @@ def test_many_turns_leave_a_plan_its_horizon() -> None:
 
     for i in range(10):
         planner.update(0.02 * i, preview)
-        assert len(planner.ticks.ahead.sharp) > 3
-        assert planner.ticks.last.nodes[-1] >= 0.02 * i + 0.46
+        assert len(planner.updates.sharp) > 3
+        assert planner.updates.last.nodes[-1] >= 0.02 * i + 0.46
 
 
 @pytest.mark.parametrize("early", [0.0, 1e-4, -1e-4, 0.5 * STEP])

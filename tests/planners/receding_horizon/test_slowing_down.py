@@ -4,8 +4,8 @@ import copy
 import itertools
 import json
 import re
+from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
 
 import numpy as np
 import online
@@ -17,7 +17,6 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import OnLineRun, Preview, RecedingHorizon, run_online
-from redundancy_pin.planners.receding_horizon.slowing import Slowing
 from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, through_points
@@ -227,8 +226,16 @@ def test_random_paths_with_weak_carriers_are_followed_to_their_end(name: str, sh
     assert_balanced(run.plan, other)
 
 
+def assert_the_same_motion(command, other) -> None:
+    """Check that a command is another's, but for what the cost is flat."""
+    assert command.status is other.status
+    assert (command.scaling is None) == (other.scaling is None)
+    for own, their, near in zip(command.motion_at(other.t), other.motion_at(other.t), (1e-5, 1e-4, 1e-2), strict=True):
+        np.testing.assert_allclose(own, their, atol=near)
+
+
 @pytest.mark.parametrize("fails_at", [18, 22, 42])
-def test_a_preview_that_fails_at_a_tick_leaves_the_speed_as_it_was(fails_at: int) -> None:
+def test_a_preview_that_fails_at_an_update_leaves_the_planner_as_it_was(fails_at: int) -> None:
     """What is in sight is that of the speed that commands tell, and not of one that was tried."""
     planner, left = RecedingHorizon(machine()[0], slow_down=True, **in_groups(RecedingHorizon, WEAK)), [10**9]
 
@@ -242,23 +249,15 @@ def test_a_preview_that_fails_at_a_tick_leaves_the_speed_as_it_was(fails_at: int
         planner.update(0.02 * i, preview)
     failed = 0
     for i in range(fails_at, fails_at + 5):
-        left[0] = 2
+        before, left[0] = copy.deepcopy(planner), 2
         try:
             planner.update(0.02 * i, preview)
         except RuntimeError:
             failed += 1
-        scaling = planner.skip(0.02 * i).scaling
-        seen = getattr(planner.ticks.ahead.preview.motion, "scaling", None)
-        assert seen is scaling
+            left[0] = 10**9
+            assert_the_same_motion(planner.update(0.02 * i, preview), before.update(0.02 * i, preview))
+            assert planner.skip(0.02 * i).scaling is planner.updates.last.command.scaling
     assert failed
-
-
-def assert_the_same_motion(command, other) -> None:
-    """Check that a command is another's, but for what the cost is flat."""
-    assert command.status is other.status
-    assert (command.scaling is None) == (other.scaling is None)
-    for own, their, near in zip(command.motion_at(other.t), other.motion_at(other.t), (1e-5, 1e-4, 1e-2), strict=True):
-        np.testing.assert_allclose(own, their, atol=near)
 
 
 @pytest.mark.parametrize("each", [lambda: copy.copy(CIRCLE), lambda: CIRCLE.sample_at])
@@ -320,110 +319,87 @@ def test_a_plan_that_is_too_fast_next_to_its_start_is_none() -> None:
     planner.update(0.0, CIRCLE)
     for i in range(1, 15):
         planner.update(0.02 * i, CIRCLE)
-    ticks = planner.ticks
-    t = ticks.last.command.t + 0.005
-    s, _, sdd = ticks.last.command.motion_at(t)
+    last = planner.updates.last.command
+    t = last.t + 0.005
+    s, _, sdd = last.motion_at(t)
     fast = 0.2 * np.sign(sdd) * (1.0 - 1e-4)  # so that it is beyond within the first half step
-    assert ticks.within_limits(ticks.ahead, t, t + 0.5, (s, fast)) is None
-    assert ticks.within_limits(ticks.ahead, t, t + 0.5, (None, None)) is not None
-
-
-class Tried:
-    """In place of a planner of ticks: tells which speeds are tried, and takes those that it is told to."""
-
-    def __init__(self, takes) -> None:
-        self.step, self.last, self.takes, self.tried = 0.02, None, takes, []
-        self.ahead = self.along(Preview.of(CIRCLE), 0.0)
-
-    def along(self, preview, t):
-        del t
-        return SimpleNamespace(preview=preview, roots=np.empty(0), along=self.along)
-
-    def within_limits(self, ahead, t, until, given):
-        del until, given
-        self.tried.append((t, getattr(ahead.preview.motion, "scaling", None)))
-        if not self.takes(len(self.tried)):
-            return None
-        self.ahead = ahead
-        return "a plan"
-
-    def tick(self, t, until, given):
-        del t, until, given
-        return "elastic"
+    again = copy.deepcopy(planner)
+    assert planner.update(t, CIRCLE, s, fast).status is UpdateStatus.RELAXED
+    assert again.update(t, CIRCLE).status is UpdateStatus.OK
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_what_is_tried_never_leads_back_nor_beyond_the_speed_of_the_preview(seed: int) -> None:
-    """Whatever had a plan before: σ, σ̇ and σ̈ go on from where they are, and σ̇ stays between 0 and 1."""
+def test_the_speed_never_leads_back_nor_beyond_that_of_the_preview(seed: int) -> None:
+    """Whatever the limits are now: σ, σ̇ and σ̈ go on from where they are, and σ̇ stays between 0 and 1."""
     rng = np.random.default_rng(seed)
-    ticks = Tried(lambda tries: rng.random() < 0.3)
-    slowing, preview = Slowing(ticks, 0.5), Preview.of(CIRCLE)
-    for t in (0.02 * np.arange(150)).tolist():
-        before = slowing.scaling or TimeScaling.none(0.0)
-        ticks.tried.clear()
-        slowing.tick(t, (None, None), preview)
-        for _, scaling in ticks.tried:
-            if scaling is None:
-                continue
-            for own, their in zip(scaling.at([t]), before.at([t]), strict=True):
-                np.testing.assert_allclose(own, their, atol=1e-9)
-            _, rate, _ = scaling.at(np.linspace(t, t + 1.0, 500))
-            assert rate.min() > -1e-6
-            assert rate.max() < 1.0 + 1e-6
+    planner, changes = RecedingHorizon(machine()[0], slow_down=True), 0
+    before = TimeScaling.none(0.0)
+    for t in (0.02 * np.arange(120)).tolist():
+        if rng.random() < 0.2:
+            planner.limits = Limits(acceleration=float(rng.choice([0.5, 1.0, 2.0, 10.0])))
+        scaling = planner.update(t, CIRCLE).scaling or before
+        changes += scaling is not before
+        for own, their in zip(scaling.at([t]), before.at([t]), strict=True):
+            np.testing.assert_allclose(own, their, atol=1e-9)
+        _, rate, _ = scaling.at(np.linspace(t, t + 1.0, 500))
+        assert rate.min() > -1e-6
+        assert rate.max() < 1.0 + 1e-6
+        before = scaling
+    assert changes > 3
 
 
-def test_rises_are_tried_every_five_steps_and_small_ones_from_standing() -> None:
-    never = Tried(lambda tries: tries == 9)  # the first tick comes to a stand, and later ones find nothing else
-    slowing, preview = Slowing(never, 0.5), Preview.of(CIRCLE)
-    slowing.tick(0.0, (None, None), preview)
-    while slowing.scaling.final_rate > 0.0:
-        never.takes = lambda tries: tries >= 9
-        never.tried.clear()
-        slowing.tick(0.4, (None, None), preview)
-    never.takes, rises = (lambda tries: False), []
-    for t in (0.6 + 0.02 * np.arange(30)).tolist():
-        never.tried.clear()
-        assert slowing.tick(t, (None, None), preview) == "elastic"
-        rates = {round(scaling.final_rate, 9) for _, scaling in never.tried if scaling is not None} - {0.0}
-        assert rates in (set(), {1.0, 0.25, 0.05})
-        rises += [t] * bool(rates)
-    assert len(rises) >= 5
-    assert np.diff(rises).min() > 0.0999
+def final_rate(command) -> float:
+    return 1.0 if command.scaling is None else command.scaling.final_rate
 
 
-@pytest.mark.parametrize("ahead", [-0.015, 0.0, 0.01, 0.045])
-@pytest.mark.parametrize("seen", ["in sight", "by the last plan alone"])
-def test_next_to_a_singular_instant_the_speed_does_not_change(ahead: float, seen: str) -> None:
+@pytest.mark.parametrize("acceleration", [0.1, 0.3, 0.5])
+def test_rises_are_five_steps_apart_to_all_of_the_speed_or_by_a_quarter(acceleration: float) -> None:
+    planner = RecedingHorizon(machine()[0], slow_down=True, limits=rp.Limits(acceleration=acceleration))
+    rises, before = [], 1.0
+    for i in range(60):
+        now = final_rate(planner.update(0.02 * i, CIRCLE))
+        if now > before:
+            rises.append((0.02 * i, now, before))
+        before = now
+    assert len(rises) >= 3
+    assert np.diff([at for at, _, _ in rises]).min() > 0.0999
+    assert all(any(abs(now - wanted) < 1e-9 for wanted in (1.0, was + 0.25, was + 0.05)) for _, now, was in rises)
+
+
+@pytest.mark.parametrize("each", [lambda: CIRCLE, lambda: copy.copy(CIRCLE)], ids=["in sight", "by the last plan"])
+def test_next_to_a_singular_instant_the_speed_does_not_change(each) -> None:
     """Up to half a step behind it σ is what it was, though another preview has not come into sight yet."""
-    never = Tried(lambda tries: False)
-    slowing, preview, t = Slowing(never, 0.5), Preview.of(CIRCLE), 0.3
-    instants = np.array([t + ahead])
-    if seen == "in sight":
-        never.ahead.roots = instants
-    else:
-        never.last = SimpleNamespace(command=SimpleNamespace(singular=instants))
-    slowing.tick(t, (None, None), preview)
-    changed = [scaling for _, scaling in never.tried if scaling is not None]
-    assert len(changed) > 5
-    for scaling in changed:
-        times = np.linspace(t - 0.05, t + ahead + 0.0099, 50)
-        np.testing.assert_allclose(scaling.at(times)[0], times, atol=1e-12)
-        assert scaling.at([t + ahead + 0.3])[1][0] < 0.99
+    near = 0
+    for acceleration in (0.2, 1.0, 2.0):
+        planner = RecedingHorizon(machine()[0], slow_down=True, limits=rp.Limits(acceleration=acceleration))
+        before, singular = TimeScaling.none(0.0), np.empty(0)
+        for t in (0.005 * np.arange(300)).tolist():
+            command = planner.update(t, each())
+            scaling = command.scaling or before
+            coming = singular[(singular > t - 0.02) & (singular < t + 0.05)]
+            if scaling is not before and len(coming):
+                times = np.linspace(t - 0.02, coming.max() + 0.0099, 50)
+                np.testing.assert_allclose(scaling.at(times)[0], before.at(times)[0], atol=1e-12)
+                near += 1
+            before, singular = scaling, command.singular
+    assert near
 
 
-def test_jumps_of_a_preview_are_told_by_the_clock() -> None:
-    corner = rp.trajectory.reference.corner(radius=0.025)
-    scaling = TimeScaling.none(0.0).changed(0.1, 0.4, 0.3).changed(1.2, 0.8, 0.3)
-    seen = Preview.of(corner).scaled(scaling)
-    own = Preview.of(corner).breaks
-    np.testing.assert_allclose(scaling.at(seen.breaks)[0], own, atol=1e-9)
-    assert seen.breaks[0] - own[0] > 0.5
-    for t, before in zip(seen.breaks[:2], own, strict=False):
-        _, rate, bend = scaling.at([t])
-        _, xd, xdd = seen.states(np.array([t - 1e-9, t + 1e-9]))
-        along, curved = corner.sample_at([before, before]).xd, corner.sample_at([before, before]).xdd
-        np.testing.assert_allclose(xd, rate * along, atol=1e-6)
-        np.testing.assert_allclose(xdd, rate**2 * curved + bend * along, atol=1e-5)
+def test_jumps_of_a_preview_are_met_by_the_clock() -> None:
+    """Efforts have both sides of a jump of ẍ, 20 ns apart, where the platform is slower than its preview too."""
+    preview = replace(Preview.of(CIRCLE), breaks=np.arange(0.0713, 1.5, 0.0713))
+    planner, met = RecedingHorizon(machine()[0], slow_down=True, **in_groups(RecedingHorizon, WEAK)), 0
+    for t in (0.02 * np.arange(60)).tolist():
+        command = planner.update(t, preview)
+        if command.scaling is None or command.status is not UpdateStatus.TIME_SCALED:
+            continue
+        for at in map(command.scaling.time_at, preview.breaks.tolist()):
+            if t + 0.006 < at < t + 0.055:
+                edges = command.efforts.edges
+                assert np.abs(edges - (at - 1e-8)).min() < 1e-9
+                assert np.abs(edges - (at + 1e-8)).min() < 1e-9
+                met += 1
+    assert met > 0
 
 
 @pytest.mark.parametrize(

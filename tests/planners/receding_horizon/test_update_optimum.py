@@ -11,14 +11,13 @@ import numpy as np
 import online
 import pytest
 import zoo
-from online_programme import Asked, Judge, Solution, linearised
+from online_programme import Ahead, Asked, Judge, Solution, linearised
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.planners.receding_horizon import Preview, RecedingHorizon, Weights
-from redundancy_pin.planners.receding_horizon.ahead import Ahead
-from redundancy_pin.planners.receding_horizon.command import Command, TickPlan
+from redundancy_pin.planners.receding_horizon.command import Command, UpdatePlan
 from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, through_points
@@ -91,8 +90,8 @@ LOOSE, LOOSE_COST = 5e-3, 1e-2
 class Update:
     """An update: the plan before, the one that came of it, and what judges that."""
 
-    last: TickPlan | None
-    made: TickPlan
+    last: UpdatePlan | None
+    made: UpdatePlan
     judge: Judge
     best: Solution
 
@@ -109,12 +108,12 @@ def updates_of(
     planner = RecedingHorizon(dynamics, step=STEP, horizon=HORIZON, **in_groups(RecedingHorizon, settings))
     updates = []
     for i, t in enumerate(times):
-        last, largest = planner.ticks.last, planner.largest
+        last, largest = planner.updates.last, planner.largest
         given = measured(last.command, float(t)) if last is not None else start
         planner.update(float(t), motion, *given)
-        made = planner.ticks.last
+        made = planner.updates.last
         assert made is not None
-        coming = planner.ticks.ahead.roots[planner.ticks.ahead.roots > t - 1e-9]
+        coming = planner.updates.roots[planner.updates.roots > t - 1e-9]
         near = last is not None and len(coming) and coming[0] <= t + NEAR * STEP
         assert made.nodes[0] == (coming[0] if near else t)
         if i % 3 == 0 or made.rounds > 1:
@@ -265,10 +264,9 @@ def test_where_no_plan_keeps_every_limit_the_least_is_missed_of_f(case: str) -> 
 def test_the_curvature_is_that_of_second_differences_by_the_other_backend(arm: float) -> None:
     robot = rp.load_robot("2rpr", **MASSES, arm_length=arm)
     rng, nodes, backend = np.random.default_rng(3), np.array([0.1, 0.3, 0.5]), rp.RneaDynamics(robot)
-    ahead = Ahead(rp.CompiledDynamics(robot), Preview.of(ACROSS), 0.02)
+    ahead = Ahead(rp.CompiledDynamics(robot), Preview.of(ACROSS))
     at = tuple(size * rng.uniform(-1.0, 1.0, (3, robot.k)) for size in (0.1, 0.5, 5.0))
     y = rng.uniform(-1.0, 1.0, (3, robot.n))
-    ahead.at(nodes)
     lin = linearised(ahead, nodes, np.empty(0, dtype=int), at, y, 1.0)
 
     def value(changes: Any) -> Array:
@@ -297,7 +295,8 @@ def test_units_of_the_first_plan_are_those_of_f_and_of_the_gain_of_the_motors(na
     motion, judge, k = ACROSS if name == "2rpr" else CORNER, rp.RneaDynamics(robot), robot.k
     planner = RecedingHorizon(dynamics_of(name), step=STEP, horizon=HORIZON)
     planner.update(start, motion)
-    nodes, sizes = planner.ticks.last.nodes, planner.ticks.sizes
+    sizes = planner.updates.last
+    nodes = sizes.nodes
     known = nodes[nodes <= start + HORIZON + 1e-9]
 
     platform = Preview.of(motion).motion(known)

@@ -57,7 +57,7 @@ def test_limits_that_change_between_ticks_hold() -> None:
         Limits(),
     ):
         planner.limits = changed
-        t = planner.ticks.last.command.t + TICK if planner.ticks.last else 0.0
+        t = planner.updates.last.command.t + TICK if planner.updates.last else 0.0
         command = planner.update(t, ACROSS)
         assert command.status is UpdateStatus.OK
         nodes = np.linspace(t + 1e-9, t + HORIZON, 400)

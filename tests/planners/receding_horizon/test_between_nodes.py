@@ -11,13 +11,11 @@ import pytest
 
 import redundancy_pin as rp
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import RecedingHorizon
 from redundancy_pin.planners.receding_horizon.command import extended
 from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import circle_path
 
 _ARC = circle_path((0.25, 0.05), 0.09, start_angle=np.pi, sweep=np.pi)
@@ -66,7 +64,7 @@ def test_the_largest_effort_of_a_plan_is_that_of_its_command_up_to_the_next_tick
     for i in range(26):
         t = 0.06 + STEP * i
         efforts = planner.update(t, ACROSS).efforts
-        made = planner.ticks.last
+        made = planner.updates.last
         assert made is not None
         ends = efforts.edges[efforts.edges < t + STEP]
         at_fifths, everywhere = (
@@ -82,51 +80,53 @@ def test_the_largest_effort_of_a_plan_is_that_of_its_command_up_to_the_next_tick
 # the efforts up to the next node
 
 
-@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
-@pytest.mark.parametrize("known", [True, False])
-def test_what_limits_cut_off_until_the_next_node_is_looked_at_where_they_are_met(name: str, known: bool) -> None:
-    """By the other backend: in a step, at the instants where an effort is at its limit, or later than that."""
-    other, motion, t = backends(name)[1], MOTIONS[name], 0.06
-    planner = planner_of(name)
-    plan = planner.update(t, motion)
-    sizes = planner.ticks.sizes
-    assert sizes is not None
-    end = t + STEP if known else t
-    plan = replace(plan, known_until=t + 0.4 if known else t)
-    instants = t + STEP / 8.0 * np.arange(9)
-    efforts = plan.efforts(np.append(instants, instants[-1] + STEP))
-    for most in (0.6, 0.97, 1.0 - 1e-5, 1.5):  # of the largest efforts of this step: too little, nearly enough
-        limit = most * np.abs(efforts[:9]).max(axis=0)
-        planner.limits = Limits(effort=limit)
-        cut = np.clip(efforts, -limit, limit)
-        command = replace(
-            plan, efforts=PiecewisePolynomial.linear(np.append(instants, instants[-1] + STEP), cut), residual=1e-9
-        )
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "driven elbow"])
+def test_what_limits_cut_off_until_the_next_node_is_told_as_the_other_backend_has_it(name: str) -> None:
+    """At the instants of a step where an effort is at its limit; a thousandth of the size of f decides."""
+    other, motion, cut = backends(name)[1], MOTIONS[name], 0
+    free = planner_of(name)
+    for i, most in ((i, most) for i in range(3, 20) for most in (0.8, 0.9, 0.97, 1.0 - 1e-5)):
+        t = STEP * i
+        instants = t + STEP / 8.0 * np.arange(9)
+        limit = most * np.abs(free.update(t, motion).efforts(instants)).max(axis=0)
+        planner = planner_of(name, effort=np.maximum(limit, 1e-3))
+        command = planner.update(t, motion)
+        if "force is missing" in command.reason or "every limit" in command.reason:
+            continue
         carriers = rp.CarrierMotion(*extended(command.carriers, instants), check_rates=False)
         reduced = other.reduce(motion.sample_at(instants), carriers, check_track=False)
-        W, f = reduced.W / reduced.row_scale[:, None], reduced.f / reduced.row_scale
-        missing = np.abs(np.einsum("nij,nj->ni", W, cut[:9]) - f).max(axis=1)
-        meets = (np.abs(cut[:9]) >= limit * (1.0 - 1e-12)).any(axis=1) & (instants <= end + 1e-9)
+        efforts = command.efforts(instants)
+        missing = np.abs(np.einsum("nij,nj->ni", reduced.W, efforts) - reduced.f) / reduced.row_scale
+        meets = (np.abs(efforts) >= planner.resolved.effort * (1.0 - 1e-12)).any(axis=1)
         worst = missing[meets].max(initial=0.0)
-        found = planner.ticks.checked_between(t, command)
-        assert found.residual == pytest.approx(max(worst, 1e-9), rel=1e-5, abs=1e-7)
-        softened = worst > 1e-3 * sizes.row.max()
-        assert found.status is (RELAXED if softened else OK)
-        assert bool(found.reason) == softened
-        if worst > 1e-4:  # a thousandth of the size of f, and that alone, decides
-            for part, elastic in ((1.1, False), (0.9, True)):
-                planner.ticks.sizes = replace(sizes, row=part * 1e3 * worst * np.array([0.1, 1.0]))
-                assert (planner.ticks.checked_between(t, command).status is RELAXED) == elastic
-            planner.ticks.sizes = sizes
+        assert command.residual >= worst - 1e-6
+        size = planner.updates.last.row.max()
+        if abs(worst / size - 1e-3) > 1e-5:
+            assert (command.status is RELAXED) == (worst > 1e-3 * size)
+            assert ("the efforts meet their limits" in command.reason) == (worst > 1e-3 * size)
+        cut += worst > 1e-3 * size
+    assert cut
 
 
-def test_a_moment_that_limits_cut_off_counts_over_the_characteristic_length() -> None:
-    planner, other, t = planner_of("3rrr"), backends("3rrr")[1], 0.06
-    plan = planner.update(t, CORNER)
-    instants = t + STEP / 8.0 * np.arange(9)
-    carriers = rp.CarrierMotion(*extended(plan.carriers, instants), check_rates=False)
-    reduced = other.reduce(CORNER.sample_at(instants), carriers, check_track=False)
-    efforts = np.linalg.solve(reduced.W, (reduced.f + np.array([0.3, 0.0, 0.9]))[..., None])[..., 0]
-    planner.limits = Limits(effort=1e-3 * np.abs(efforts).max())
-    found = planner.ticks.checked_between(t, replace(plan, efforts=PiecewisePolynomial.linear(instants, efforts)))
-    assert found.residual == pytest.approx(0.9 / 0.2, rel=1e-5)
+@pytest.mark.parametrize("start", [0.0, 0.3])
+def test_where_a_plan_begins_at_a_singular_instant_the_command_goes_on_from_the_last_one(start: float) -> None:
+    """Up to there all is the last one's; efforts are linear from there to the first exact ones."""
+    planner = planner_of()
+    root = float(rp.find_crossings(planner.robot, ACROSS)[0].t)
+    for part in (-4.0, -3.0, -2.0, -1.0):
+        last = planner.update(root + STEP * part, ACROSS)
+    for part in (-0.22, -0.22 + 0.5 * start, -0.05):
+        t = root + STEP * part
+        command = planner.update(t, ACROSS)
+        assert planner.updates.last.nodes[0] == pytest.approx(root, abs=1e-8)
+        begins = float(planner.updates.last.nodes[0])
+        times = np.linspace(t, begins, 12)[:-1]
+        for own, before in zip(
+            (command.carriers, command.efforts, command.forces), (last.carriers, last.efforts, last.forces), strict=True
+        ):
+            np.testing.assert_allclose(own(times), before(times), rtol=1e-9, atol=1e-9)
+            assert (np.diff(own.edges) > 0.0).all()
+        between = command.efforts.edges[command.efforts.edges > begins][0]
+        thirds = command.efforts(np.linspace(begins, between - 1e-12, 4))
+        np.testing.assert_allclose(np.diff(thirds, 2, axis=0), 0.0, atol=1e-9)
+        last = command

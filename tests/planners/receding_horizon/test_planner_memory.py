@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import pickle
 import shlex
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -18,7 +17,6 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.machine_code import CACHE, find_compiler
-from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.receding_horizon import Preview, RecedingHorizon, Weights
 from redundancy_pin.status import UpdateStatus
 
@@ -51,7 +49,7 @@ def after(planner: RecedingHorizon, motion: object, ticks: int) -> RecedingHoriz
 
 
 def assert_same(own: RecedingHorizon, other: RecedingHorizon, tolerance: float = ROUNDING) -> None:
-    for one, two in zip(own.ticks.last.at, other.ticks.last.at, strict=True):
+    for one, two in zip(own.updates.last.at, other.updates.last.at, strict=True):
         np.testing.assert_allclose(one, two, rtol=0.0, atol=tolerance)
 
 
@@ -62,7 +60,7 @@ def test_whole_numbers_as_weights_are_the_same_weights() -> None:
         for w in (Weights(*whole), Weights(*map(float, whole)))
     ]
     assert_same(*planners)
-    assert planners[0].ticks.last.command.peak < 1.0  # 0.64 N, and 6.7 where all weights are read as zero
+    assert planners[0].updates.last.command.peak < 1.0  # 0.64 N, and 6.7 where all weights are read as zero
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.int64])
@@ -73,7 +71,7 @@ def test_jumps_ahead_in_other_numbers_are_the_same_jumps(kind: type) -> None:
         after(RecedingHorizon(dynamics()), replace(base, breaks=at.astype(as_kind)), 3)
         for as_kind in (kind, np.float64)
     )
-    np.testing.assert_array_equal(first.ticks.last.command.efforts.edges, second.ticks.last.command.efforts.edges)
+    np.testing.assert_array_equal(first.updates.last.command.efforts.edges, second.updates.last.command.efforts.edges)
 
 
 def test_a_backend_in_single_precision_is_read_as_such() -> None:
@@ -92,10 +90,10 @@ def test_a_copy_of_a_planner_goes_on_by_itself(again, ticks: int) -> None:
     planner = after(RecedingHorizon(dynamics()), CIRCLE, ticks)
     other = again(planner)
     planner.update(STEP * ticks, CIRCLE)
-    kept = [part.copy() for part in planner.ticks.last.at]
+    kept = [part.copy() for part in planner.updates.last.at]
     for i in range(ticks, ticks + 2):
         other.update(STEP * i, CIRCLE)
-    for own, before in zip(planner.ticks.last.at, kept, strict=True):
+    for own, before in zip(planner.updates.last.at, kept, strict=True):
         np.testing.assert_array_equal(own, before)
     planner.update(STEP * (ticks + 1), CIRCLE)
     assert_same(planner, other)
@@ -118,28 +116,10 @@ def test_another_motion_in_a_preview_is_that_motion() -> None:
     assert not xdd.any()
 
 
-def test_an_older_plan_that_is_given_back_is_gone_on_from() -> None:
-    planner = after(RecedingHorizon(dynamics()), CIRCLE, 5)
-    older = planner.ticks.last
-    planner.limits = Limits(speed=0.001)
-    for t in (5 * STEP, 6 * STEP):
-        assert planner.update(t, CIRCLE).status is UpdateStatus.RELAXED
-    planner.limits = Limits()
-    copied = copy.deepcopy(planner)
-    planner.ticks.last = older
-    carriers = older.command.carriers
-    own = replace(carriers, edges=carriers.edges.copy(), coefficients=carriers.coefficients.copy())
-    copied.ticks.last = replace(older, nodes=older.nodes.copy(), command=replace(older.command, carriers=own))
-    for one in (planner, copied):
-        one.update(7 * STEP, CIRCLE)
-    np.testing.assert_array_equal(planner.ticks.last.nodes, copied.ticks.last.nodes)
-    assert_same(planner, copied)
-
-
 def test_forces_are_known_where_the_preview_ends_at_once() -> None:
     short = replace(Preview.of(CIRCLE), end=0.1005)
     planner = after(RecedingHorizon(dynamics()), short, 6)
-    command = planner.ticks.last.command
+    command = planner.updates.last.command
     reduced = dynamics().along(CIRCLE.sample_at(np.array([0.1, 0.1005])))
     s, sd, sdd = (np.tile(part, (2, 1)) for part in command.motion_at(0.1))
     force = reduced.reduce(rp.CarrierMotion(s, sd, sdd, check_rates=False)).carrier_force[0]
@@ -166,42 +146,13 @@ def iterations(period: float) -> float:
     motion = rp.trajectory.reference.circle(speed=0.5)
     for t in np.arange(0.0, min(1.5, motion.duration), period).tolist():
         planner.update(t, motion)
-        counts.append(planner.ticks.last.iterations)
+        counts.append(planner.updates.last.iterations)
     return float(np.mean(counts[1:]))
 
 
 @pytest.mark.parametrize(("period", "most"), FEW.items())
 def test_a_programme_begins_where_the_one_before_ended(period: float, most: float) -> None:
     assert iterations(period) < most
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200, -1.0])
-def test_a_solution_that_is_none_is_begun_without(bad: float) -> None:
-    planner, other = (after(RecedingHorizon(dynamics()), CIRCLE, 12) for _ in range(2))
-    last = planner.ticks.last
-    planner.ticks.last = replace(last, solution=np.full_like(last.solution, bad))
-    for each in (planner, other):
-        each.update(STEP * 12, CIRCLE)
-    assert planner.ticks.last.iterations > 0
-    for one, two, tolerance in zip(planner.ticks.last.at, other.ticks.last.at, FLAT, strict=True):
-        np.testing.assert_allclose(one, two, rtol=0.0, atol=tolerance)
-    assert planner.ticks.last.command.peak == pytest.approx(other.ticks.last.command.peak, rel=1e-5)
-
-
-def test_a_solution_of_another_length_is_not_read() -> None:
-    def counts(begin: Callable[[Array], Array | None]) -> list[int]:
-        planner, counts = after(RecedingHorizon(dynamics()), CIRCLE, 12), []
-        for i in range(12, 18):
-            last = planner.ticks.last
-            planner.ticks.last = replace(last, solution=begin(last.solution))
-            planner.update(STEP * i, CIRCLE)
-            counts.append(planner.ticks.last.iterations)
-        return counts
-
-    warm, cold = counts(lambda solution: solution), counts(lambda _: None)
-    # behind the ten lies all of it: who read on would be warm
-    assert counts(lambda solution: solution[:10]) == cold
-    assert sum(warm) < sum(cold)
 
 
 def test_a_copy_of_a_planner_whose_updates_are_relaxed_makes_the_same_guesses() -> None:
