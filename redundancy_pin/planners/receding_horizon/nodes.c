@@ -2,14 +2,10 @@
 
 /* Directions that are free at a node: in a relaxed programme all NF, else NZ, those that W tau = f leaves. */
 enum { NX = 3 * K, NF = K + M, NW = NX + M, NZ = NF > N ? NF - N : 0, LANES = COUNT * K, EFFORTS = COUNT * M };
-enum { NV = NX + NF, LONG = 4, WIDE = (NV + LONG - 1) / LONG, TALL = (NW + LONG - 1) / LONG };   /* vectors for NV and NW numbers */
+enum { NV = NX + NF, WIDE = (NV + LONG - 1) / LONG, TALL = (NW + LONG - 1) / LONG };   /* vectors for NV and NW numbers */
 enum { BORDER = 2 * MOST_SINGULAR + 2, SIDES = BORDER + 1, BREAKS = INSTANTS / 4 };
 enum { TIMES = INSTANTS + COUNT };                  /* of efforts: at instants, and then at nodes */
 enum { OK = 0, UNSOLVED = 1, RELAXED = 2, REFUSED = 3, FALLBACK = 4, TIME_SCALED = 5, STOPPED = 6 };   /* STOPPED: by who evaluates */
-
-/* As of GCC and Clang, anywhere in arrays of numbers; for processors that have none as long they make it of shorter ones. */
-typedef double Vector __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double)), may_alias));
-typedef long long Mask __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double)), may_alias));
 
 typedef struct {
     long edges, nodes, roots, breaks, sharps, same_time;
@@ -34,7 +30,7 @@ enum { PEAK_AT = 2 * FORCE * LANES, STOP_AT = PEAK_AT + 2 * EFFORTS, LEAST_AT = 
 enum { FORCE_AT = (LEAST_AT + LONG) / LONG * LONG, JERK_AT = FORCE_AT + 2 * LANES, EFFORT_AT = JERK_AT + 2 * LANES };
 enum { BOUNDS = (EFFORT_AT + 2 * EFFORTS + LONG - 1) / LONG * LONG };
 
-static inline __attribute__((always_inline)) int block_at(int block) { return block < FORCE ? 2 * block * LANES : FORCE_AT; }
+INLINE int block_at(int block) { return block < FORCE ? 2 * block * LANES : FORCE_AT; }
 
 /* Of a programme, where the next one begins: duals of its bounds, and efforts at its nodes. */
 typedef struct { double dual[BOUNDS], tau[EFFORTS]; } Solution;
@@ -101,9 +97,14 @@ typedef struct {
     double effort_time[TIMES], effort[TIMES * M], force_time[INSTANTS], force[INSTANTS * K];
 } Plan;
 
-static inline __attribute__((always_inline)) Vector largest_of(Vector a, Vector b) {
-    Mask first = (Mask)(a > b);
-    return (Vector)((first & (Mask)a) | (~first & (Mask)b));
+/* Numbers at least as large as others. */
+INLINE void raise_to(Vector *numbers, const Vector *others) {
+#if defined(__GNUC__) && !defined(ROBOT_SCALAR)
+    Mask first = (Mask)(*numbers > *others);
+    *numbers = (Vector)((first & (Mask)*numbers) | (~first & (Mask)*others));
+#else
+    *numbers = larger(*numbers, *others);
+#endif
 }
 
 /* s, sd, sdd of piecewise cubics at a time; held after their end. */
@@ -131,9 +132,9 @@ static void terms_of(double s, double v, double a, double *value, double (*first
     const double slope[6][3] = {{1, 0, 0}, {2 * s, 0, 0}, {0, 1, 0}, {v, s, 0}, {0, 0, 1}, {0, 2 * v, 0}};
     const double bend[6][4] = {{0}, {2, 0, 0, 0}, {0}, {0, 1, 0, 0}, {0}, {0, 0, 0, 2}};
     int count = TERMS < 6 ? TERMS : 6;
-    memcpy(value, own, count * sizeof *own);
-    memcpy(first, slope, count * sizeof *slope);
-    memcpy(second, bend, count * sizeof *bend);
+    memcpy(value, own, (size_t)count * sizeof *own);
+    memcpy(first, slope, (size_t)count * sizeof *slope);
+    memcpy(second, bend, (size_t)count * sizeof *bend);
 #if TERMS > 6
     for (int i = 1; i < 3; i++) {
         double c = cos(i * s), b = sin(i * s);

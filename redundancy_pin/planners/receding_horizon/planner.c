@@ -54,17 +54,17 @@ static long begun_with(int order, int width, long pieces, const double *edge, co
     if (many > room - own - link) first += many - (room - own - link), many = room - own - link;
     long more = many + link, total = more + own;
     if (!more) return own;
-    memmove(to_edge + more, to_edge, (own + 1) * sizeof *to_edge);
-    for (int d = order - 1; d >= 0; d--) memmove(to + (d * total + more) * width, to + d * own * width, own * width * sizeof *to);
+    memmove(to_edge + more, to_edge, (size_t)(own + 1) * sizeof *to_edge);
+    for (int d = order - 1; d >= 0; d--) memmove(to + (d * total + more) * width, to + d * own * width, (size_t)(own * width) * sizeof *to);
     for (int d = 0; d < order; d++)
-        for (long i = 0; i < many; i++) memcpy(to + (d * total + i) * width, piece + (d * pieces + first + i) * width, width * sizeof *to);
+        for (long i = 0; i < many; i++) memcpy(to + (d * total + i) * width, piece + (d * pieces + first + i) * width, (size_t)width * sizeof *to);
     for (int j = 0; j < width && many; j++) shift(to + j, order, total * width, larger(smaller(t, edge[pieces]) - edge[first], 0.0));
     for (long i = 0; i < many; i++) to_edge[i] = larger(t, edge[first + i]);
     to_edge[many] = start;
     if (link) {
         double before[M > K ? M : K];
         value_of(order, width, edge, piece, pieces, start, before);
-        for (int d = 0; d < order - 2; d++) memset(to + (d * total + many) * width, 0, width * sizeof *to);
+        for (int d = 0; d < order - 2; d++) memset(to + (d * total + many) * width, 0, (size_t)width * sizeof *to);
         for (int j = 0; j < width; j++) {
             to[((order - 2) * total + many) * width + j] = (to[((order - 1) * total + more) * width + j] - before[j]) / (begins - start);
             to[((order - 1) * total + many) * width + j] = before[j];

@@ -1,7 +1,7 @@
 /* The solver: an interior point method, a Riccati recursion in each of its steps. */
 
 /* G applied to a motion, efforts and the peak. */
-static void apply(const Work *w, const double (*x)[LANES], const double *tau, double peak, double *g) {
+static void apply(const Work *w, double (*x)[LANES], const double *tau, double peak, double *g) {
     for (int b = 0; b < w->blocks; b++) {
         double *up = g + block_at(b), *down = up + LANES;
         for (int l = 0; l < LANES; l++) {
@@ -92,45 +92,45 @@ static double set_gradient(const Given *g, const Work *w, double (*gradient)[NW]
 }
 
 /* Vectors for the motion before a node and so many free directions of it. */
-static inline __attribute__((always_inline)) int vectors(int free) { return (NX + free + LONG - 1) / LONG; }
+INLINE int vectors(int free) { return (NX + free + LONG - 1) / LONG; }
 
 /* a += x b, of vectors. */
-static inline __attribute__((always_inline)) void add(int count, Vector *a, double x, const double *b) {
+INLINE void add(int count, Vector *a, double x, const double *b) {
     for (int v = 0; v < count; v++) a[v] += x * ((const Vector *)b)[v];
 }
 
 /* The Riccati recursion; 0 where a step of it is not positive. ``most``: free directions of a node, which the compiler is to
    know, as it has to everywhere in the recursions. */
-static inline __attribute__((always_inline)) int factorise_of(const Given *g, Work *w, int most) {
+INLINE int factorise_of(const Given *g, Work *w, int most) {
     const int wide = vectors(most);
     double P[NX][LONG * WIDE], H_by[NW][LONG * WIDE], Q[NV][LONG * WIDE];
     memset(P, 0, sizeof P);
     for (int i = COUNT - 1; i >= 0; i--) {
-        const double(*by)[LONG * WIDE] = w->by_free[i];
+        double(*by)[LONG * WIDE] = w->by_free[i];
         for (int d = 0; d < 3; d++)
             for (int e = 0; e < 3; e++)
                 for (int j = 0; j < K; j++) P[d * K + j][e * K + j] += w->H[d][e][i * K + j];
         int from = i || w->free ? 0 : NX;
         for (int r = from; r < NX; r++) {
-            Vector row[WIDE] = {{0}};
+            Vector row[WIDE] = NO_VECTORS;
             for (int k = 0; k < NX; k++) add(wide, row, P[r][k], by[k]);
-            memcpy(H_by[r], row, wide * sizeof *row);
+            memcpy(H_by[r], row, (size_t)wide * sizeof *row);
         }
         for (int t = 0; t < M; t++) {
-            Vector row[WIDE] = {{0}};
+            Vector row[WIDE] = NO_VECTORS;
             add(wide, row, w->tau_H[i * M + t], by[NX + t]);
-            memcpy(H_by[NX + t], row, wide * sizeof *row);
+            memcpy(H_by[NX + t], row, (size_t)wide * sizeof *row);
         }
         for (int r = 0; r < NX + most; r++) {
-            Vector row[WIDE] = {{0}};
+            Vector row[WIDE] = NO_VECTORS;
             for (int e = from; e < NW; e++) add(wide, row, by[e][r], H_by[e]);
-            memcpy(Q[r], row, wide * sizeof *row);
+            memcpy(Q[r], row, (size_t)wide * sizeof *row);
         }
         for (int r = 0; r < N && w->relaxed && w->counts[i]; r++) {
             double along[LONG * WIDE];
-            Vector row[WIDE] = {{0}};
+            Vector row[WIDE] = NO_VECTORS;
             for (int e = from; e < NW; e++) add(wide, row, w->soft[i][r][e], by[e]);
-            memcpy(along, row, wide * sizeof *row);
+            memcpy(along, row, (size_t)wide * sizeof *row);
             for (int e = 0; e < NX + most; e++) add(wide, (Vector *)Q[e], g->weight[UNMET] * along[e], along);
         }
         for (int j = 0; j < K && i; j++) {   /* sdd with that before it */
@@ -143,9 +143,9 @@ static inline __attribute__((always_inline)) int factorise_of(const Given *g, Wo
         double(*L)[NF] = w->lower[i], (*U)[LONG * WIDE] = w->across[i], *inverse = w->inverse[i], D[NF];
         for (int p = 0; p < most; p++) {
             int free = p < w->directions[i];
-            Vector row[WIDE] = {{0}};
+            Vector row[WIDE] = NO_VECTORS;
             D[p] = free ? Q[NX + p][NX + p] : 1.0;
-            if (free) memcpy(row, Q[NX + p], wide * sizeof *row);
+            if (free) memcpy(row, Q[NX + p], (size_t)wide * sizeof *row);
             for (int o = 0; o < p; o++) {
                 double x = free ? Q[NX + p][NX + o] : 0.0;
                 for (int l = 0; l < o; l++) x -= L[p][l] * D[l] * L[o][l];
@@ -153,15 +153,15 @@ static inline __attribute__((always_inline)) int factorise_of(const Given *g, Wo
                 D[p] -= L[p][o] * x;
                 add(wide, row, -L[p][o], U[o]);
             }
-            memcpy(U[p], row, wide * sizeof *row);
+            memcpy(U[p], row, (size_t)wide * sizeof *row);
             if (!(D[p] > 0.0)) return 0;
             inverse[p] = 1.0 / D[p];
         }
         for (int r = 0; r < NX; r++) {
             Vector row[WIDE];
-            memcpy(row, Q[r], wide * sizeof *row);
+            memcpy(row, Q[r], (size_t)wide * sizeof *row);
             for (int p = 0; p < most; p++) add(wide, row, -U[p][r] * inverse[p], U[p]);
-            memcpy(P[r], row, wide * sizeof *row);
+            memcpy(P[r], row, (size_t)wide * sizeof *row);
         }
     }
     return 1;
@@ -170,39 +170,39 @@ static inline __attribute__((always_inline)) int factorise_of(const Given *g, Wo
 static int factorise(const Given *g, Work *w) { return w->relaxed ? factorise_of(g, w, NF) : factorise_of(g, w, NZ); }
 
 /* A gradient by nodes (`own`, and what the nodes after it add) by what is free at one: [sigma, z]. */
-static inline __attribute__((always_inline)) void gather(const Work *w, int i, int wide, const double *own, const double *carried, Vector *q) {
+INLINE void gather(const Work *w, int i, int wide, const double *own, const double *carried, Vector *q) {
     const double(*by)[LONG * WIDE] = w->by_free[i];
-    for (int v = 0; v < wide; v++) q[v] = (Vector){0};
+    for (int v = 0; v < wide; v++) q[v] = NO_VECTOR;
     for (int r = i || w->free ? 0 : NX; r < NX; r++) add(wide, q, own[r] + carried[r], by[r]);
     for (int r = NX; r < NW; r++) add(wide, q, own[r], by[r]);
 }
 
 /* Steps against gradients, of ``sides`` right sides. */
-static inline __attribute__((always_inline)) void step_against_of(Work *w, int sides, int most) {
+INLINE void step_against_of(Work *w, int sides, int most) {
     const int wide = vectors(most);
     double carried[SIDES][LONG * WIDE], z[SIDES][NV];
-    memset(carried, 0, sides * sizeof *carried);
+    memset(carried, 0, (size_t)sides * sizeof *carried);
     for (int i = COUNT - 1; i >= 0; i--)
         for (int s = 0; s < sides; s++) {
             Vector q[WIDE];
             double *k = w->feed[i][s], own[LONG * WIDE];
-            const double(*L)[NF] = w->lower[i], (*U)[LONG * WIDE] = w->across[i];
+            double(*L)[NF] = w->lower[i], (*U)[LONG * WIDE] = w->across[i];
             gather(w, i, wide, w->gradient[s][i], carried[s], q);
-            memcpy(own, q, wide * sizeof *q);
+            memcpy(own, q, (size_t)wide * sizeof *q);
             for (int p = 0; p < most; p++) {   /* 1/L q */
                 double x = p < w->directions[i] ? own[NX + p] : 0.0;
                 for (int o = 0; o < p; o++) x -= L[p][o] * k[o];
                 k[p] = x;
                 add(wide, q, -x * w->inverse[i][p], U[p]);
             }
-            memcpy(carried[s], q, wide * sizeof *q);
+            memcpy(carried[s], q, (size_t)wide * sizeof *q);
         }
-    memset(z, 0, sides * sizeof *z);
+    memset(z, 0, (size_t)sides * sizeof *z);
     for (int i = 0; i < COUNT; i++)
         for (int s = 0; s < sides; s++) {
-            const double(*L)[NF] = w->lower[i], (*U)[LONG * WIDE] = w->across[i];
+            double(*L)[NF] = w->lower[i], (*U)[LONG * WIDE] = w->across[i];
             double *own = z[s];
-            Vector out[TALL] = {{0}};
+            Vector out[TALL] = NO_VECTORS;
             for (int p = most - 1; p >= 0; p--) {   /* -1/L' 1/D (k + U sigma) */
                 double x = w->feed[i][s][p];
                 for (int c = 0; c < NX; c++) x += U[p][c] * own[c];
@@ -221,7 +221,7 @@ static void step_against(Work *w, int sides) {
     else step_against_of(w, sides, NZ);
 }
 
-static double along_row(const Row *row, const double (*v)[NW]) {
+static double along_row(const Row *row, double (*v)[NW]) {
     double x = 0.0;
     for (int e = 0; e < NW; e++) x += row->row[e] * v[row->node][e];
     for (int j = 0; j < K; j++) x += row->beside[j] * v[row->other][2 * K + j];
@@ -310,7 +310,7 @@ static void begin(const Given *g, Work *w, int warm) {
 }
 
 /* The derivative of the peak's gradient along a direction, by its efforts. */
-static double along_peak(const Work *w, const double (*v)[NW]) {
+static double along_peak(const Work *w, double (*v)[NW]) {
     double part[M] = {0}, sum = 0.0;
     for (int i = 0; i < COUNT; i++)
         for (int c = 0; c < M; c++) part[c] += w->peak_tau[i * M + c] * v[i][NX + c];
@@ -322,7 +322,7 @@ static double along_peak(const Work *w, const double (*v)[NW]) {
 static void set_border(Work *w, double give, double peak_H) {
     int size = 1 + w->borders;
     for (int s = 0; s < size; s++) {
-        const double(*v)[NW] = w->direction[1 + s];
+        double(*v)[NW] = w->direction[1 + s];
         w->border[s] = along_peak(w, v) + (s ? 0.0 : peak_H);
         for (int b = 0; b < w->borders; b++) w->border[(b + 1) * size + s] = along_row(&w->rows[b], v) - (b + 1 == s ? give : 0.0);
     }
@@ -332,13 +332,13 @@ static void set_border(Work *w, double give, double peak_H) {
 static int direct(Work *w, double peak_gradient, double *dpeak, double *dnu) {
     int size = 1 + w->borders;
     double S[SIDES * SIDES], right[SIDES];
-    const double(*first)[NW] = w->direction[0];
-    memcpy(S, w->border, size * size * sizeof *S);
+    double(*first)[NW] = w->direction[0];
+    memcpy(S, w->border, (size_t)(size * size) * sizeof *S);
     right[0] = -peak_gradient - along_peak(w, first);
     for (int b = 0; b < w->borders; b++) right[b + 1] = w->row_missing[b] - along_row(&w->rows[b], first);
     if (!solved(size, 1, S, right)) return 0;
     *dpeak = right[0];
-    memcpy(dnu, right + 1, w->borders * sizeof *dnu);
+    memcpy(dnu, right + 1, (size_t)w->borders * sizeof *dnu);
     for (int i = 0; i < COUNT; i++) {
         double whole[NW];
         memcpy(whole, first[i], sizeof whole);
@@ -373,15 +373,15 @@ static int is_stationary(Work *w, double base_peak) {
 
 #define OF(name) *name = (Vector *)w->name
 
-static double sum_of(Vector v) {
+static double sum_of(const Vector *v) {
     double sum = 0.0;
-    for (int l = 0; l < LONG; l++) sum += v[l];
+    for (int l = 0; l < LONG; l++) sum += PART_OF(*v, l);
     return sum;
 }
 
-static double most_of(Vector v) {
-    double most = v[0];
-    for (int l = 1; l < LONG; l++) most = larger(most, v[l]);
+static double most_of(const Vector *v) {
+    double most = PART_OF(*v, 0);
+    for (int l = 1; l < LONG; l++) most = larger(most, PART_OF(*v, l));
     return most;
 }
 
@@ -390,32 +390,34 @@ static double most_of(Vector v) {
 static double weigh(Work *w, double count, double *most) {
     Vector OF(active), OF(slack), OF(dual), OF(g), OF(bound);
     Vector OF(missing), OF(weight), OF(push), OF(inverse_slack);
-    Vector sum = {0}, worst = {0};
+    Vector sum = NO_VECTOR, worst = NO_VECTOR;
     for (int v = 0; v < w->bounds / LONG; v++) {
         Vector lacks = active[v] * (g[v] - bound[v] + slack[v]), inverse = 1.0 / slack[v], own = active[v] * dual[v];
         inverse_slack[v] = inverse, missing[v] = lacks;
         weight[v] = own * inverse, push[v] = own * inverse * lacks;
         sum += own * slack[v];
-        worst = largest_of(worst, largest_of(lacks, -lacks));
+        Vector other = -lacks;
+        raise_to(&worst, &lacks), raise_to(&worst, &other);
     }
-    *most = most_of(worst);
-    return sum_of(sum) / count;
+    *most = most_of(&worst);
+    return sum_of(&sum) / count;
 }
 
 /* How far the direction without centring may be gone; ``after``: the mean of slacks times duals there. Its products of
    second order are left in ``centre``. */
 static double predict(Work *w, double barrier, double count, double *after) {
     Vector OF(active), OF(dual), OF(missing), OF(weight), OF(change), OF(inverse_slack), OF(centre);
-    Vector worst = {1.0, 1.0, 1.0, 1.0}, second = {0};
+    Vector worst = NO_VECTOR + 1.0, second = NO_VECTOR;
     for (int v = 0; v < w->bounds / LONG; v++) {
         Vector dslack = -missing[v] - active[v] * change[v], ddual = -active[v] * dual[v] - weight[v] * dslack;
         Vector share = dslack * inverse_slack[v];   /* of the slack; of the dual it is -1 - that */
-        worst = largest_of(worst, largest_of(-share, 1.0 + share));
+        Vector of_slack = -share, of_dual = 1.0 + share;
+        raise_to(&worst, &of_slack), raise_to(&worst, &of_dual);
         centre[v] = dslack * ddual;
         second += centre[v];
     }
-    double alpha = 1.0 / most_of(worst);
-    *after = larger((1.0 - alpha) * barrier + alpha * alpha * sum_of(second) / count, 0.0);
+    double alpha = 1.0 / most_of(&worst);
+    *after = larger((1.0 - alpha) * barrier + alpha * alpha * sum_of(&second) / count, 0.0);
     return alpha;
 }
 
@@ -432,13 +434,14 @@ static void set_centre(Work *w, double aim, double alpha) {
 static double correct(Work *w) {
     Vector OF(active), OF(dual), OF(missing), OF(weight), OF(change), OF(inverse_slack), OF(centre);
     Vector OF(dslack), OF(ddual);
-    Vector worst = {1.0, 1.0, 1.0, 1.0};
+    Vector worst = NO_VECTOR + 1.0;
     for (int v = 0; v < w->bounds / LONG; v++) {
         dslack[v] = -missing[v] - active[v] * change[v];
         ddual[v] = centre[v] - active[v] * dual[v] - weight[v] * dslack[v];
-        worst = largest_of(worst, largest_of(-dslack[v] * inverse_slack[v], -ddual[v] / dual[v]));
+        Vector of_slack = -dslack[v] * inverse_slack[v], of_dual = -ddual[v] / dual[v];
+        raise_to(&worst, &of_slack), raise_to(&worst, &of_dual);
     }
-    return 1.0 / most_of(worst);
+    return 1.0 / most_of(&worst);
 }
 
 /* Second derivatives of the cost with the bounds; return that by the peak. */
@@ -565,7 +568,7 @@ static int interior_point(const Given *g, Work *w, int warm) {
 
 /* The multipliers of W tau = f, from the gradient that ``is_stationary`` left; of a relaxed programme from what is missed. */
 static void set_multipliers(const Given *g, Work *w, double *multiplier) {
-    const double(*gradient)[NW] = w->gradient[1];
+    double(*gradient)[NW] = w->gradient[1];
     double carried[LONG * WIDE];
     memset(carried, 0, sizeof carried);
     memset(multiplier, 0, COUNT * N * sizeof *multiplier);

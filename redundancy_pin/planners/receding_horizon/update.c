@@ -176,7 +176,7 @@ static int planned(const Given *g, Work *w, const double *t, int count, Plan *pl
 
 /* Polynomials (2, pieces, c) through values (pieces + 1, c). */
 static void linear(const double *t, const double *value, long pieces, int c, double *edge, double *piece) {
-    memcpy(edge, t, (pieces + 1) * sizeof *t);
+    memcpy(edge, t, (size_t)(pieces + 1) * sizeof *t);
     for (long i = 0; i < pieces; i++)
         for (int j = 0; j < c; j++) {
             piece[i * c + j] = (value[(i + 1) * c + j] - value[i * c + j]) / (t[i + 1] - t[i]);
@@ -275,7 +275,7 @@ static int rounds(const Given *g, Work *w, const double *t, int count, int refus
     for (long r = 0; r < g->roots; r++) near |= g->root[r] > g->now && g->root[r] < g->now + CONVERGED * g->step;
     if (!planned(g, w, t, count, plan[0])) return 0;
     for (int done = 1, halfway = 0; done < MOST_ROUNDS; done++) {
-        const Plan *best = plan[0], *other = plan[1];
+        Plan *best = plan[0], *other = plan[1];
         int met = refused || (!best->relaxed && best->left <= LINEAR && (best->residual <= EXACT * row || !near));
         if (done >= least && met) break;
         if (!halfway) memcpy(w->at, best->at, sizeof w->at), memcpy(w->multiplier, best->multiplier, sizeof w->multiplier);
@@ -288,7 +288,7 @@ static int rounds(const Given *g, Work *w, const double *t, int count, int refus
             continue;
         }
         int stuck = other->relaxed && doubt(other) > SLOW * doubt(best);   /* as near as it comes */
-        plan[0] = (Plan *)other, plan[1] = (Plan *)best;
+        plan[0] = other, plan[1] = best;
         if (stuck) break;
     }
     return 1;

@@ -16,6 +16,25 @@
 #include <math.h>
 #include <string.h>
 
+/* Vectors of numbers, as GCC and Clang have them, anywhere in arrays; for processors that have none as long they make them of
+   shorter ones. With ROBOT_SCALAR, and by other compilers, numbers are taken one by one. */
+#if defined(__GNUC__) && !defined(ROBOT_SCALAR)
+enum { LONG = 4 };
+typedef double Vector __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double)), may_alias));
+typedef long long Mask __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double)), may_alias));
+#define INLINE static inline __attribute__((always_inline))
+#define NO_VECTOR ((Vector){0})
+#define NO_VECTORS {{0}}
+#define PART_OF(vector, l) (vector)[l]
+#else
+enum { LONG = 1 };
+typedef double Vector;
+#define INLINE static inline
+#define NO_VECTOR 0.0
+#define NO_VECTORS {0}
+#define PART_OF(vector, l) (vector)
+#endif
+
 /* What an update may ask for beside the grid; the grid that is ahead; instants for which there is memory. */
 enum { BESIDE_GRID = COUNT + 2 * MOST_SINGULAR + INSTANTS + 3 * MOST_ROOTS, GRID = PARTS * (STEPS + 1) + 4 };
 enum { CAPACITY = 2 * GRID + KEPT * PARTS + BESIDE_GRID, WANTED = GRID + BESIDE_GRID };
@@ -70,9 +89,9 @@ typedef struct {
 } Sight;
 
 /* fmax and fmin are calls, for the sake of NaN */
-static inline double larger(double a, double b) { return a > b ? a : b; }
+INLINE double larger(double a, double b) { return a > b ? a : b; }
 
-static inline double smaller(double a, double b) { return a < b ? a : b; }
+INLINE double smaller(double a, double b) { return a < b ? a : b; }
 
 /* The platform's motion as polynomials of its own time, and the generated dynamics that evaluate it. */
 typedef struct {
@@ -221,8 +240,8 @@ static void drop_before(Window *w, double past) {
     long gone = 0, roots = 0, sharps = 0;
     while (gone < w->count && w->t[gone] < past) w->free[w->frees++] = w->slot[gone++];
     w->count -= gone;
-    memmove(w->t, w->t + gone, w->count * sizeof *w->t);
-    memmove(w->slot, w->slot + gone, w->count * sizeof *w->slot);
+    memmove(w->t, w->t + gone, (size_t)w->count * sizeof *w->t);
+    memmove(w->slot, w->slot + gone, (size_t)w->count * sizeof *w->slot);
     for (long i = 0; i < w->roots; i++)
         if (w->root[i] >= past) w->root[roots++] = w->root[i];
     for (long i = 0; i < w->sharps; i++)
@@ -280,7 +299,7 @@ static int ensure(const Sight *v, const double *t, long count) {
         long place = many;
         while (place > 0 && missing[place - 1] >= t[i]) place--;
         if (place < many && missing[place] == t[i]) continue;
-        memmove(missing + place + 1, missing + place, (many++ - place) * sizeof *missing);
+        memmove(missing + place + 1, missing + place, (size_t)(many++ - place) * sizeof *missing);
         missing[place] = t[i];
     }
     return add_instants(v, missing, many);
@@ -323,7 +342,7 @@ static int zeros_of(const double *series, int count, double *zero) {
     double of[POINTS][POINTS], place[POINTS + 2], next[POINTS + 2];
     int places = 0, many = 0;
     while (count > 1 && fabs(series[count - 1]) <= ROUNDING) count--;
-    memcpy(of[0], series, count * sizeof *series);
+    memcpy(of[0], series, (size_t)count * sizeof *series);
     for (int d = 1; d < count; d++)
         for (int k = count - d - 1; k >= 0; k--) {   /* c'_k = c'_{k+2} + 2 (k + 1) c_{k+1}, of c'_0 half */
             double beyond = k + 2 < count - d ? of[d][k + 2] : 0.0;
@@ -352,7 +371,7 @@ static int zeros_of(const double *series, int count, double *zero) {
     if (!many)
         for (int i = 0; i < places; i++)
             if (fabs(chebyshev(series, count, place[i])) < TOUCH) next[many++] = place[i];
-    memcpy(zero, next, many * sizeof *zero);
+    memcpy(zero, next, (size_t)many * sizeof *zero);
     return many;
 }
 
@@ -462,7 +481,7 @@ static void scan_sharp(const Sight *v, const double *time, long count) {
         int known = 0;   /* with another preview it may be there already */
         for (long s = 0; s < w->sharps; s++) known |= fabs(w->sharp[s] - w->bend_time[1]) < 0.5 * v->step;
         if (known) continue;
-        if (w->sharps == MOST_ROOTS) memmove(w->sharp, w->sharp + 1, --w->sharps * sizeof *w->sharp);
+        if (w->sharps == MOST_ROOTS) memmove(w->sharp, w->sharp + 1, (size_t)--w->sharps * sizeof *w->sharp);
         w->sharp[w->sharps++] = w->bend_time[1];
     }
 }
