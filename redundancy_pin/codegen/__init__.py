@@ -11,13 +11,18 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from redundancy_pin.codegen.pages import pages
+from redundancy_pin.codegen.plan import record_plan
 from redundancy_pin.codegen.recorded import record
+from redundancy_pin.dynamics.compiled.parameters import parameter_vector, topology_of
 from redundancy_pin.errors import InputError, UnsupportedRobotError, shown
 from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.robot import Wrench
+from redundancy_pin.planners.receding_horizon import RecedingHorizon
+from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
 
 __all__ = ["GeneratedCode", "write_c"]
@@ -57,6 +62,7 @@ def write_c(
     prefix: str | None = None,
     motion: PlatformMotion | None = None,
     carriers: CarrierMotion | None = None,
+    online: RecedingHorizon | None = None,
 ) -> GeneratedCode:
     """Write C99 for a controller into a folder: source, header, CMake file, README, and a test program.
 
@@ -72,6 +78,9 @@ def write_c(
         motion: N samples that the test program compares with ``RneaDynamics``, unreachable ones left out, thinned
             out to 200; a random motion about the reference when left out.
         carriers: N samples of the carriers for it; parked when left out.
+        online: a planner of this robot, of which the code is written too: limits, weights and steps as it has them now.
+            Its functions plan over the platform's motion ahead, given as piecewise polynomials, and evaluate W and f by
+            this code; its test program has 100 recorded updates along ``motion``.
 
     Raises:
         InputError: a prefix that is no name in C; the motion does not fit, or no sample of it can be reached; no
@@ -91,13 +100,25 @@ def write_c(
         )
     if carriers is not None and motion is None:
         raise InputError("carriers are given without a motion.", remedy="Pass both, or neither.")
+    if online is not None:
+        _require_same(online.robot, robot)
     recorded = record(robot, motion, carriers)
-    written = pages(robot, name, recorded)
+    written = pages(robot, name, recorded, None if online is None else (online, record_plan(online, motion)))
     with replacing_folder(folder) as temporary:
         for file, text in written.items():
             write_text(temporary / file, text)
         write_text(temporary / MANIFEST, json.dumps({"robot": robot.name, "prefix": name, "files": [*written]}) + "\n")
     return GeneratedCode(Path(folder), name, (*written, MANIFEST), len(recorded))
+
+
+def _require_same(own: Robot, robot: Robot) -> None:
+    """Check that a planner's robot is the one that is written."""
+    same = own is robot or topology_of(own).text == topology_of(robot).text
+    if not same or not np.array_equal(parameter_vector(own), parameter_vector(robot)):
+        raise InputError(
+            f"The planner plans for {own.name}, which is not the {robot.name} that is written.",
+            remedy="Make the planner of this robot: online=RecedingHorizon(robot).",
+        )
 
 
 def prefix_of(robot: str, given: str | None) -> str:

@@ -1,4 +1,4 @@
-"""Names of generated C: every one that can be seen outside a function begins with the robot's prefix.
+"""Names and numbers of generated C: every one that can be seen outside a function begins with the robot's prefix.
 
 What a program includes in front of the code, or behind it, is not known here: names of math.h differ between -std=c99
 and a compiler's own mode, headers of a vendor define what they like, and two robots may be compiled as one file. So
@@ -9,8 +9,13 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 _TEXTS = re.compile(r"""(/\*.*?\*/|"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*')""", re.S)
 """Comments, strings and characters."""
+
+_KEYWORDS = frozenset("char const double enum float if int long return short signed sizeof static struct unsigned void".split())
 
 _BLOCK, _LIST = "\0", "\1"
 """What stands for {…} and for (…) where only what is outside of them matters."""
@@ -45,7 +50,7 @@ def add_prefix(text: str, prefix: str) -> str:
     ``PREFIX_NAME``; the file's own become ``prefix_own_name`` and ``PREFIX_OWN_NAME``. So no prefix makes one of the
     other. Names that belong to the compiler stay: those with an underscore in front, and main.
     """
-    own = {name for name in file_scope_names(text) - {"main"} if not name.startswith("_")}
+    own = {name for name in file_scope_names(text) - _KEYWORDS - {"main"} if not name.startswith("_")}
 
     def renamed(found: re.Match[str]) -> str:
         name = found[0]
@@ -60,3 +65,16 @@ def add_prefix(text: str, prefix: str) -> str:
     parts = _TEXTS.split(text)
     parts[::2] = [pattern.sub(renamed, code) for code in parts[::2]]
     return "".join(parts)
+
+
+def as_initialiser(values: ArrayLike) -> str:
+    """Return an initialiser in C of a number or an array."""
+    array = np.asarray(values)
+    if array.ndim:
+        return "{" + ", ".join(as_initialiser(part) for part in array) + "}"
+    if array.dtype.kind == "i":
+        return str(int(array))
+    number = float(array)
+    if np.isnan(number):
+        return "NAN"
+    return repr(number) if np.isfinite(number) else "INFINITY" if number > 0.0 else "-INFINITY"

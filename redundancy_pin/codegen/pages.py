@@ -12,13 +12,15 @@ from numpy.typing import ArrayLike
 
 import redundancy_pin
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
-from redundancy_pin.codegen.names import add_prefix
+from redundancy_pin.codegen.names import add_prefix, as_initialiser
+from redundancy_pin.codegen.plan import RecordedPlan, plan_facts, plan_source
 from redundancy_pin.codegen.recorded import Recorded
 from redundancy_pin.dynamics.compiled.build import Definition, define, driver_source, text_of
 from redundancy_pin.dynamics.compiled.parameters import parameter_vector, turning_rows
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.coordinates import mode_name
 from redundancy_pin.machine_code import NEEDS_INFINITY
+from redundancy_pin.planners.receding_horizon import RecedingHorizon
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint, has_joint
 from redundancy_pin.robot.scales import (
@@ -36,31 +38,45 @@ _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project
 """Generated functions that ``driver.c`` and ``controller.c`` call; a static one without a caller is a warning."""
 
 
-def pages(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, str]:
-    """Return the text of each file, by name."""
-    facts = _facts(robot, prefix, recorded)
+def pages(
+    robot: Robot, prefix: str, recorded: Recorded, online: tuple[RecedingHorizon, RecordedPlan] | None
+) -> dict[str, str]:
+    """Return the text of each file, by name; ``online``: the planner that is written too, and its updates."""
+    facts = {**_facts(robot, prefix, recorded), "plan": plan_facts(*online) if online else None}
+    plan = {
+        f"{prefix}_plan.c": add_prefix(plan_source(online[0], prefix), prefix),
+        f"test_{prefix}_plan.c": add_prefix(_rendered("test_plan.c.j2", facts), prefix),
+    } if online else {}
     return {
-        f"{prefix}.c": add_prefix(source(robot, prefix), prefix),
+        f"{prefix}.c": add_prefix(source(robot, prefix, plan=online is not None), prefix),
         f"{prefix}.h": _rendered("controller.h.j2", facts),
         f"test_{prefix}.c": add_prefix(_rendered("test.c.j2", facts), prefix),
         "CMakeLists.txt": _rendered("CMakeLists.txt.j2", facts),
         "README.md": _rendered("README.md.j2", facts),
+        **plan,
     }
 
 
-def source(robot: Robot, prefix: str) -> str:
-    """Return the C source without the prefix: expressions, driver and what a controller calls."""
+def source(robot: Robot, prefix: str, *, plan: bool = False) -> str:
+    """Return the C source without the prefix: expressions, driver and what a controller calls, or a planner (``plan``)."""
     definition, functions = _written(robot)
+    controller, for_plan = (
+        importlib.resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
+        for name in ("controller.c", "plan_terms.c")
+    )
+    if plan:
+        functions.append(definition.functions["rp_carrier_terms"])
     return "\n".join(
         [
             f"/* {_as_comment(robot.name)}, written by redundancy_pin {redundancy_pin.__version__}; see {prefix}.h. */",
             NEEDS_INFINITY,
             f'#include "{prefix}.h"',
             driver_source(definition, functions, "static"),
-            f"static const double REFERENCE[] = {_listed(robot.q_reference)};",
+            f"static const double REFERENCE[] = {as_initialiser(robot.q_reference)};",
             text_of("sample.c"),
-            f"static const double NUMBERS[] = {_listed(parameter_vector(robot))};",
-            importlib.resources.files(__package__).joinpath("controller.c").read_text(encoding="utf-8"),
+            f"static const double NUMBERS[] = {as_initialiser(parameter_vector(robot))};",
+            controller,
+            *(["#define SHARED static", text_of("terms.c"), for_plan] if plan else []),
         ]
     )
 
@@ -128,7 +144,7 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
         "prefix": prefix,
         "PREFIX": prefix.upper(),
         "status": {status.name: int(status) for status in SampleStatus},
-        "home": _listed(follower(robot).home.x.reshape(-1)),
+        "home": as_initialiser(follower(robot).home.x.reshape(-1)),
         "n": robot.n,
         "m": robot.m,
         "k": robot.k,
@@ -158,10 +174,10 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
         "parameters": [(_as_comment(name), _as_comment(str(value))) for name, value in robot.parameters.items()],
         "samples": len(recorded),
         "recorded": ",\n".join(_record(robot, recorded, i) for i in range(len(recorded))),
-        "closure": _listed(recorded.closure),
-        "gamma": _listed(recorded.gamma),
-        "row_scale": _listed(row_scale(robot)),
-        "size": {name: _listed(size) for name, size in _sizes(robot, recorded).items()},
+        "closure": as_initialiser(recorded.closure),
+        "gamma": as_initialiser(recorded.gamma),
+        "row_scale": as_initialiser(row_scale(robot)),
+        "size": {name: as_initialiser(size) for name, size in _sizes(robot, recorded).items()},
         "far": far,
         "far_by": None if far is None else repr(1e3 * (length if pose else float(coordinate_unit(robot)[far]))),
         "far_drive": far_drive,
@@ -222,21 +238,8 @@ def _record(robot: Robot, recorded: Recorded, i: int) -> str:
         recorded.position[i],
         recorded.velocity[i],
     ]
-    inputs = "{" + ", ".join(map(_listed, parts)) + "}"
-    return "  {" + ", ".join([inputs, *map(_listed, fields)]) + "}"
-
-
-def _listed(values: ArrayLike) -> str:
-    """Return an initialiser in C of a number or an array."""
-    array = np.asarray(values)
-    if array.ndim:
-        return "{" + ", ".join(_listed(part) for part in array) + "}"
-    if array.dtype.kind == "i":
-        return str(int(array))
-    number = float(array)
-    if np.isnan(number):
-        return "NAN"
-    return repr(number) if np.isfinite(number) else "INFINITY" if number > 0.0 else "-INFINITY"
+    inputs = "{" + ", ".join(map(as_initialiser, parts)) + "}"
+    return "  {" + ", ".join([inputs, *map(as_initialiser, fields)]) + "}"
 
 
 def _as_comment(text: str) -> str:

@@ -344,7 +344,8 @@ class Library(Code):
         """Return the C of a robot as Python calls it: generated functions, sizes and tables, driver, batches."""
         definition = define(robot)
         driver = driver_source(definition, definition.functions.values())
-        return "\n".join([driver, text_of("sample.c"), carried_table(robot), text_of("calls.c"), text_of("batch.c")])
+        texts = map(text_of, ("sample.c", "calls.c", "terms.c", "batch.c"))
+        return "\n".join([driver, carried_table(robot), "#define SHARED", *texts])
 
     def map(self, name: str, samples: int, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Evaluate a generated function for many samples, the first axis of all arrays; outputs are written to."""

@@ -212,8 +212,7 @@ class CompiledPlanner:
 
     def _settings(self) -> Array:
         _, step, horizon, weights = self._made_of
-        limits = (getattr(self._limits, name).ravel() for name in _LIMITS)
-        return np.concatenate([[step, horizon], row_scale(self._robot), astuple(weights), *limits])
+        return np.concatenate([*map(np.ravel, settings_of(self._robot, step, horizon, weights, self._limits))])
 
     def set_limits(self, limits: ResolvedLimits) -> None:
         """Use limits from the next update on."""
@@ -359,8 +358,14 @@ def sizes_of(robot: Robot, step: float, horizon: float, terms: int) -> dict[str,
     return {"N": robot.n, "PLACES": places, "M": robot.m, "K": robot.k, "TERMS": terms, "STEPS": steps, "COUNT": count}
 
 
-def planner_source(sizes: Mapping[str, int]) -> str:
-    """Return the C of the planner of robots of some sizes, as of ``sizes_of``."""
+def settings_of(robot: Robot, step: float, horizon: float, weights: Weights, limits: ResolvedLimits) -> list[Array]:
+    """Return the members of ``Settings`` of ``planner.c``."""
+    of_limits = (getattr(limits, name).ravel() for name in _LIMITS)
+    return [np.array(step), np.array(horizon), row_scale(robot), np.array(astuple(weights)), *of_limits]
+
+
+def planner_source(sizes: Mapping[str, int], *more: str) -> str:
+    """Return the C of the planner of robots of some sizes, as of ``sizes_of``; ``more``: texts behind it."""
     head = [f"#define {name} {value}" for name, value in sizes.items()]
     for name, constant in CONSTANTS.items():
         if constant.in_c and isinstance(constant.value, tuple):
@@ -369,7 +374,7 @@ def planner_source(sizes: Mapping[str, int]) -> str:
         elif constant.in_c:
             head.append(f"#define {name} {constant.value!r}")
     folder = importlib.resources.files(__package__)
-    return "\n".join([*head, *(folder.joinpath(name).read_text("utf-8") for name in SOURCES)])
+    return "\n".join([*head, *(folder.joinpath(name).read_text("utf-8") for name in (*SOURCES, *more))])
 
 
 def planner_library(sizes: Mapping[str, int]) -> ctypes.CDLL:
@@ -378,7 +383,7 @@ def planner_library(sizes: Mapping[str, int]) -> ctypes.CDLL:
     Raises:
         CompilerError: there is no C compiler, or it fails.
     """
-    text = f"#define EXPORTED\n{planner_source(sizes)}"
+    text = planner_source(sizes, "exports.c")
     compiler = find_compiler()
     where = "" if compiler is None else compiler.identity, str(cache_folder())
     # a sixth less time with it; not every compiler has it

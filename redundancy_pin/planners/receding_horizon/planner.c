@@ -74,14 +74,14 @@ static long begun_with(int order, int width, long pieces, const double *edge, co
 }
 
 /* A plan that starts at a singular instant after the update begins with the last one. */
-static void set_beginning(const Result *last, Result *new) {
-    double start = new->node[0], t = new->t;
-    if (start <= t + SAME && new->effort_edge[0] <= start + SAME) return;
-    new->pieces = begun_with(4, K, last->pieces, last->edge, last->piece, t, start, new->pieces, new->edge, new->piece, CARRIER_PIECES);
-    new->efforts = begun_with(2, M, last->efforts, last->effort_edge, last->effort, t, start, new->efforts, new->effort_edge, new->effort, EFFORT_PIECES);
-    new->forces = begun_with(2, K, last->forces, last->force_edge, last->force, t, start, new->forces, new->force_edge, new->force, FORCE_PIECES);
-    for (long i = 0; i < new->efforts && (!i || new->effort_edge[i] <= start); i++)   /* between them efforts are linear */
-        for (int c = 0; c < M; c++) new->largest = larger(new->largest, fabs(new->effort[(new->efforts + i) * M + c]));
+static void set_beginning(const Result *last, Result *made) {
+    double start = made->node[0], t = made->t;
+    if (start <= t + SAME && made->effort_edge[0] <= start + SAME) return;
+    made->pieces = begun_with(4, K, last->pieces, last->edge, last->piece, t, start, made->pieces, made->edge, made->piece, CARRIER_PIECES);
+    made->efforts = begun_with(2, M, last->efforts, last->effort_edge, last->effort, t, start, made->efforts, made->effort_edge, made->effort, EFFORT_PIECES);
+    made->forces = begun_with(2, K, last->forces, last->force_edge, last->force, t, start, made->forces, made->force_edge, made->force, FORCE_PIECES);
+    for (long i = 0; i < made->efforts && (!i || made->effort_edge[i] <= start); i++)   /* between them efforts are linear */
+        for (int c = 0; c < M; c++) made->largest = larger(made->largest, fabs(made->effort[(made->efforts + i) * M + c]));
 }
 
 /* Whether a carrier exceeds its speed until a time. */
@@ -106,7 +106,7 @@ static int is_fast(const Given *g, const Result *r, double end) {
    off then, the forces are not. The programme does not bound the speed of the first half step, which is given. 0 where the update is
    to end. */
 static int check_between(const Sight *v, const Given *g, const double *row, Result *r) {
-    double soon = r->t + g->step, end = smaller(soon, r->edge[r->pieces]), t[INSTANTS], meets[INSTANTS], cut = 0.0;
+    double soon = r->t + g->step, end = smaller(soon, r->edge[r->pieces]), t[INSTANTS], meets[INSTANTS] = {0}, cut = 0.0;
     int bounded = 0, many = 1, met = 0;
     if (r->status != OK) return 1;
     if (end > r->t && is_fast(g, r, end)) {
@@ -158,7 +158,7 @@ static int check_between(const Sight *v, const Given *g, const double *row, Resu
 
 /* A plan from a time on about the last one, in the other result; of ``strict`` ones none that does not keep every limit. */
 static int attempt(Planner *p, const Sight *v, double t, const double *s, const double *sd, int strict) {
-    Result *last = last_of(p), *new = &p->result[!p->current];
+    Result *last = last_of(p), *made = &p->result[!p->current];
     const Settings *own = &p->settings;
     Window *w = v->window;
     double until = smaller(t + own->horizon, clock_at(v->scaling, v->preview->end));
@@ -175,20 +175,20 @@ static int attempt(Planner *p, const Sight *v, double t, const double *s, const 
     sigma_at(v->scaling, t - own->step, &first, &unused, &unused), sigma_at(v->scaling, after, &final, &unused, &unused);
     for (long b = 0; b < v->preview->breaks && g.breaks < BREAKS; b++)
         if (v->preview->broken[b] > first && v->preview->broken[b] < final) p->broken[g.breaks++] = clock_at(v->scaling, v->preview->broken[b]);
-    int status = plan_from_now(v, &g, new, &p->work, p->plan);
+    int status = plan_from_now(v, &g, made, &p->work, p->plan);
     if (status == UNSOLVED || status == STOPPED) return status;
-    new->t = t, new->status = status, new->reason = NOTHING, new->singulars = 0;
-    if (status == RELAXED) new->reason = new->relaxed ? LIMITS : FORCE_MISSING;
+    made->t = t, made->status = status, made->reason = NOTHING, made->singulars = 0;
+    if (status == RELAXED) made->reason = made->relaxed ? LIMITS : FORCE_MISSING;
     if (status == REFUSED) {
-        new->reason = UNREACHABLE;
-        sigma_at(v->scaling, new->node[new->known], &new->blocked, &unused, &unused);
+        made->reason = UNREACHABLE;
+        sigma_at(v->scaling, made->node[made->known], &made->blocked, &unused, &unused);
     }
-    new->known_until = new->node[new->known > 1 ? new->known - 1 : 0];
+    made->known_until = made->node[made->known > 1 ? made->known - 1 : 0];
     for (long r = 0; r < w->roots; r++)
-        if (w->root[r] > t - SAME) new->singular[new->singulars++] = w->root[r];
-    if (p->started) set_beginning(last, new);
-    if (!check_between(v, &g, new->row, new)) return STOPPED;
-    return strict && new->status != OK ? UNSOLVED : (int)new->status;
+        if (w->root[r] > t - SAME) made->singular[made->singulars++] = w->root[r];
+    if (p->started) set_beginning(last, made);
+    if (!check_between(v, &g, made->row, made)) return STOPPED;
+    return strict && made->status != OK ? UNSOLVED : (int)made->status;
 }
 
 /* Keep the plan that was made. */
@@ -251,7 +251,7 @@ static int update_slowing(Planner *p, const Preview *preview, double t, const do
         Sight v = sight_of(p, part[i] > 0.0, preview, part[i] > 0.0 ? &p->other_scaling : &p->scaling);
         if (part[i] > 0.0) {
             double least, most;
-            change(&p->scaling, begins, wanted[i], part[i] * p->settings.horizon, t - KEPT * p->settings.step, &p->other_scaling);
+            change_rate(&p->scaling, begins, wanted[i], part[i] * p->settings.horizon, t - KEPT * p->settings.step, &p->other_scaling);
             rates_of(&p->other_scaling, &least, &most);
             if (least < FULL - 1.0 || most > 2.0 - FULL) continue;   /* back along the path, or faster than the preview */
             begin_window(v.window, &p->window[p->seen], t, p->settings.step);
@@ -269,12 +269,8 @@ static int update_slowing(Planner *p, const Preview *preview, double t, const do
 
 /* --- what is called ------------------------------------------------------------------------------------------------ */
 
-EXPORTED long rp_planner_size(void) { return sizeof(Planner); }
-
-EXPORTED long rp_planner_solution(void) { return sizeof(Solution); }
-
 /* Use limits and weights from the next update on. */
-EXPORTED void rp_planner_set(Planner *p, const Settings *settings) {
+static void set_planner(Planner *p, const Settings *settings) {
     p->settings = *settings;
     for (int j = 0; j < K; j++) {
         double width = settings->track[2 * j + 1] - settings->track[2 * j];
@@ -285,29 +281,23 @@ EXPORTED void rp_planner_set(Planner *p, const Settings *settings) {
 }
 
 /* Begin anew; `slows`: whether the platform may go more slowly where no plan keeps every limit. */
-EXPORTED void rp_planner_start(Planner *p, const Settings *settings, long slows) {
+static void start_planner(Planner *p, const Settings *settings, long slows) {
     memset(p, 0, sizeof *p);
-    rp_planner_set(p, settings);
+    set_planner(p, settings);
     p->slows = slows, p->number = -1, p->held_until = -INFINITY;
     clear(&p->window[0], -INFINITY, settings->step);
 }
 
 /* The preview's own time at a time of the clock. */
-EXPORTED double rp_planner_sigma(const Planner *p, double t) {
+static double preview_time(const Planner *p, double t) {
     double sigma, rate, bend;
     sigma_at(&p->scaling, t, &sigma, &rate, &bend);
     return sigma;
 }
 
-EXPORTED const Result *rp_planner_result(const Planner *p) { return &p->result[p->current]; }
-
-EXPORTED const Window *rp_planner_window(const Planner *p) { return &p->window[p->seen]; }
-
-EXPORTED const Scaling *rp_planner_scaling(const Planner *p) { return &p->scaling; }
-
 /* Plan from a time on, not before the last one; s, sd (K): where the carriers are, NaN where the last plan is to be believed. The
-   result is that of ``rp_planner_result``. UNSOLVED: a first plan was not found. STOPPED: by who evaluates the preview. */
-EXPORTED int rp_planner_update(Planner *p, double t, const Preview *preview, const double *s, const double *sd) {
+   result is that of ``last_of``. UNSOLVED: a first plan was not found. STOPPED: by who evaluates the preview. */
+static int update_planner(Planner *p, double t, const Preview *preview, const double *s, const double *sd) {
     if (preview->number != p->number) {
         if (!p->started) {
             Window *w = &p->window[p->seen];

@@ -40,7 +40,8 @@ class RecedingHorizon:
             then says which time of the preview it is at, and the status is ``TIME_SCALED``.
 
     Attributes:
-        limits: in force from the next tick on; may be set between ticks. ``resolved`` has them as arrays.
+        limits: in force from the next update on; may be set between updates. ``resolved`` has them as arrays.
+        slows_down: whether it leads the platform more slowly.
 
     Raises:
         InputError: a setting out of its domain.
@@ -72,6 +73,7 @@ class RecedingHorizon:
         self.weights = objective if isinstance(objective, Weights) else GOALS[objective]
         self._given_limits = group_of(limits, Limits)
         self.resolved = self._given_limits.resolved(robot)
+        self.slows_down = slow_down
         self._source: object = None
         self._preview: Preview | None = None
         self.updates = CompiledPlanner(dynamics, step, horizon, self.weights, self.resolved, slow_down)

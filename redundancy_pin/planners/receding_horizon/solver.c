@@ -238,7 +238,7 @@ static void remember(Work *w, const int *old, int place, int width) {
 
 /* A first point: sdd as near as it may be to those of the plan that all is linear about, and efforts and duals to those of
    the solution before, if it is to be ``warm``. */
-static void begin(const Given *g, Work *w, int warm) {
+static void begin_iterations(const Given *g, Work *w, int warm) {
     const double *ua = g->unit + 2 * K;
     double room = warm ? WARM_SLACK : w->relaxed ? RELAXED_SLACK : LEAST_SLACK;
     double barrier = warm ? WARM_BARRIER : w->relaxed ? RELAXED_BARRIER : FIRST_BARRIER;
@@ -531,7 +531,7 @@ static void go(Work *w, double alpha, double dpeak, const double *dnu) {
 
 /* Mehrotra's predictor and corrector; whether an optimum is found. */
 static int interior_point(const Given *g, Work *w, int warm) {
-    begin(g, w, warm);
+    begin_iterations(g, w, warm);
     double count = 0.0, most, after, dpeak, dnu[BORDER], give = w->relaxed ? 1.0 / g->weight[UNMET] : 0.0;
     for (int c = 0; c < w->bounds; c++) count += w->active[c];
     int last = w->relaxed ? RELAXED_ITERATIONS : ITERATIONS;

@@ -175,7 +175,7 @@ static int planned(const Given *g, Work *w, const double *t, int count, Plan *pl
 }
 
 /* Polynomials (2, pieces, c) through values (pieces + 1, c). */
-static void linear(const double *t, const double *value, long pieces, int c, double *edge, double *piece) {
+static void set_linear(const double *t, const double *value, long pieces, int c, double *edge, double *piece) {
     memcpy(edge, t, (size_t)(pieces + 1) * sizeof *t);
     for (long i = 0; i < pieces; i++)
         for (int j = 0; j < c; j++) {
@@ -268,7 +268,7 @@ static double doubt(const Plan *plan) { return plan->relaxed ? larger(plan->left
 
 /* As many programmes as it takes, each linear about the plan of the one before, or half way to it where that came no
    nearer. The best plan is left in ``plan[0]``; 0 where there is none. */
-static int rounds(const Given *g, Work *w, const double *t, int count, int refused, Plan **plan) {
+static int plan_rounds(const Given *g, Work *w, const double *t, int count, int refused, Plan **plan) {
     double row = 0.0;
     int near = 0, least = g->first ? FIRST_ROUNDS : 1;
     for (int i = 0; i < N; i++) row = larger(row, w->row_unit[i]);
@@ -321,8 +321,8 @@ static void give(const Given *g, const Work *w, const Plan *plan, Result *result
     memcpy(result->multiplier, plan->multiplier, sizeof plan->multiplier);
     memcpy(result->edge, plan->edge, sizeof plan->edge);
     memcpy(result->piece, plan->piece, sizeof plan->piece);
-    linear(plan->effort_time, plan->effort, result->efforts = plan->efforts - 1, M, result->effort_edge, result->effort);
-    linear(plan->force_time, plan->force, result->forces = plan->forces - 1, K, result->force_edge, result->force);
+    set_linear(plan->effort_time, plan->effort, result->efforts = plan->efforts - 1, M, result->effort_edge, result->effort);
+    set_linear(plan->force_time, plan->force, result->forces = plan->forces - 1, K, result->force_edge, result->force);
     result->largest = largest_soon(g, plan);
 }
 
@@ -359,7 +359,7 @@ static int plan_from_now(const Sight *v, const Given *g, Result *result, Work *w
     w->iterations = w->rounds = 0;
     w->before = g->solution && g->nodes == COUNT;
     if (w->before) memcpy(w->node_before, g->node, sizeof w->node_before), memcpy(&w->solution, g->solution, sizeof w->solution);
-    if (!rounds(g, w, t, count, refused, plan)) return UNSOLVED;
+    if (!plan_rounds(g, w, t, count, refused, plan)) return UNSOLVED;
     if (g->strict && is_short(plan[0])) return UNSOLVED;
     give(g, w, plan[0], result);
     result->guessed = 0;
@@ -367,7 +367,7 @@ static int plan_from_now(const Sight *v, const Given *g, Result *result, Work *w
         Plan *others[2] = {plan[1], plan[2]};
         begin_about_guess(g, w);
         result->guessed = 1;
-        if (rounds(g, w, t, count, refused, others) && doubt(others[0]) < doubt(plan[0])) plan[0] = others[0], give(g, w, plan[0], result);
+        if (plan_rounds(g, w, t, count, refused, others) && doubt(others[0]) < doubt(plan[0])) plan[0] = others[0], give(g, w, plan[0], result);
     }
     result->iterations = w->iterations;   /* of what was not kept too */
     return refused ? REFUSED : is_short(plan[0]) ? RELAXED : OK;

@@ -20,8 +20,8 @@
    shorter ones. With ROBOT_SCALAR, and by other compilers, numbers are taken one by one. */
 #if defined(__GNUC__) && !defined(ROBOT_SCALAR)
 enum { LONG = 4 };
-typedef double Vector __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double)), may_alias));
-typedef long long Mask __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double)), may_alias));
+typedef double __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double)), may_alias)) Vector;
+typedef long long __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double)), may_alias)) Mask;
 #define INLINE static inline __attribute__((always_inline))
 #define NO_VECTOR ((Vector){0})
 #define NO_VECTORS {{0}}
@@ -43,11 +43,11 @@ enum { SUM = N + K, ALL = K * TERMS * SUM };
 /* W (N, M), f and the carriers' forces at rest at s = 0 (N + K) and their terms (K, TERMS, N + K) at `count` increasing times t of
    the clock, at the preview's own time sigma with its derivatives: those of all, one after the other. Returns how many there are
    before the first that the machine cannot be at; -1 where the update is to end. */
-typedef long (*Evaluate)(void *context, long count, const double *t, const double *sigma, const double *rate, const double *bend, double *out);
+typedef long Evaluate(void *context, long count, const double *t, const double *sigma, const double *rate, const double *bend, double *out);
 
 /* The platform's motion ahead, in its own time. */
 typedef struct {
-    Evaluate evaluate;
+    Evaluate *evaluate;
     void *context;
     double start, end;      /* between which it is known */
     const double *broken;   /* times at which the acceleration jumps, increasing */
@@ -101,29 +101,37 @@ typedef struct {
     const double *edge, *piece;    /* x (PLACES), its rates and second rates (N): (order, pieces, PLACES + 2 N), the highest power first */
     long pieces, order;
     double moves_until;            /* the platform is held from then on */
-    Evaluate otherwise;            /* who is asked where the generated code does not close; 0: nobody */
+    Evaluate *otherwise;            /* who is asked where the generated code does not close; 0: nobody */
     void *context;
 } Polynomials;
 
-EXPORTED long rp_evaluate_polynomials(void *context, long count, const double *t, const double *sigma, const double *rate, const double *bend,
-                                      double *out) {
+/* x, its rates and second rates (PLACES + 2 N) at a time of the preview's own. */
+static void platform_at(const Polynomials *p, double sigma, double *x) {
+    enum { COLUMNS = PLACES + 2 * N };
+    double at = sigma < p->moves_until ? sigma : p->moves_until;
+    long low = 0, high = p->pieces;
+    while (high - low > 1) {
+        long middle = (low + high) / 2;
+        if (p->edge[middle] <= at) low = middle; else high = middle;
+    }
+    at = at > p->edge[0] ? (at < p->edge[p->pieces] ? at : p->edge[p->pieces]) - p->edge[low] : 0.0;
+    for (int c = 0; c < COLUMNS; c++) {
+        x[c] = 0.0;
+        for (long d = 0; d < p->order; d++) x[c] = x[c] * at + p->piece[(d * p->pieces + low) * COLUMNS + c];
+    }
+    if (sigma >= p->moves_until) memset(x + PLACES, 0, 2 * N * sizeof *x);
+}
+
+static long evaluate_polynomials(void *context, long count, const double *t, const double *sigma, const double *rate, const double *bend,
+                                 double *out) {
     enum { WIDTH = 1 + PLACES + 2 * N };
     const Polynomials *p = context;
     double in[BATCH * WIDTH], sizes[2 * BATCH];
-    for (long k = 0, i = 0; k < count; k++) {
-        double *x = in + k * WIDTH + 1, at = sigma[k] < p->moves_until ? sigma[k] : p->moves_until;
-        while (i > 0 && p->edge[i] > at) i--;
-        while (i < p->pieces - 1 && p->edge[i + 1] <= at) i++;
-        at = at > p->edge[0] ? at - p->edge[i] : 0.0;
+    for (long k = 0; k < count; k++) {
+        double *xd = in + k * WIDTH + 1 + PLACES, *xdd = xd + N;
         in[k * WIDTH] = t[k];
-        for (int c = 0; c < PLACES + 2 * N; c++) x[c] = p->piece[i * (PLACES + 2 * N) + c];
-        for (long d = 1; d < p->order; d++)
-            for (int c = 0; c < PLACES + 2 * N; c++) x[c] = x[c] * at + p->piece[(d * p->pieces + i) * (PLACES + 2 * N) + c];
-        for (int c = 0; c < N; c++) {
-            double *xd = x + PLACES + c, *xdd = xd + N;
-            if (sigma[k] >= p->moves_until) *xd = *xdd = 0.0;
-            *xdd = *xdd * rate[k] * rate[k] + *xd * bend[k], *xd *= rate[k];
-        }
+        platform_at(p, sigma[k], in + k * WIDTH + 1);
+        for (int c = 0; c < N; c++) xdd[c] = xdd[c] * rate[k] * rate[k] + xd[c] * bend[k], xd[c] *= rate[k];
     }
     long closed = p->terms(p->numbers, (int)count, in, WIDTH, p->near, out, sizes);
     return closed < count && p->otherwise ? p->otherwise(p->context, count, t, sigma, rate, bend, out) : closed;
@@ -172,7 +180,7 @@ static void shift(double *c, int order, long stride, double by) {
 
 /* The same up to a time, after which the rate, cubic in between, goes over to another one within a duration; what is before `since`
    is forgotten. */
-static void change(const Scaling *z, double t, double rate, double duration, double since, Scaling *to) {
+static void change_rate(const Scaling *z, double t, double rate, double duration, double since, Scaling *to) {
     double sigma, v, a, h = duration;
     sigma_at(z, t, &sigma, &v, &a);
     to->pieces = 0;
