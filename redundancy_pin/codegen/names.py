@@ -15,7 +15,9 @@ from numpy.typing import ArrayLike
 _TEXTS = re.compile(r"""(/\*.*?\*/|"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*')""", re.S)
 """Comments, strings and characters."""
 
-_KEYWORDS = frozenset("char const double enum float if int long return short signed sizeof static struct unsigned void".split())
+_KEYWORDS = frozenset(
+    "char const double enum float if int long return short signed sizeof static struct unsigned void".split()  # noqa: SIM905
+)
 
 _BLOCK, _LIST = "\0", "\1"
 """What stands for {…} and for (…) where only what is outside of them matters."""

@@ -43,10 +43,14 @@ def pages(
 ) -> dict[str, str]:
     """Return the text of each file, by name; ``online``: the planner that is written too, and its updates."""
     facts = {**_facts(robot, prefix, recorded), "plan": plan_facts(*online) if online else None}
-    plan = {
-        f"{prefix}_plan.c": add_prefix(plan_source(online[0], prefix), prefix),
-        f"test_{prefix}_plan.c": add_prefix(_rendered("test_plan.c.j2", facts), prefix),
-    } if online else {}
+    plan = (
+        {
+            f"{prefix}_plan.c": add_prefix(plan_source(online[0], prefix), prefix),
+            f"test_{prefix}_plan.c": add_prefix(_rendered("test_plan.c.j2", facts), prefix),
+        }
+        if online
+        else {}
+    )
     return {
         f"{prefix}.c": add_prefix(source(robot, prefix, plan=online is not None), prefix),
         f"{prefix}.h": _rendered("controller.h.j2", facts),
@@ -58,7 +62,7 @@ def pages(
 
 
 def source(robot: Robot, prefix: str, *, plan: bool = False) -> str:
-    """Return the C source without the prefix: expressions, driver and what a controller calls, or a planner (``plan``)."""
+    """Return the C source without the prefix: expressions, driver, what a controller calls; ``plan``: a planner too."""
     definition, functions = _written(robot)
     controller, for_plan = (
         importlib.resources.files(__package__).joinpath(name).read_text(encoding="utf-8")

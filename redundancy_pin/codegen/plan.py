@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.resources
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -161,7 +161,7 @@ def plan_facts(planner: RecedingHorizon, recorded: RecordedPlan) -> dict[str, An
         "slows": planner.slows_down,
         "iterations": 2 * MOST_ROUNDS * (2 * ITERATIONS + RELAXED_ITERATIONS),
         # of structures whose places a compiler may pad, with room for what stands beside the planner
-        "doubles": planner_library(_sizes(planner)).rp_planner_size() // 8 + _near(robot) + 64,
+        "doubles": int(planner_library(_sizes(planner)).rp_planner_size()) // 8 + _near(robot) + 64,
         "updates": len(commands),
         "edges": as_initialiser(polynomials.edges),
         "coefficients": as_initialiser(polynomials.coefficients.ravel()),
@@ -174,5 +174,4 @@ def plan_facts(planner: RecedingHorizon, recorded: RecordedPlan) -> dict[str, An
         "size": as_initialiser(np.maximum(size, 1e-3 * size.max(axis=1, keepdims=True) + 1e-12)),
         "tau_size": as_initialiser(np.full(robot.m, np.abs(taus).max() + 1e-12)),
         "recorded": ",\n".join(rows),
-        "weights": astuple(planner.weights),
     }
