@@ -35,6 +35,8 @@ ROBOTS: dict[str, dict[str, Any]] = {
     "five_bar": {"carriers": True},
     "gough": {"carriers": True},
 }
+NAMES = ["2rpr", *(pytest.param(name, marks=pytest.mark.long) for name in ("3rrr", "five_bar", "gough"))]
+LEVELS = [("-O1",), ("-O0", "-DUNIT_SCALAR"), pytest.param(("-O3", "-march=native"), marks=pytest.mark.long)]
 STATUSES = {0: UpdateStatus.OK, 2: UpdateStatus.RELAXED, 3: UpdateStatus.REFUSED, 5: UpdateStatus.TIME_SCALED}
 
 
