@@ -362,15 +362,11 @@ def _worst(row: Record) -> str:
 # --- one HTML file: no network, no file beside it, no script --------------------------------------------------------
 
 VERDICTS = {
-    "reproduced": "good",
-    "met": "good",
-    "stands": "good",
-    "stands with conditions": "partly",
-    "differs": "bad",
-    "missed": "bad",
-    "does not stand": "bad",
+    **dict.fromkeys(("reproduced", "met", "stands"), "good"),
+    **dict.fromkeys(("reproduced:", "stands with conditions"), "partly"),
+    **dict.fromkeys(("differs:", "missed", "does not stand"), "bad"),
 }
-"""Classes of cells by the verdict they begin with, up to a colon; a reproduction with a condition is partly good."""
+"""Class of a cell by its text; a colon is followed by a condition or a reason."""
 
 
 def html(markdown: str, folder: Path) -> str:
@@ -392,7 +388,7 @@ def html(markdown: str, folder: Path) -> str:
     for index, (token, inner) in enumerate(pairwise(tokens)):
         if token.type == "td_open":
             verdict, colon, _ = inner.content.partition(":")
-            kind = "partly" if verdict == "reproduced" and colon else VERDICTS.get(verdict)
+            kind = VERDICTS.get(verdict + colon)
             token.attrs = {"class": kind} if kind else {}
         elif token.tag == "h1":
             title = inner.content or title

@@ -20,7 +20,38 @@ from redundancy_pin.thesis.table import Record, data, mode_text, span, text
 ROUNDING = 1e-12
 """A gap up to this is none: the limits of an interval are themselves rounded."""
 
-thesis = functools.partial(data, "thesis")
+_RAMP_DOWN = 0.03
+"""Time in which the forces fall before the motors are off, on the circle, s."""
+
+_LATE = 0.01
+"""Largest delay with which the thesis notices an instant, s: its times have two decimals, its step may be 10 ms."""
+
+
+@functools.cache
+def thesis() -> Mapping[str, Any]:
+    """Return ``thesis.yaml``; the numbers stated with each crossing are among ``motions``, ``planned`` and ``rows``."""
+    stated = dict(data("thesis"))
+    rows: dict[str, str] = {}
+    motions, planned = list(stated["motions"]), []
+    for one in stated["crossings"]:
+        threshold, figure = one["threshold"], f"fig. {one['figure']}"
+        parked = {"source": figure, "case": f"{one['motion']}-parked"}
+        moving = {"source": figure, "case": f"{one['motion']}-cn{threshold}"}
+        for edge, when, forces, switching in (("entry", "met", "falling", "off"), ("exit", "left", "rising", "on")):
+            row, at = f"{one['figure']} {edge}", float(one[when])
+            rows[row] = f"{one['motion'].replace('-', ' ')} m/s, CN {threshold}, switching {switching}"
+            motions.append({**parked, "quantity": f"threshold {threshold} {when}", "unit": "s", "stated": [at],
+                            "measure": [f"threshold_{when}", threshold], "note": one.get("note", "")})  # fmt: skip
+            planned.append({**moving, "row": row, "quantity": f"threshold {when}", "unit": "s", "stated": [one[when]],
+                            "measure": ["time_of", edge], "grids": [one["ramps"]], "late": _LATE,
+                            "why": f"at {one[when]} s the condition number is {{:.3g}} here",
+                            "of": ["condition_at", at]})  # fmt: skip
+            planned.append({**moving, **stated["forces"][edge], "row": row, "unit": "N", "stated": one[forces],
+                            "grids": [one["ramps"], "ramp_starts"] if edge == "entry" else ["returns"]})  # fmt: skip
+        motions.append({**parked, "quantity": f"threshold {threshold}: forces", "unit": "N",
+                        "stated": [float(force) for force in one["falling"]],
+                        "measure": ["parked_forces", threshold, _RAMP_DOWN], "note": stated["forces"]["note"]})  # fmt: skip
+    return {**stated, "motions": motions, "planned": [*planned, *stated["planned"]], "rows": rows | stated["rows"]}
 
 
 # --- the rule ------------------------------------------------------------------------------------------------------
