@@ -49,8 +49,8 @@ def thesis() -> Mapping[str, Any]:
             planned.append({**moving, **stated["forces"][edge], "row": row, "unit": "N", "stated": one[forces],
                             "grids": [one["ramps"], "ramp_starts"] if edge == "entry" else ["returns"]})  # fmt: skip
         motions.append({**parked, "quantity": f"threshold {threshold}: forces", "unit": "N",
-                        "stated": [float(force) for force in one["falling"]],
-                        "measure": ["parked_forces", threshold, _RAMP_DOWN], "note": stated["forces"]["note"]})  # fmt: skip
+                        "stated": [float(force) for force in one["falling"]], "note": stated["forces"]["note"],
+                        "measure": ["parked_forces", threshold, _RAMP_DOWN]})  # fmt: skip
     return {**stated, "motions": motions, "planned": [*planned, *stated["planned"]], "rows": rows | stated["rows"]}
 
 
