@@ -51,6 +51,7 @@ def thesis() -> Mapping[str, Any]:
         motions.append({**parked, "quantity": f"threshold {threshold}: forces", "unit": "N",
                         "stated": [float(force) for force in one["falling"]], "note": stated["forces"]["note"],
                         "measure": ["parked_forces", threshold, _RAMP_DOWN]})  # fmt: skip
+    motions.sort(key=lambda entry: list(BY_NAME).index(entry["case"]))
     return {**stated, "motions": motions, "planned": [*planned, *stated["planned"]], "rows": rows | stated["rows"]}
 
 
