@@ -101,15 +101,13 @@ def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> 
     outcome = plans.outcome(case)
     saved = method not in (NONE, cases.PARKED, STEPWISE, cases.STEPWISE_HALF)
     record = {"task": task.name, "way": method, "unit": task.unit, "file": f"beyond-{case.name}" if saved else ""}
+    shown = measures.numbers(outcome)
     if isinstance(outcome, InfeasiblePlanError):
         singular = outcome.details.get("constraint") == "singular_pose"
         missing = outcome.details.get("amount", math.nan) if singular else math.nan
-        nothing = dict.fromkeys(("peak", "dense_peak", "worst", "before", "reversals", "rms", "carrier_force",
-                                 "main_energy", "carrier_energy", "energy", "position", "speed", "acceleration",
-                                 "track", "speed_limit", "acceleration_limit"), math.nan)  # fmt: skip
-        return {**record, **nothing, "file": "", "status": INFEASIBLE, "exists": False, "sound": False, "broken": "",
-                "solver": "", "why": outcome.message, "missing": missing}  # fmt: skip
-    between, shown = float(outcome.peak_effort.max()), measures.numbers(outcome)
+        return {**record, **shown, "dense_peak": math.nan, "worst": math.nan, "file": "", "exists": False,
+                "sound": False, "why": outcome.message, "missing": missing}  # fmt: skip
+    between = float(outcome.peak_effort.max())
     return {**record, **shown, "dense_peak": between, "worst": max(shown["peak"], between), "exists": True,
             "sound": outcome.status is ResultStatus.OK, "why": "", "missing": math.nan}  # fmt: skip
 
@@ -304,13 +302,10 @@ def trade_record(plans: Plans, task: Case, extent: Extent) -> Record:
 
 
 def _trade_point(ratio: float, weight: float, outcome: Plan | InfeasiblePlanError) -> Record:
-    nothing = dict.fromkeys(("rms_effort", "rms_acceleration", "peak"), math.nan)
-    point = {"ratio": ratio, "weight": weight, **nothing}
-    if isinstance(outcome, InfeasiblePlanError):
-        return {**point, "status": INFEASIBLE}
-    shown, acceleration = measures.numbers(outcome), measures.rms_acceleration(outcome)
-    return {**point, "rms_effort": shown["rms"], "rms_acceleration": acceleration, "peak": shown["peak"],
-            "status": shown["status"]}  # fmt: skip
+    shown = measures.numbers(outcome)
+    acceleration = measures.rms_acceleration(outcome) if isinstance(outcome, Plan) else math.nan
+    return {"ratio": ratio, "weight": weight, "rms_effort": shown["rms"], "rms_acceleration": acceleration,
+            "peak": shown["peak"], "status": shown["status"]}  # fmt: skip
 
 
 def rises(values: Sequence[float]) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -162,36 +161,25 @@ def forces(results: Results, case: Case) -> Figure:
     until = series(plan.robot.actuated, plan.t[before], plan.tau[before])
     part = Panel("force τ [N], until\nswitched on", until, height=1.2)
     panels = (plots.main_panel(drawn), part, plots.singularity_panel(drawn))
-    return plot_time_panels(f"{_off(case)}: main actuators", panels, plan=plan, instants=drawn.instants)
+    return plot_time_panels(f"{_planned(case)}: main actuators", panels, plan=plan, instants=drawn.instants)
 
 
 def carriers(results: Results, case: Case) -> Figure:
-    """Draw position, speed and acceleration of the carriers of a crossing."""
-    return plots.carriers(replace(curves_of_plan(results.plans.plan(case)), title=f"{_off(case)}: carriers"))
+    """Draw position, speed and acceleration of the carriers."""
+    drawn = curves_of_plan(results.plans.plan(case))
+    return plots.carriers(replace(drawn, title=f"{_planned(case)}: carriers"))
 
 
 def torques(results: Results, case: Case) -> Figure:
     """Draw each base torque of a stepwise plan, of the machine without carriers, and with parked ones."""
     three = {"no carriers": without_carriers(case), "carriers parked": cases.parked(case), "carriers moving": case}
     plans = {name: results.plans.plan(one) for name, one in three.items()}
-    return plots.comparison(plans, title=f"{_stepwise(case)}: base torques")
+    return plots.comparison(plans, title=f"{_planned(case)}: base torques")
 
 
-def _carriers_of(quantity: str, place: int, results: Results, case: Case) -> Figure:
-    plan = results.plans.plan(case)
-    panel = replace(plots.carrier_panels(curves_of_plan(plan))[place], height=2.4)
-    return plot_time_panels(f"{_stepwise(case)}: {quantity} of the carriers", [panel], plan=plan)
-
-
-positions = functools.partial(_carriers_of, "position", 0)
-accelerations = functools.partial(_carriers_of, "acceleration", 2)
-
-
-def _off(case: Case) -> str:
-    return f"{case.title}, off above condition number {case.option('threshold'):g}"
-
-
-def _stepwise(case: Case) -> str:
+def _planned(case: Case) -> str:
+    if case.planner == "switch_off":
+        return f"{case.title}, off above condition number {case.option('threshold'):g}"
     return f"{case.title}, λ = {case.option('lam'):g}, working mode (+,+,+)"
 
 
@@ -206,11 +194,11 @@ THESIS: tuple[tuple[str, Draw, tuple[Case, ...]], ...] = (
     ("3.21", forces, (_L2,)), ("3.22", forces, (_L15,)),
     ("4.2", paths, (_WIDE, _SHARP)), ("4.3", profile, (_WIDE,)), ("4.4", profile, (_SHARP,)),
     ("4.5", paths, (_SQUARE,)), ("4.6", displacement, (_SQUARE,)), ("4.7", profile, (_SQUARE,)),
-    ("4.8", torques, (_WIDE,)), ("4.9", accelerations, (_WIDE,)), ("4.10", torques, (_SHARP,)),
-    ("4.11", accelerations, (_SHARP,)),
-    ("4.12", torques, (_WIDE_HALF,)), ("4.13", positions, (_WIDE_HALF,)), ("4.14", accelerations, (_WIDE_HALF,)),
-    ("4.15", torques, (_SQUARE_HALF,)), ("4.16", accelerations, (_SQUARE_HALF,)), ("4.17", torques, (_SQUARE,)),
-    ("4.18", accelerations, (_SQUARE,)),
+    ("4.8", torques, (_WIDE,)), ("4.9", carriers, (_WIDE,)), ("4.10", torques, (_SHARP,)),
+    ("4.11", carriers, (_SHARP,)),
+    ("4.12", torques, (_WIDE_HALF,)), ("4.13", carriers, (_WIDE_HALF,)), ("4.14", carriers, (_WIDE_HALF,)),
+    ("4.15", torques, (_SQUARE_HALF,)), ("4.16", carriers, (_SQUARE_HALF,)), ("4.17", torques, (_SQUARE,)),
+    ("4.18", carriers, (_SQUARE,)),
 )  # fmt: skip
 """Number in the thesis, what is drawn, of which cases. Its 3.1 to 3.5 and 4.1 are flow charts and sketches."""
 
@@ -222,8 +210,6 @@ _CAPTIONS: dict[Draw, str] = {
     forces: "Forces of the main actuators (positive: push; opposite in the thesis) and condition number.",
     carriers: "Position, speed and acceleration of the carriers with their limits.",
     torques: "Base torques beside the machine without carriers and with parked ones.",
-    positions: "Positions of the carriers with their limits.",
-    accelerations: "Accelerations of the carriers with their limits.",
 }
 
 

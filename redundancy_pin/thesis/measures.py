@@ -13,13 +13,13 @@ from redundancy_pin.arrays import Array, BoolArray, largest, runs
 from redundancy_pin.dynamics.backends import BACKENDS, RNEA, VIRTUAL_WORK
 from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.dynamics.results import ReducedDynamics
-from redundancy_pin.errors import CrossCheckError
+from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.limits import worst_events
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
-from redundancy_pin.status import SampleStatus
+from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.thesis.case import Case
 from redundancy_pin.thesis.table import Record, data
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
@@ -360,13 +360,19 @@ def limits_met(plan: Plan) -> str:
 # --- plans in numbers ----------------------------------------------------------------------------------------------
 
 
-def numbers(plan: Plan) -> dict[str, Any]:
-    """Return a plan in numbers: efforts, energies, carriers against their limits.
+NUMBERS = ("peak", "before", "reversals", "rms", "carrier_force", "main_energy", "carrier_energy", "energy", "position",
+           "speed", "acceleration", "track", "speed_limit", "acceleration_limit")  # fmt: skip
+
+
+def numbers(plan: Plan | InfeasiblePlanError) -> dict[str, Any]:
+    """Return a plan in numbers: efforts, energies, carriers against their limits; all NaN without a plan.
 
     ``before`` is the largest |τ| before the motors are off, NaN if a plan does not switch off; ``rms`` is of the norm
     of τ; energies are ∫ Σ |power| dt, J, what motors that recover nothing would draw; ``position``, ``speed`` and
     ``acceleration`` are the largest of any carrier; ``track``, ``speed_limit``, ``acceleration_limit`` their limits.
     """
+    if isinstance(plan, InfeasiblePlanError):
+        return {**dict.fromkeys(NUMBERS, math.nan), "status": ResultStatus.INFEASIBLE.value, "broken": "", "solver": ""}
     off = plan.phase == plan.phases.index("off") if plan.planner == "switch_off" else np.zeros(1, dtype=bool)
     carriers, limits = plan.carriers, plan.limits.judged_by
     return {
