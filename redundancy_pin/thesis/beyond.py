@@ -309,5 +309,5 @@ def _trade_point(ratio: float, weight: float, outcome: Plan | InfeasiblePlanErro
 
 
 def rises(values: Sequence[float]) -> bool:
-    """Return whether values rise, up to rounding."""
+    """Return whether values rise, within ``ORDERED``."""
     return all(after >= before * (1.0 - ORDERED) for before, after in pairwise(values))

@@ -197,7 +197,7 @@ def call_of(case: Case, backend: str | None = None) -> Call:
 
 
 def plan_or_error(case: Case, backend: str) -> Plan | InfeasiblePlanError:
-    """Return the plan of a case, or the error if there is none."""
+    """Return the plan of a case, or the error without one."""
     try:
         return case.plan(backend)
     except InfeasiblePlanError as error:

@@ -316,7 +316,7 @@ class Extent:
         samples: random states of each robot in the cross-check before the job.
         figures: whether all figures are drawn, or only those on the first page of the report.
         parity: plans of the thesis that both backends make.
-        modes: working modes of the 3-RRR to compare; the first is that of the figures.
+        modes: working modes of the 3-RRR to compare; the figures show the first one.
         whole_grids: whether to vary what the thesis leaves unstated over whole grids, or only at their ends.
         coarser: factor on the largest step between nodes of every whole-trajectory plan.
         tolerance: width of the bracket of the fastest motion, as a fraction of the speed.

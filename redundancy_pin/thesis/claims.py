@@ -280,7 +280,7 @@ def _turn(name: str, task: Case, group: Mapping[str, Record], modes: Sequence[Re
 
 
 def _cost(compared: Sequence[tuple[Record, Record]]) -> Record:
-    """Compare the energies of plans with those of the machine without carriers."""
+    """Compare energies of plans with the machine without carriers."""
     compared = [pair for pair in compared if pair[0]["exists"]]
     if not compared:
         return not_run("cost")

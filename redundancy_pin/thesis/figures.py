@@ -376,7 +376,7 @@ PICTURES: Mapping[str, Callable[[Results], Iterator[Picture]]] = {
 
 
 def pictures(results: Results) -> dict[str, list[Picture]]:
-    """Return all figures of what was run, by chapter; of a small extent only those of the first page."""
+    """Return all figures of what was run, by chapter; a small extent has only the figures of the first page."""
     return {
         name: [picture for picture in made(results) if results.extent.figures or picture.stem in IN_FRONT]
         for name, made in PICTURES.items()

@@ -68,7 +68,7 @@ def interval(printed: str) -> tuple[float, float]:
 
 
 def excess(printed: str, low: float, high: float) -> float:
-    """Return how far a stated number is beyond a range of ours, 0 inside; infinite if there is no such number."""
+    """Return how far a stated number is beyond a range of ours, 0 inside; infinite if our number is NaN."""
     bottom, top = interval(printed)
     return math.inf if math.isnan(low) else max(0.0, low - top, bottom - high)
 
@@ -130,7 +130,7 @@ class ParameterGrid:
 
     @property
     def parameter(self) -> str:
-        """Names of what is varied."""
+        """Names of the parameters."""
         return " and ".join(_PARAMETERS[name][0] for name in self.values)
 
     @property
