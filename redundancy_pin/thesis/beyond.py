@@ -12,10 +12,10 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.thesis import cases, measures
-from redundancy_pin.thesis.case import Call, Case, Mode, Plans, call_of
+from redundancy_pin.thesis.case import Call, Case, Mode, Plans, call_of, plan_or_error
 from redundancy_pin.thesis.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OFF, TASKS, Extent, by_method
 from redundancy_pin.thesis.claims import BETWEEN, SAME_PLAN, by_task, findings, peak_text
-from redundancy_pin.thesis.planned import Chapter, Progress, compare_backends
+from redundancy_pin.thesis.planned import Chapter, compare_backends
 from redundancy_pin.thesis.table import Record, Table, table
 
 INFEASIBLE = ResultStatus.INFEASIBLE.value
@@ -49,14 +49,15 @@ MODE_METHODS = (NONE, cases.PARKED, STEPWISE, cases.STEPWISE_HALF, EFFORT, PEAK,
 
 
 def calls(extent: Extent) -> list[Call]:
-    """Return the calls that make races and plans of the chapter, except those whose weights depend on a plan."""
+    """Return the calls that make races, trade-offs and plans of the chapter."""
     races = [(f"as fast as the limits allow: {race.task.name}", run_race, race, extent) for race in extent.races]
+    trades = [(f"trade-off: {task.name}", trade_record, task, extent) for task in cases.TRADED]
     first = [by_method(task, method, extent.coarser) for task in TASKS for method in cases.methods(task)]
     moded = [replace(task, working_mode=mode) for task in cases.TURNS[:2] for mode in extent.modes]
     first += [by_method(task, method, extent.coarser) for task in moded for method in MODE_METHODS]
     second = [call_of(case, backend) for case in _compared(extent) for backend in case.backends[1:]]
     # a race takes as long as a hundred plans: it begins before them, so that no process waits for it in the end
-    return [*races, *map(call_of, (*first, *_started(extent))), *second]
+    return [*races, *trades, *map(call_of, (*first, *_started(extent))), *second]
 
 
 def _compared(extent: Extent) -> list[Case]:
@@ -74,10 +75,8 @@ def _started(extent: Extent) -> list[Case]:
     ]
 
 
-def run_beyond(plans: Plans, extent: Extent, progress: Progress) -> Chapter:
+def run_beyond(plans: Plans, extent: Extent) -> Chapter:
     """Return the records of the chapter."""
-    weighted = [call_of(case) for task in cases.TRADED for _, _, case in weights(plans, task, extent)]
-    plans.prepare(weighted, extent.jobs, progress)
     records = [plan_record(plans, task, method, extent.coarser) for task in TASKS for method in cases.methods(task)]
     chapter = {
         "plans": records,
@@ -86,7 +85,7 @@ def run_beyond(plans: Plans, extent: Extent, progress: Progress) -> Chapter:
         "working_modes": mode_records(plans, extent.modes, extent.coarser),
         "backends": [backend_record(plans, case) for case in _compared(extent)],
         "first_guesses": [starts_record(plans, case) for case in _started(extent)],
-        "trade_off": [trade_record(plans, task, extent) for task in cases.TRADED],
+        "trade_off": [plans.result("", trade_record, task, extent) for task in cases.TRADED],
     }
     return chapter | {"findings": findings(chapter)}
 
@@ -277,23 +276,19 @@ def starts_record(plans: Plans, case: Case) -> Record:
             "parked_is_best": bool(reached) and costs[0] <= best * (1.0 + SAME_COST)}  # fmt: skip
 
 
-def weights(plans: Plans, task: Case, extent: Extent) -> list[tuple[float, float, Case]]:
-    """Return weights of the carriers' acceleration against the effort, each with its case.
+def trade_record(task: Case, extent: Extent) -> Record:
+    """Return effort against the carriers' acceleration: what each weight between the two leads to.
 
-    The first of each is over the weight at which both parts of the cost are the same for the plan of least effort.
+    A weight is ``ratio`` times the one at which both parts of the cost are the same for the plan of least effort.
     """
     case = by_method(task, EFFORT, extent.coarser)
-    least = plans.plan(case)
+    least = case.plan()
     effort: Mapping[str, Any] = least.diagnostics["objective"]  # type: ignore[assignment]
     equal = float(effort["effort"]) / measures.square_integral(least)
-    aims = [(ratio, ratio * equal, (("carrier_acceleration", ratio * equal),)) for ratio in extent.ratios]
-    return [(ratio, weight, case.with_options(objective=(("effort", 1.0), *aim))) for ratio, weight, aim in aims]
-
-
-def trade_record(plans: Plans, task: Case, extent: Extent) -> Record:
-    """Return effort against the carriers' acceleration: what each weight between the two leads to."""
-    points = [_trade_point(0.0, 0.0, plans.plan(by_method(task, EFFORT, extent.coarser)))]
-    points += [_trade_point(ratio, weight, plans.outcome(case)) for ratio, weight, case in weights(plans, task, extent)]
+    points = [_trade_point(0.0, 0.0, least)]
+    for ratio in extent.ratios:
+        weighted = case.with_options(objective=(("effort", 1.0), ("carrier_acceleration", ratio * equal)))
+        points.append(_trade_point(ratio, ratio * equal, plan_or_error(weighted, case.backends[0])))
     planned = [point for point in points if point["status"] != INFEASIBLE]
     efforts, accelerations = ([point[key] for point in planned] for key in ("rms_effort", "rms_acceleration"))
     # between global optima effort rises and acceleration falls with the weight

@@ -24,9 +24,6 @@ from redundancy_pin.thesis.table import Record, mode_text, text
 Chapter = dict[str, Any]
 """Records of the tables of a chapter, by name."""
 
-Progress = Callable[[str], None]
-"""Called with the name of each finished part."""
-
 PLAN_TOLERANCE = 1e-8
 """Largest relative difference of two plans: rounding changes the steps of the integrator of the carriers."""
 
@@ -44,7 +41,7 @@ def calls(extent: Extent) -> list[Call]:
     return both + [call_of(case) for case in (*CROSSINGS, *CORNERS, *first, *others, cases.HEAVY_CROSSING)]
 
 
-def run_planned(plans: Plans, extent: Extent, progress: Progress) -> Chapter:
+def run_planned(plans: Plans, extent: Extent) -> Chapter:
     """Return the records of the chapter."""
     modes, rows = working_modes(plans, extent.modes), list(thesis()["rows"])
     judged = [*judge_all(plans, extent), *modes.pop("judged")]
@@ -60,7 +57,6 @@ def run_planned(plans: Plans, extent: Extent, progress: Progress) -> Chapter:
         "fair_comparison": machine_records(plans, extent.modes),
         "sensitivity": sensitivity(plans, extent),
     }
-    progress("verdicts on the thesis")
     return chapter | {"conclusions": conclusions(chapter)}
 
 

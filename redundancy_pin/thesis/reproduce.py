@@ -33,9 +33,9 @@ from redundancy_pin.io.json_data import json_data
 from redundancy_pin.parallel import parallel
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_of_record
-from redundancy_pin.simulation.replay import Drive, Replay, replay
+from redundancy_pin.simulation.replay import Replay, replay
 from redundancy_pin.thesis import beyond, cases, future, planned
-from redundancy_pin.thesis.case import Call, Plans, call_of
+from redundancy_pin.thesis.case import Call, Plans, plan_or_error
 from redundancy_pin.thesis.claims import environment
 from redundancy_pin.thesis.figures import IN_FRONT, Results, pictures
 from redundancy_pin.thesis.measures import CSV_DIGITS, MotionRun, run
@@ -108,7 +108,7 @@ def reproduce(
     """
     require_replaceable(folder)
     todo, notify = calls(extent), progress or (lambda *_: None)
-    files = len(extent.motions) + len(extent.replayed) + (70 if extent.figures else 2)  # about
+    files = len(extent.motions) + 30 * ("beyond" in extent.chapters) + (70 if extent.figures else 2)  # about
     total, steps = _CROSS_CHECK_STEPS + len({call[1:] for call in todo}) + files, count(_CROSS_CHECK_STEPS + 1)
 
     def checked(done: int, states: int) -> None:
@@ -150,32 +150,44 @@ def require_agreement(
 
 
 def calls(extent: cases.Extent) -> list[Call]:
-    """Return the calls that make motions, plans and rows of all chapters, long ones first."""
-    replays = [call_of(replayed.case(extent.coarser)) for replayed in extent.replayed]
-    chapters = {"beyond": beyond.calls(extent), "future": future.calls(extent), "replay": replays,
+    """Return the calls that make motions, plans, replays and rows of all chapters, long ones first."""
+    replays = [(f"replay: {one.name}", run_replays, one, extent.coarser) for one in extent.replayed]
+    motions = [(case.name, run, case) for case in extent.motions]
+    chapters = {"beyond": beyond.calls(extent), "replay": replays, "motions": motions, "future": future.calls(extent),
                 "planned": planned.calls(extent)}  # fmt: skip
-    chosen = [call for name, needed in chapters.items() if name in extent.chapters for call in needed]
-    return [*chosen, *((case.name, run, case) for case in extent.motions)]
+    return [call for name, needed in chapters.items() if name in ("motions", *extent.chapters) for call in needed]
 
 
 def compute(extent: cases.Extent, check: CrossCheckReport, todo: Sequence[Call], notify: Notify) -> Results:
     """Make all calls, and the records of the chapters from their results."""
     plans = Plans()
     plans.prepare(todo, extent.jobs, notify)
-    runs = [plans.result("", run, case) for case in extent.motions]
+    runs = tuple(plans.result("", run, case) for case in extent.motions)
     replays: list[Replay] = []
     chapters: dict[str, dict[str, Any]] = {}
-    if "planned" in extent.chapters:
-        chapters["planned"] = planned.run_planned(plans, extent, notify)
-    if "beyond" in extent.chapters:
-        chapters["beyond"] = beyond.run_beyond(plans, extent, notify)
-    if "future" in extent.chapters:
-        chapters["future"] = future.run_future(plans, extent)
+    for name, chapter in (
+        ("planned", planned.run_planned),
+        ("beyond", beyond.run_beyond),
+        ("future", future.run_future),
+    ):
+        if name in extent.chapters:
+            chapters[name] = chapter(plans, extent)
     if "replay" in extent.chapters:
-        replays, missing = run_replays(plans, extent, notify)
+        outcomes = {one.name: plans.result("", run_replays, one, extent.coarser) for one in extent.replayed}
+        missing = {name: outcome for name, outcome in outcomes.items() if isinstance(outcome, str)}
+        replays = [one for name, outcome in outcomes.items() if name not in missing for one in outcome]
         records = [{key: value for key, value in asdict(one).items() if key not in ("t", "error")} for one in replays]
         chapters["replay"] = {"replays": records, "without_plan": missing}
-    return Results(extent, check, tuple(runs), tuple(compare_motions(runs)), chapters, plans, tuple(replays))
+    return Results(extent, check, runs, tuple(compare_motions(runs)), chapters, plans, tuple(replays))
+
+
+def run_replays(replayed: cases.Replayed, coarser: float) -> list[Replay] | str:
+    """Replay a plan with each of its drives; return the reason if there is no plan."""
+    case, motion = replayed.case(coarser), replayed.task.trajectory()
+    outcome = plan_or_error(case, case.backends[0])
+    if isinstance(outcome, InfeasiblePlanError):
+        return str(outcome)
+    return [replay(outcome, drive, name=replayed.name, motion=motion, backend=as_dynamics) for drive in replayed.drives]
 
 
 def summary(results: Results, files: Sequence[str]) -> dict[str, Any]:
@@ -197,25 +209,6 @@ def made_with() -> dict[str, str]:
     known = [name for name in ("pin", "numpy", "scipy", "xacro", "matplotlib", "casadi") if name in installed]
     own = {"redundancy_pin": redundancy_pin.__version__, "python": platform.python_version()}
     return own | {name: importlib.metadata.version(name) for name in known}
-
-
-def run_replays(plans: Plans, extent: cases.Extent, notify: Notify) -> tuple[list[Replay], dict[str, str]]:
-    """Replay plans of all planners with each of their drives; return the replays, and why some plans do not exist."""
-    missing: dict[str, str] = {}
-    jobs: list[tuple[cases.Replayed, Plan, Drive]] = []
-    for replayed in extent.replayed:
-        outcome = plans.outcome(replayed.case(extent.coarser))
-        if isinstance(outcome, InfeasiblePlanError):
-            missing[replayed.name] = str(outcome)
-        else:
-            jobs += [(replayed, outcome, drive) for drive in replayed.drives]
-    results = list(parallel(_replay, jobs, extent.jobs, ordered=True))
-    notify("replays")
-    return results, missing
-
-
-def _replay(replayed: cases.Replayed, plan: Plan, drive: Drive) -> Replay:
-    return replay(plan, drive, name=replayed.name, motion=replayed.task.trajectory(), backend=as_dynamics)
 
 
 # --- files ---------------------------------------------------------------------------------------------------------
