@@ -1,9 +1,9 @@
-"""One case of a study: a robot, a trajectory, and who plans its carriers; and the memo that makes each plan once."""
+"""A case: a robot, a trajectory and the planner of its carriers; and the memo that makes each plan once."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
@@ -21,7 +21,6 @@ from redundancy_pin.planners.intersample_check import PlannedMotion
 from redundancy_pin.planners.options import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.registry import PLANNERS, in_groups
-from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import Trajectory
 from redundancy_pin.trajectory.continuous_motion import as_motion
@@ -35,8 +34,8 @@ Options: TypeAlias = tuple[tuple[str, Any], ...]
 """Keyword arguments as sorted pairs: cases are hashable and go to other processes."""
 
 
-Planner = Literal["none", "parked", "switch_off", "stepwise", "whole_trajectory"]
-"""What moves the carriers: none, as there are none; nothing, as they stay at s = 0; or a planner."""
+Planner = Literal["none", "parked", "switch_off", "stepwise", "whole_trajectory", "time_optimal"]
+"""What moves the carriers: "none", there are none; "parked", nothing, they stay at s = 0; or a planner."""
 
 
 def options(**values: Any) -> Options:
@@ -76,7 +75,6 @@ class Case:
         working_mode: ±1 a leg; as declared if empty.
         arguments: xacro arguments of the robot.
         dt: sampling interval, time step or largest step between nodes, s.
-        two_sided: whether a stepwise plan sees instants at which the acceleration jumps from both sides.
         title: of the motion, for tables and figures.
     """
 
@@ -89,7 +87,6 @@ class Case:
     working_mode: Mode = ()
     arguments: Options = ()
     dt: float = 1e-3
-    two_sided: bool = True
     title: str = ""
 
     @property
@@ -127,11 +124,6 @@ class Case:
         """Return its dynamics by a backend (the first of ``backends`` when left out), made once."""
         return _dynamics(backend or self.backends[0], *self._machine)
 
-    @property
-    def has_baseline(self) -> bool:
-        """Whether the robot can be loaded without carriers."""
-        return isinstance(self.load_robot().parameters.get("carriers"), bool)
-
     def trajectory(self) -> Trajectory:
         """Make the reference trajectory; InputError where ramps do not fit in."""
         return TRAJECTORIES[self.path](**dict(self.path_options))
@@ -140,33 +132,40 @@ class Case:
         """Plan the case; errors as the planners."""
         dynamics, trajectory, given = self.dynamics(backend), self.trajectory(), dict(self.options)
         if self.planner in ("none", "parked"):
-            motion, source, k = trajectory.sample(self.dt), as_motion(trajectory), dynamics.robot.k
-            parked = PiecewisePolynomial.constant(np.zeros(k), source.start, source.end)
-            return finish_plan(
-                PlannedMotion(
-                    dynamics,
-                    PlanFunctions(source, parked),
-                    dynamics.along(motion),
-                    CarrierMotion.parked(len(motion), k),
-                    Limits().resolved(dynamics.robot),
-                    "baseline" if self.planner == "none" else "parked",
-                    phases=("parked",),
-                    parameters={"dt": self.dt},
-                )
-            )
+            return self._at_rest(dynamics, trajectory)
         if self.planner == "stepwise" or given.get("lam"):
             given["baseline"] = self._baseline(backend)
         for name in ("objective", "at_most"):
             if not isinstance(given.get(name, ""), str):
                 given[name] = dict(given[name])
-        if self.planner == "stepwise":
-            motion = trajectory.sample(self.dt, two_sided=self.two_sided)
-            return plan_stepwise(dynamics, motion, **in_groups(plan_stepwise, given))
-        if self.planner == "whole_trajectory":
-            # tables state least costs and peaks, and compare them: a calm plan may cost a hundredth more
-            given = {"calm": 0.0, **given}
         planner = PLANNERS[self.planner.replace("_", "-")]
-        return planner(dynamics, trajectory, **in_groups(planner, {"dt": self.dt, **given}))
+        motion: Any = trajectory
+        if self.planner == "stepwise":
+            motion = trajectory.sample(self.dt)
+        elif self.planner == "time_optimal":
+            motion = trajectory.path
+        else:
+            given["dt"] = self.dt
+        if self.planner == "whole_trajectory":
+            given.setdefault("calm", 0.0)  # tables compare least costs and peaks: a calm plan may cost a hundredth more
+        return planner(dynamics, motion, **in_groups(planner, given))
+
+    def _at_rest(self, dynamics: Dynamics, trajectory: Trajectory) -> Plan:
+        """Return the plan of carriers parked at s = 0, or of a machine without carriers."""
+        motion, source, k = trajectory.sample(self.dt), as_motion(trajectory), dynamics.robot.k
+        parked = PiecewisePolynomial.constant(np.zeros(k), source.start, source.end)
+        return finish_plan(
+            PlannedMotion(
+                dynamics,
+                PlanFunctions(source, parked),
+                dynamics.along(motion),
+                CarrierMotion.parked(len(motion), k),
+                Limits().resolved(dynamics.robot),
+                "baseline" if self.planner == "none" else "parked",
+                phases=("parked",),
+                parameters={"dt": self.dt},
+            )
+        )
 
     def as_dict(self) -> dict[str, object]:
         """Return the configuration as plain data, for JSON."""
@@ -175,7 +174,10 @@ class Case:
                 "options": dict(self.options), "dt": self.dt}  # fmt: skip
 
     def _baseline(self, backend: str | None) -> Dynamics | None:
-        return replace(self, planner="none").dynamics(backend) if self.has_baseline else None
+        """Return the dynamics of the machine without carriers, if the robot can be loaded so."""
+        if isinstance(self.load_robot().parameters.get("carriers"), bool):
+            return replace(self, planner="none").dynamics(backend)
+        return None
 
     @property
     def _machine(self) -> tuple[str, Mode, Options]:
@@ -185,67 +187,56 @@ class Case:
         return self.robot, self.working_mode, arguments
 
 
-@dataclass
-class Plans:
-    """Plans made on demand and kept: chapters, figures and tables share them.
-
-    Cases that differ in name or title alone share a plan.
-    """
-
-    _kept: dict[tuple[Case, str], Plan | InfeasiblePlanError] = field(default_factory=dict)
-
-    def outcome(self, case: Case, backend: str | None = None) -> Plan | InfeasiblePlanError:
-        """Return the plan of a case, or the error without one; by the first backend of the case when left out."""
-        by = backend or case.backends[0]
-        key = (replace(case, name="", title=""), by)
-        if key not in self._kept:
-            self._kept[key] = _outcome(case, by)
-        return self._kept[key]
-
-    def prepare(
-        self,
-        cases: Sequence[tuple[Case, str]],
-        jobs: int = -1,
-        progress: Callable[[str], None] = lambda _: None,
-        *,
-        first: Sequence[tuple[Any, ...]] = (),
-    ) -> list[Any]:
-        """Plan cases by backends in several processes (-1: all cores), and call ``progress`` with the name of each.
-
-        ``first`` are functions with their arguments, called before the plans in the same processes: the longest tasks.
-        Returns their results.
-        """
-        keys = {(replace(case, name="", title=""), backend): case.name for case, backend in cases}
-        missing = [key for key in keys if key not in self._kept]
-        calls = [*first, *((_outcome, *key) for key in missing)]
-        results = parallel(_called, calls, jobs, ordered=True)
-        others = [next(results) for _ in first]
-        for key, outcome in zip(missing, results, strict=True):
-            self._kept[key] = outcome
-            progress(keys[key])
-        for _ in range(len(cases) - len(missing)):
-            progress("plans that were there already")
-        return others
-
-    def plan(self, case: Case, backend: str | None = None) -> Plan:
-        """Return the plan of a case; InfeasiblePlanError without one."""
-        result = self.outcome(case, backend)
-        if isinstance(result, InfeasiblePlanError):
-            raise result
-        return result
-
-    def existing(self, cases: Sequence[Case]) -> list[tuple[Case, Plan]]:
-        """Return the cases that have a plan, with it."""
-        pairs = [(case, self.outcome(case)) for case in cases]
-        return [(case, result) for case, result in pairs if isinstance(result, Plan)]
+Call: TypeAlias = tuple[Any, ...]
+"""A label for the progress, a function of a module, and its arguments, which are hashable."""
 
 
-def _called(function: Callable[..., Any], *given: Any) -> Any:
-    return function(*given)
+def call_of(case: Case, backend: str | None = None) -> Call:
+    """Return the call that plans a case, by its first backend when left out; name and title do not matter."""
+    return (case.name, plan_or_error, replace(case, name="", title=""), backend or case.backends[0])
 
 
-def _outcome(case: Case, backend: str) -> Plan | InfeasiblePlanError:
+def plan_or_error(case: Case, backend: str) -> Plan | InfeasiblePlanError:
+    """Return the plan of a case, or the error without one."""
     try:
         return case.plan(backend)
     except InfeasiblePlanError as error:
         return error
+
+
+@dataclass
+class Plans:
+    """Results of calls, kept: chapters, figures and tables share the plans."""
+
+    _kept: dict[Call, Any] = field(default_factory=dict)
+
+    def result(self, _: str, *call: Any) -> Any:
+        """Return the result of a call, made on demand."""
+        if call not in self._kept:
+            function, *arguments = call
+            self._kept[call] = function(*arguments)
+        return self._kept[call]
+
+    def prepare(self, calls: Iterable[Call], jobs: int = -1, progress: Callable[[str], None] = lambda _: None) -> None:
+        """Make calls in several processes (-1: all cores), in their order; ``progress`` gets the label of each."""
+        labels = {call[1:]: call[0] for call in calls}
+        missing = [call for call in labels if call not in self._kept]
+        for index, result in parallel(_numbered, [(i, *call) for i, call in enumerate(missing)], jobs):
+            self._kept[missing[index]] = result
+            progress(labels[missing[index]])
+
+    def outcome(self, case: Case, backend: str | None = None) -> Plan | InfeasiblePlanError:
+        """Return the plan of a case, or the error without one; by the first backend of the case when left out."""
+        outcome: Plan | InfeasiblePlanError = self.result(*call_of(case, backend))
+        return outcome
+
+    def plan(self, case: Case, backend: str | None = None) -> Plan:
+        """Return the plan of a case; InfeasiblePlanError without one."""
+        outcome = self.outcome(case, backend)
+        if isinstance(outcome, InfeasiblePlanError):
+            raise outcome
+        return outcome
+
+
+def _numbered(index: int, function: Callable[..., Any], *arguments: Any) -> tuple[int, Any]:
+    return index, function(*arguments)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import NamedTuple
 
 from redundancy_pin.simulation.replay import DRIVES, Drive
 from redundancy_pin.thesis.case import Case, Mode, options
@@ -108,28 +109,15 @@ CORNERS: tuple[Case, ...] = (
 HEAVY_CROSSING = replace(CROSSINGS[0], name="circle-0.5-heavy", arguments=options(end_effector_mass=0.5))
 """The method tried with an end-effector of the mass, kg, of the 3-RRR's platform."""
 
-MODE_CASES: Mapping[str, Case] = {
-    "wide": CORNERS[0],
-    "wide half": CORNERS[1],
-    "sharp": CORNERS[2],
-    "sharp half": CORNERS[3],
-    "sharp 12": replace(CORNERS[2].with_options(acceleration=12.0), name="corner-r0.013-lam0-a12"),
-    "square half": CORNERS[4],
-    "square": CORNERS[5],
-    "square 1.2": replace(CORNERS[5].with_options(speed=1.2), name="square-lam0-v1.2"),
-}
+MODE_CASES: tuple[Case, ...] = (
+    *CORNERS[:4],
+    replace(CORNERS[2].with_options(acceleration=12.0), name="corner-r0.013-lam0-a12"),
+    *CORNERS[4:],
+    replace(CORNERS[5].with_options(speed=1.2), name="square-lam0-v1.2"),
+)
 """Stepwise plans that are made in every working mode; the thesis raises the limits in two of them."""
 
 BY_NAME: Mapping[str, Case] = {case.name: case for case in (*MOTIONS, *CROSSINGS, *CORNERS)}
-
-
-def thresholds(motion: Case) -> tuple[float, ...]:
-    """Return the condition numbers at which the thesis switches off along a motion."""
-    return tuple(
-        float(case.option("threshold"))
-        for case in CROSSINGS
-        if (case.path, case.path_options) == (motion.path, motion.path_options)
-    )
 
 
 def without_carriers(case: Case) -> Case:
@@ -182,9 +170,7 @@ _WITH_MASSES = "2-RPR with masses (end-effector 0.5 kg, cylinders 0.3 kg)"
 
 
 def _cross(name: str, motion: Case, threshold: float = 5.0, ramp_down: float = 0.03) -> Case:
-    if (
-        motion.path == "circle"
-    ):  # the 3-4-5 shape of the ramps, not the thesis's overshooting one: v T / 2 with T = 0.2 s
+    if motion.path == "circle":  # ramps of the 3-4-5 shape, not the thesis's overshooting one: v T / 2 with T = 0.2 s
         motion = motion.with_path(ramp_time=0.2, ramp_length=0.1 * motion.option("speed"))
     return _switching_off(name, motion, threshold=threshold, ramp_down=ramp_down)
 
@@ -272,9 +258,8 @@ _MASSLESS: tuple[Drive, ...] = ("open loop", "carriers by motion")
 _LIGHT, _HEAVY, _FIVE_BAR = SINGULAR[0], SINGULAR[2], SINGULAR[5]
 
 
-@dataclass(frozen=True)
-class Replayed:
-    """A plan that is replayed, and by which drives."""
+class Replayed(NamedTuple):
+    """A task by a method, and the drives that replay its plan."""
 
     task: Case
     method: str
@@ -286,7 +271,7 @@ class Replayed:
         return f"{self.task.name}, {self.method}"
 
     def case(self, coarser: float) -> Case:
-        """Return the plan's case."""
+        """Return the case whose plan is replayed."""
         planned = by_method(self.task, self.method, coarser)
         return replace(planned, dt=SPARSE) if self.method == SWITCH_OFF else planned
 
@@ -300,11 +285,10 @@ REPLAYED: tuple[Replayed, ...] = (
 )
 
 
-@dataclass(frozen=True)
-class Race:
-    """A motion, at a speed that has a plan, whose fastest is bracketed.
+class Race(NamedTuple):
+    """A motion whose greatest speed is bracketed, from a speed that has a plan.
 
-    Main forces of one that is ``capped`` are limited to what switching off needs until the motors are off.
+    Main forces of a ``capped`` one are limited to what switching off needs until the motors are off.
     """
 
     task: Case
@@ -332,7 +316,7 @@ class Extent:
         samples: random states of each robot in the cross-check before the job.
         figures: whether all figures are drawn, or only those on the first page of the report.
         parity: plans of the thesis that both backends make.
-        modes: working modes of the 3-RRR to compare; the first is that of the figures.
+        modes: working modes of the 3-RRR to compare; the figures show the first one.
         whole_grids: whether to vary what the thesis leaves unstated over whole grids, or only at their ends.
         coarser: factor on the largest step between nodes of every whole-trajectory plan.
         tolerance: width of the bracket of the fastest motion, as a fraction of the speed.

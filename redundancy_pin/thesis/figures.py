@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from redundancy_pin.arrays import Array
 from redundancy_pin.crosscheck import CrossCheckReport
 from redundancy_pin.dynamics.backends import RNEA
-from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.replay import Replay
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.thesis import cases, future
@@ -24,8 +19,8 @@ from redundancy_pin.thesis.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OFF
 from redundancy_pin.thesis.measures import MotionRun, rms_acceleration, window
 from redundancy_pin.thesis.table import Record, mode_text
 from redundancy_pin.visualisation.figures import plots
-from redundancy_pin.visualisation.figures.curves import curves_of_plan
-from redundancy_pin.visualisation.figures.paths import plot_path, plot_plane_paths
+from redundancy_pin.visualisation.figures.curves import Curves, curves_of_plan
+from redundancy_pin.visualisation.figures.paths import plot_plane_paths
 from redundancy_pin.visualisation.figures.style import STROKES, figure, legend_above, log_scale
 from redundancy_pin.visualisation.figures.time_panels import (
     Background,
@@ -35,7 +30,6 @@ from redundancy_pin.visualisation.figures.time_panels import (
     plot_time_panels,
     series,
 )
-from redundancy_pin.visualisation.viewer.mechanism import base_hinges, links
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -67,8 +61,7 @@ class Results:
     replays: tuple[Replay, ...] = ()
 
 
-@dataclass(frozen=True)
-class Picture:
+class Picture(NamedTuple):
     """A figure of the results folder: stem of its files, title and caption in the report, and its function."""
 
     stem: str
@@ -85,68 +78,49 @@ class Picture:
 # --- motions without a planner -------------------------------------------------------------------------------------
 
 
-def motion_pictures(runs: Sequence[MotionRun]) -> list[Picture]:
-    """Return the figures of the motions without a planner: efforts and path of each, and cases side by side."""
-    pictures = []
-    for run in runs:
+def motion_pictures(results: Results) -> Iterator[Picture]:
+    """Give the figures of the motions without a planner: efforts and path of each, and cases side by side."""
+    for run in results.runs:
         name, title = run.case.name, f"{run.case.title}, {_carriers(run.case)}"
         caption = f"{title}: efforts. {run.statement}."
-        pictures.append(Picture(f"{name}-efforts", f"Efforts of {name}", caption, effort_figure, (run, title)))
+        yield Picture(f"{name}-efforts", f"Efforts of {name}", caption, effort_figure, (run, title))
         caption = f"{title}: mechanism, path and condition number."
-        pictures.append(Picture(f"{name}-path", f"Path of {name}", caption, path_figure, (run, title)))
-    for motion in dict.fromkeys(cases.motion_name(run.case) for run in runs):
-        same = [run for run in runs if cases.motion_name(run.case) == motion]
+        yield Picture(f"{name}-path", f"Path of {name}", caption, path_figure, (run, title))
+    for motion in dict.fromkeys(cases.motion_name(run.case) for run in results.runs):
+        same = [run for run in results.runs if cases.motion_name(run.case) == motion]
         if len(same) > 1:
             caption = f"{same[0].case.title}: efforts with parked carriers and without carriers."
-            pictures.append(
-                Picture(f"{motion}-comparison", f"Comparison of {motion}", caption, comparison_figure, (same,))
-            )
-    return pictures
+            yield Picture(f"{motion}-comparison", f"Comparison of {motion}", caption, comparison_figure, (same,))
 
 
 def effort_figure(_: Results, run: MotionRun, title: str) -> Figure:
     """Draw the efforts of a run at regular samples; tables have differences and missing forces."""
-    drawn = plots.curves(run.robot, run.reduced[RNEA], run.distribution, title=title)
-    shown, instants = np.where(drawn.regular[:, None], drawn.tau, np.nan), tuple(one.t for one in run.instants)
-    return plots.efforts(replace(drawn, tau=shown, instants=instants))
+    drawn = _curves(run, title)
+    return plots.efforts(replace(drawn, tau=np.where(drawn.regular[:, None], drawn.tau, np.nan)))
 
 
 def path_figure(_: Results, run: MotionRun, title: str) -> Figure:
     """Return the mechanism, the path and the condition number of a run."""
-    return plot_path(
-        title,
-        run.t,
-        run.motion.x[:, :2],
-        *_mechanism(run.robot, run.motion),
-        run.distribution.condition,
-        thresholds=cases.thresholds(run.case),
-        windows=run.near_singular_windows,
-        instants=[instant.t for instant in run.instants],
-        singular_points=[instant.x[:2] for instant in run.instants],
-    )
+    return plots.path(run.robot, run.motion, crossings=run.crossings, title=title)
 
 
 def comparison_figure(_: Results, runs: Sequence[MotionRun]) -> Figure:
     """Return the efforts of several runs along one motion."""
-    efforts = {_carriers(run.case): (run.t, run.distribution.tau) for run in runs}
-    names = runs[0].robot.actuated
-    return plots.plot_comparison(runs[0].case.title, names, runs[0].case.unit, efforts)
+    return plots.comparison({_carriers(run.case): _curves(run) for run in runs}, title=runs[0].case.title)
+
+
+def _curves(run: MotionRun, title: str = "") -> Curves:
+    return plots.curves(run.robot, run.reduced[RNEA], run.distribution, crossings=run.crossings, title=title)
 
 
 def _carriers(case: Case) -> str:
     return "no carriers" if case.planner == "none" else "carriers parked"
 
 
-def _mechanism(robot: Robot, motion: PlatformMotion) -> tuple[tuple[Array, ...], Array]:
-    """Return the lines and the hinges of a robot at the start of a motion, in the plane."""
-    start = inverse_kinematics(robot, motion[:1]).q[0]
-    return tuple(np.stack(ends)[:, :2] for ends in links(robot, start)), base_hinges(robot)[:, :2]
-
-
 # --- result figures of the thesis ----------------------------------------------------------------------------------
 
 
-def profile(results: Results, case: Case) -> Figure:
+def profile(_: Results, case: Case) -> Figure:
     """Draw the platform's speed and acceleration (norms)."""
     motion = case.trajectory().sample(_FINE)
     labels = {"speed |ẋ| [m/s]": motion.xd, "acceleration |ẍ| [m/s²]": motion.xdd}
@@ -157,7 +131,7 @@ def profile(results: Results, case: Case) -> Figure:
     return plot_time_panels(f"{case.title}: speed and acceleration of the platform", panels)
 
 
-def displacement(results: Results, case: Case) -> Figure:
+def displacement(_: Results, case: Case) -> Figure:
     """Draw the platform's x and y over time."""
     motion = case.trajectory().sample(_FINE)
     lines = series(("x − x(0)", "y − y(0)"), motion.t, motion.x - motion.x[0])
@@ -166,19 +140,11 @@ def displacement(results: Results, case: Case) -> Figure:
 
 
 def paths(results: Results, *several: Case) -> Figure:
-    """Draw the paths of cases; of a crossing with the mechanism at its start and the singular points."""
-    first, alone = several[0], len(several) == 1
-    lines = {
-        "path" if alone else f"radius {case.option('radius'):g} m": case.trajectory().sample(_FINE).x[:, :2]
-        for case in several
-    }
-    if not cases.crosses(first):
-        return plot_plane_paths(first.title if alone else "Corners of the 3-RRR's platform", lines)
-    trajectory = first.trajectory()
-    mechanism, hinges = _mechanism(first.load_robot(), trajectory.sample(_FINE))
-    singular = trajectory.sample_at(np.array(curves_of_plan(results.plans.plan(first)).instants)).x
-    title = f"{first.title}: path and mechanism at the start"
-    return plot_plane_paths(title, lines, mechanism=mechanism, hinges=hinges, singular=list(singular))
+    """Draw the mechanism and path of a case, with the singular points; the paths alone of several cases."""
+    if len(several) == 1:
+        return plots.path(results.plans.plan(several[0]), title=f"{several[0].title}: path and mechanism at the start")
+    lines = {f"radius {case.option('radius'):g} m": case.trajectory().sample(_FINE).x[:, :2] for case in several}
+    return plot_plane_paths("Corners of the 3-RRR's platform", lines)
 
 
 def condition(results: Results, *several: Case) -> Figure:
@@ -195,36 +161,25 @@ def forces(results: Results, case: Case) -> Figure:
     until = series(plan.robot.actuated, plan.t[before], plan.tau[before])
     part = Panel("force τ [N], until\nswitched on", until, height=1.2)
     panels = (plots.main_panel(drawn), part, plots.singularity_panel(drawn))
-    return plot_time_panels(f"{_off(case)}: main actuators", panels, plan=plan, instants=drawn.instants)
+    return plot_time_panels(f"{_planned(case)}: main actuators", panels, plan=plan, instants=drawn.instants)
 
 
 def carriers(results: Results, case: Case) -> Figure:
-    """Draw position, speed and acceleration of the carriers of a crossing."""
-    return plots.carriers(replace(curves_of_plan(results.plans.plan(case)), title=f"{_off(case)}: carriers"))
+    """Draw position, speed and acceleration of the carriers."""
+    drawn = curves_of_plan(results.plans.plan(case))
+    return plots.carriers(replace(drawn, title=f"{_planned(case)}: carriers"))
 
 
 def torques(results: Results, case: Case) -> Figure:
     """Draw each base torque of a stepwise plan, of the machine without carriers, and with parked ones."""
     three = {"no carriers": without_carriers(case), "carriers parked": cases.parked(case), "carriers moving": case}
     plans = {name: results.plans.plan(one) for name, one in three.items()}
-    return plots.comparison(plans, title=f"{_stepwise(case)}: base torques")
+    return plots.comparison(plans, title=f"{_planned(case)}: base torques")
 
 
-def _carriers_of(quantity: str, place: int, results: Results, case: Case) -> Figure:
-    plan = results.plans.plan(case)
-    panel = replace(plots.carrier_panels(curves_of_plan(plan))[place], height=2.4)
-    return plot_time_panels(f"{_stepwise(case)}: {quantity} of the carriers", [panel], plan=plan)
-
-
-positions = functools.partial(_carriers_of, "position", 0)
-accelerations = functools.partial(_carriers_of, "acceleration", 2)
-
-
-def _off(case: Case) -> str:
-    return f"{case.title}, off above condition number {case.option('threshold'):g}"
-
-
-def _stepwise(case: Case) -> str:
+def _planned(case: Case) -> str:
+    if case.planner == "switch_off":
+        return f"{case.title}, off above condition number {case.option('threshold'):g}"
     return f"{case.title}, λ = {case.option('lam'):g}, working mode (+,+,+)"
 
 
@@ -239,35 +194,31 @@ THESIS: tuple[tuple[str, Draw, tuple[Case, ...]], ...] = (
     ("3.21", forces, (_L2,)), ("3.22", forces, (_L15,)),
     ("4.2", paths, (_WIDE, _SHARP)), ("4.3", profile, (_WIDE,)), ("4.4", profile, (_SHARP,)),
     ("4.5", paths, (_SQUARE,)), ("4.6", displacement, (_SQUARE,)), ("4.7", profile, (_SQUARE,)),
-    ("4.8", torques, (_WIDE,)), ("4.9", accelerations, (_WIDE,)), ("4.10", torques, (_SHARP,)),
-    ("4.11", accelerations, (_SHARP,)),
-    ("4.12", torques, (_WIDE_HALF,)), ("4.13", positions, (_WIDE_HALF,)), ("4.14", accelerations, (_WIDE_HALF,)),
-    ("4.15", torques, (_SQUARE_HALF,)), ("4.16", accelerations, (_SQUARE_HALF,)), ("4.17", torques, (_SQUARE,)),
-    ("4.18", accelerations, (_SQUARE,)),
+    ("4.8", torques, (_WIDE,)), ("4.9", carriers, (_WIDE,)), ("4.10", torques, (_SHARP,)),
+    ("4.11", carriers, (_SHARP,)),
+    ("4.12", torques, (_WIDE_HALF,)), ("4.13", carriers, (_WIDE_HALF,)), ("4.14", carriers, (_WIDE_HALF,)),
+    ("4.15", torques, (_SQUARE_HALF,)), ("4.16", carriers, (_SQUARE_HALF,)), ("4.17", torques, (_SQUARE,)),
+    ("4.18", carriers, (_SQUARE,)),
 )  # fmt: skip
 """Number in the thesis, what is drawn, of which cases. Its 3.1 to 3.5 and 4.1 are flow charts and sketches."""
 
 _CAPTIONS: dict[Draw, str] = {
     profile: "Speed and acceleration of the platform.",
     displacement: "Displacement of the platform from its start.",
-    paths: "Path; of a crossing with the mechanism at its start and crosses where it is singular.",
+    paths: "Path; of one motion with the mechanism at its start, its singular points and the condition number.",
     condition: "Condition number with the thresholds; infinite at the dotted lines, the axis is cut at 1000.",
     forces: "Forces of the main actuators (positive: push; opposite in the thesis) and condition number.",
     carriers: "Position, speed and acceleration of the carriers with their limits.",
     torques: "Base torques beside the machine without carriers and with parked ones.",
-    positions: "Positions of the carriers with their limits.",
-    accelerations: "Accelerations of the carriers with their limits.",
 }
 
 
-def thesis_pictures() -> list[Picture]:
-    """Return the result figures of the thesis."""
-    pictures = []
+def thesis_pictures(_results: Results) -> Iterator[Picture]:
+    """Give the result figures of the thesis."""
     for number, draw, several in THESIS:
         chapter, _, count = number.partition(".")
         caption = f"{_CAPTIONS[draw]} Run: {', '.join(case.name for case in several)}."
-        pictures.append(Picture(f"figure-{chapter}-{int(count):02d}", f"Figure {number}", caption, draw, several))
-    return pictures
+        yield Picture(f"figure-{chapter}-{int(count):02d}", f"Figure {number}", caption, draw, several)
 
 
 # --- beyond the thesis ---------------------------------------------------------------------------------------------
@@ -276,23 +227,22 @@ _SHOWN = (NONE, STEPWISE, SWITCH_OFF, EFFORT, PEAK, cases.SMOOTH)
 """Methods that the figures of a motion show, left to right, where there is a plan."""
 
 
-def beyond_pictures() -> list[Picture]:
-    """Return the figures of the chapter beyond the thesis."""
-    pictures = []
+def beyond_pictures(_: Results) -> Iterator[Picture]:
+    """Give the figures of the chapter beyond the thesis."""
     for task in TASKS:
         caption = f"{task.title}: main efforts, and position, speed and acceleration of the carriers with their limits."
         caption += " Dotted: singular instants." if cases.crosses(task) else ""
-        pictures.append(Picture(f"beyond-{task.name}", f"Plans of {task.name}", caption, task_figure, (task,)))
+        yield Picture(f"beyond-{task.name}", f"Plans of {task.name}", caption, task_figure, (task,))
     caption = "Largest main force of the plans of least effort over speed: every speed that has a plan (dots), and "
     caption += "those without (crosses, on the lower edge)."
-    pictures.append(Picture("beyond-fastest", "Fastest motions", caption, fastest_figure))
+    yield Picture("beyond-fastest", "Fastest motions", caption, fastest_figure)
     for radius in (float(task.option("radius")) for task in cases.TURNS[:2]):
         title = f"Working modes, radius {radius:g} m"
         caption = f"Largest |τ| at the corner of radius {radius:g} m in every working mode, at the samples or between "
         caption += "them. Stepwise plans leave the carriers where they are; the others bring them back."
-        pictures.append(Picture(f"beyond-modes-r{radius:g}", title, caption, modes_figure, (radius,)))
+        yield Picture(f"beyond-modes-r{radius:g}", title, caption, modes_figure, (radius,))
     caption = "Main effort against the carriers' acceleration: each point is the optimum for one weight."
-    return [*pictures, Picture("beyond-trade-off", "Trade-off", caption, trade_figure)]
+    yield Picture("beyond-trade-off", "Trade-off", caption, trade_figure)
 
 
 def _existing(results: Results, task: Case) -> dict[str, Plan]:
@@ -329,15 +279,13 @@ def side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, instants: 
 def modes_figure(results: Results, radius: float) -> Figure:
     """Draw the peaks at a corner in every working mode as bars; a missing bar is a missing plan."""
     records = [record for record in results.chapters["beyond"]["working_modes"] if record["radius"] == radius]
-    methods, places = (NONE, STEPWISE, EFFORT, PEAK), np.arange(len(records))
+    bars = zip((NONE, STEPWISE, EFFORT, PEAK), STROKES, ("", "///", "...", "xxx"), strict=False)
+    places = np.arange(len(records))
     with figure(8.8, 3.6, f"3-RRR, corner of radius {radius:g} m: largest torque in every working mode") as drawn:
         axes = drawn.subplots()
-        for i, method in enumerate(methods):
-            peaks = np.array([record["rows"][method]["worst"] for record in records])
-            at = places + 0.2 * (i - 0.5 * (len(methods) - 1))
-            axes.bar(
-                at, np.nan_to_num(peaks), 0.2, color=STROKES[i].color, hatch=("", "///", "...", "xxx")[i], label=method
-            )
+        for i, (method, stroke, hatch) in enumerate(bars):
+            peaks = np.nan_to_num([record["rows"][method]["worst"] for record in records])
+            axes.bar(places + 0.2 * (i - 1.5), peaks, 0.2, color=stroke.color, hatch=hatch, label=method)
         log_scale(axes)
         axes.set_xticks(places, [mode_text(record["mode"]) for record in records])
         axes.set(xlabel="working mode", ylabel="largest |τ| [N·m]")
@@ -353,13 +301,8 @@ def fastest_figure(results: Results) -> Figure:
             cap = "" if np.isinf(race["effort_limit"]) else f", up to {race['effort_limit']:.2g} N"
             planned = [(trial["speed"], trial["peak"]) for trial in race["trials"] if trial["feasible"]]
             without = [trial["speed"] for trial in race["trials"] if not trial["feasible"]]
-            line = {
-                "color": stroke.color,
-                "linestyle": stroke.dash,
-                "marker": stroke.marker,
-                "label": race["title"] + cap,
-            }
-            axes.plot(*np.array(planned).T, **line)
+            line: Any = {"color": stroke.color, "linestyle": stroke.dash, "marker": stroke.marker}
+            axes.plot(*np.array(planned).T, label=race["title"] + cap, **line)
             axes.plot(without, [0.02] * len(without), "x", color=stroke.color, transform=axes.get_xaxis_transform())
         log_scale(axes)
         axes.set(xlabel="cruising speed [m/s] (crosses: no plan)", ylabel="largest main force [N]")
@@ -389,13 +332,11 @@ def trade_figure(results: Results) -> Figure:
 # --- future --------------------------------------------------------------------------------------------------------
 
 
-def future_pictures(results: Results) -> list[Picture]:
-    """Return the figures of spatial machines through singularities."""
-    pictures = []
+def future_pictures(_: Results) -> Iterator[Picture]:
+    """Give the figures of spatial machines through singularities."""
     for case in future.SPATIAL:
         caption = "Motion of the carriers, with their limits; dotted: the singular instant."
-        pictures.append(Picture(f"future-{case.name}", case.title, caption, spatial_figure, (case,)))
-    return pictures
+        yield Picture(f"future-{case.name}", case.title, caption, spatial_figure, (case,))
 
 
 def spatial_figure(results: Results, case: Case) -> Figure:
@@ -406,16 +347,14 @@ def spatial_figure(results: Results, case: Case) -> Figure:
 # --- replay --------------------------------------------------------------------------------------------------------
 
 
-def replay_pictures(results: Results) -> list[Picture]:
-    """Return the figures of the chapter on replays: tracking errors of the plans that all drives replay."""
+def replay_pictures(results: Results) -> Iterator[Picture]:
+    """Give the tracking errors of two plans that all drives replay."""
     names = {replay.plan for replay in results.replays}
-    pictures = []
     for one in results.extent.replayed:
         if one.name in names and one.method == EFFORT and one.task.name in ("heavy-0.5", "corner-r0.025"):
             caption = f"Distance of the platform from its plan ({one.name}), for each drive."
             title = f"Replay of {one.task.name}"
-            pictures.append(Picture(f"replay-{one.task.name}", title, caption, tracking_figure, (one,)))
-    return pictures
+            yield Picture(f"replay-{one.task.name}", title, caption, tracking_figure, (one,))
 
 
 def tracking_figure(results: Results, replayed: cases.Replayed) -> Figure:
@@ -426,16 +365,20 @@ def tracking_figure(results: Results, replayed: cases.Replayed) -> Figure:
     return plot_time_panels(replayed.task.title, [panel])
 
 
+PICTURES: Mapping[str, Callable[[Results], Iterator[Picture]]] = {
+    "motions": motion_pictures,
+    "planned": thesis_pictures,
+    "beyond": beyond_pictures,
+    "future": future_pictures,
+    "replay": replay_pictures,
+}
+"""Figures by chapter."""
+
+
 def pictures(results: Results) -> dict[str, list[Picture]]:
-    """Return all figures of what was run, by chapter."""
-    makers: Mapping[str, Callable[[], list[Picture]]] = {
-        "motions": lambda: motion_pictures(results.runs),
-        "planned": thesis_pictures,
-        "beyond": beyond_pictures,
-        "future": lambda: future_pictures(results),
-        "replay": lambda: replay_pictures(results),
+    """Return all figures of what was run, by chapter; a small extent has only the figures of the first page."""
+    return {
+        name: [picture for picture in made(results) if results.extent.figures or picture.stem in IN_FRONT]
+        for name, made in PICTURES.items()
+        if name in ("motions", *results.chapters)
     }
-    drawn = {name: make() for name, make in makers.items() if name in ("motions", *results.chapters)}
-    if results.extent.figures:
-        return drawn
-    return {name: [picture for picture in made if picture.stem in IN_FRONT] for name, made in drawn.items()}

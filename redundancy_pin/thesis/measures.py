@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, runs
+from redundancy_pin.arrays import Array, BoolArray, largest, runs
 from redundancy_pin.dynamics.backends import BACKENDS, RNEA, VIRTUAL_WORK
 from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.dynamics.results import ReducedDynamics
@@ -19,36 +19,36 @@ from redundancy_pin.planners.limits import worst_events
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
-from redundancy_pin.status import SampleStatus
+from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.thesis.case import Case
-from redundancy_pin.thesis.table import Record
-from redundancy_pin.trajectory import Trajectory
+from redundancy_pin.thesis.table import Record, data
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
 
-# --- motions without a planner: carriers parked or not there, singular instants included exactly --------------------
+# --- motions without a planner: carriers parked or absent, singular instants among the samples -----------------------
 
 PARITY_TOLERANCE = 1e-10
 """Largest relative difference between the backends: both are exact, so a thousandth of this is rounding already."""
 
 CSV_DIGITS = 12
-"""Significant digits in CSV files: beyond the differences between the backends, a third smaller than exact."""
+"""Significant digits in CSV files: more than the backends differ by, in two thirds of the bytes of all digits."""
 
 _SAME_INSTANT = 1e-9
-"""Sampling times this close to a singular instant, s, give way to it."""
+"""Distance from a singular instant, s, below which a sampling time is left out."""
 
 
 @dataclass(frozen=True)
 class PassedSingularity:
-    """A singularity that a motion passes.
+    """A singularity along a motion.
 
     Attributes:
         t: time, s.
         x: platform coordinates there, m and rad.
         kind: ``"type_ii"`` and so on.
-        uncontrolled: platform velocity that no actuator resists, unit length in scaled units.
-        missing_force: norm of the part of f that no actuator effort balances, N, scaled. Near the instant the efforts
-            grow as this force over the margin.
-        status: name of the sample's status.
+        uncontrolled: platform velocity that no actuator resists, of unit length in scaled units.
+        missing_force: norm of the part of f that no actuator effort balances, N, scaled. Efforts near the instant are
+            this force over the margin.
+        status: name of the status of the sample.
+        unbounded: whether the efforts grow without bound towards the instant.
     """
 
     t: float
@@ -57,29 +57,26 @@ class PassedSingularity:
     uncontrolled: tuple[float, ...]
     missing_force: float
     status: str
-
-    @property
-    def unbounded(self) -> bool:
-        """Whether the efforts grow without bound towards the instant."""
-        return self.status == SampleStatus.SINGULAR_INCONSISTENT.label
+    unbounded: bool
 
 
 @dataclass(frozen=True, eq=False)
 class MotionRun:
     """A motion by both backends.
 
-    Samples of the motion are every dt, jumps two-sided, singular instants exact. ``reduced`` (f, W, carrier forces) and
+    Samples are every dt, two-sided at jumps, and at the singular instants. ``reduced`` (f, W, carrier forces) and
     ``solved`` (main efforts with their statuses) are by backend; ``parity`` has the largest differences of f, W,
     carrier_force and tau (regular samples) relative to the largest value.
     """
 
     case: Case
     robot: Robot
-    trajectory: Trajectory
+    duration: float
+    breaks: Array
+    crossings: Sequence[Crossing]
     motion: PlatformMotion
     reduced: Mapping[str, ReducedDynamics]
     solved: Mapping[str, Distribution]
-    instants: tuple[PassedSingularity, ...]
     parity: Mapping[str, float]
 
     @property
@@ -93,6 +90,12 @@ class MotionRun:
         return self.solved[RNEA]
 
     @property
+    def regular(self) -> BoolArray:
+        """(N,) whether a sample is neither singular nor near-singular."""
+        regular: BoolArray = self.distribution.status == SampleStatus.OK
+        return regular
+
+    @property
     def worst_parity(self) -> float:
         """The largest difference of the backends; NaN if one of them is."""
         return float(np.max(list(self.parity.values())))
@@ -101,60 +104,57 @@ class MotionRun:
     def peaks(self) -> Array:
         """(m,) largest |τ| over the regular samples, N or N·m.
 
-        Towards a singularity at which efforts are unbounded this is a value at the edge of the near-singular window and
-        no property of the machine; see ``statement``.
+        Near a singularity with unbounded efforts this is the value at the edge of the near-singular interval and no
+        property of the machine; see ``statement``.
         """
-        regular = self.distribution.status == SampleStatus.OK
-        largest: Array = np.abs(self.distribution.tau[regular]).max(axis=0, initial=0.0)
-        return largest
+        return largest(self.distribution.tau[self.regular])
 
     @property
     def near_singular_windows(self) -> tuple[tuple[float, float], ...]:
-        """Time intervals, s, in which samples are near-singular or singular."""
-        return windows(self.t, self.distribution.status != SampleStatus.OK)
+        """First and last time, s, of each interval of near-singular or singular samples."""
+        return tuple((float(self.t[first]), float(self.t[after - 1])) for first, after in runs(~self.regular))
 
     @property
-    def bounded(self) -> bool:
-        """Whether the efforts stay finite along the whole motion."""
-        return not any(instant.unbounded for instant in self.instants)
+    def instants(self) -> tuple[PassedSingularity, ...]:
+        """Singularities along the motion."""
+        return tuple(_instant(crossing, self.motion, self.distribution) for crossing in self.crossings)
 
     @property
     def statement(self) -> str:
-        """What the efforts do, in a line."""
-        peaks = ", ".join(f"{peak:.3g}" for peak in self.peaks) + f" {self.case.unit}"
-        if not self.instants:
+        """Whether the efforts are bounded, in a line."""
+        instants, peaks = self.instants, ", ".join(f"{peak:.3g}" for peak in self.peaks) + f" {self.case.unit}"
+        if not instants:
             return f"bounded: peaks {peaks}"
-        shown = [instant for instant in self.instants if instant.unbounded or self.bounded]
-        places = ", ".join(f"{instant.t:.4f} s" for instant in shown)
-        if self.bounded:
+        unbounded = [instant for instant in instants if instant.unbounded]
+        places = ", ".join(f"{instant.t:.4f} s" for instant in unbounded or instants)
+        if not unbounded:
             return f"finite through the singularities at t = {places}: peaks {peaks}"
-        missing = ", ".join(f"{instant.missing_force:.3g}" for instant in shown)
+        missing = ", ".join(f"{instant.missing_force:.3g}" for instant in unbounded)
         return f"unbounded at t = {places}: {missing} N that no actuator can carry there"
 
     def record(self) -> Record:
         """Return the run in numbers, for tables and JSON."""
         return {
             "title": self.case.title,
-            "configuration": self.case.as_dict(),
-            "duration": self.trajectory.duration,
+            "configuration": {**self.case.as_dict(), "source": data("thesis")["sources"][self.case.robot]},
+            "duration": self.duration,
             "samples": len(self.motion),
-            "bounded": self.bounded,
+            "bounded": not any(instant.unbounded for instant in self.instants),
             "statement": self.statement,
             "effort_unit": self.case.unit,
             "regular_peaks": self.peaks,
-            "carrier_force_peaks": np.abs(self.reduced[RNEA].carrier_force).max(axis=0, initial=0.0),
+            "carrier_force_peaks": largest(self.reduced[RNEA].carrier_force),
             "statuses": self.distribution.status_counts,
             "smallest_margin": self.distribution.margin.min(),
             "near_singular_windows": self.near_singular_windows,
-            "singular_instants": [{**vars(instant), "unbounded": instant.unbounded} for instant in self.instants],
+            "singular_instants": [vars(instant) for instant in self.instants],
             "parity": {**self.parity, "worst": self.worst_parity},
         }
 
     def csv(self) -> str:
         """Return motion, efforts of both backends, carrier forces, status, margin and condition as CSV text.
 
-        An instant that occurs twice is a jump of the acceleration, seen from both sides. Efforts without
-        a finite value are ``nan``.
+        Jumps of the acceleration have two rows, before and after. Efforts without a finite value are ``nan``.
         """
         solved, robot = self.distribution, self.robot
         columns = {
@@ -169,10 +169,12 @@ class MotionRun:
 
 
 def run(case: Case) -> MotionRun:
-    """Run a motion, carriers parked or none, by both backends; CrossCheckError where these differ."""
+    """Run a motion, carriers parked or absent, by both backends; CrossCheckError where these differ."""
     robot, trajectory = case.load_robot(), case.trajectory()
     crossings = find_crossings(robot, trajectory)
-    motion = sample_with(trajectory, case.dt, np.array([crossing.t for crossing in crossings]))
+    grid, instants = trajectory.sample(case.dt, two_sided=False).t, np.array([crossing.t for crossing in crossings])
+    kept = np.abs(grid[:, None] - instants).min(axis=1, initial=np.inf) > _SAME_INSTANT
+    motion = trajectory.sample(times=np.sort(np.concatenate([np.unique(grid[kept]), instants])))
     carriers = CarrierMotion.parked(len(motion), robot.k)
     reduced = {name: BACKENDS[name](robot).reduce(motion, carriers) for name in (RNEA, VIRTUAL_WORK)}
     solved = {name: distribute(reduction) for name, reduction in reduced.items()}
@@ -185,33 +187,13 @@ def run(case: Case) -> MotionRun:
             experiment=case.name,
             parity=parity,
         )
-    instants = tuple(_instant(crossing, motion, solved[RNEA]) for crossing in crossings)
-    return MotionRun(case, robot, trajectory, motion, reduced, solved, instants, parity)
-
-
-def sample_with(trajectory: Trajectory, dt: float, instants: Array) -> PlatformMotion:
-    """Return samples every ``dt``, s, and at (c,) increasing instants, jumps of the acceleration two-sided.
-
-    A regular time that all but coincides with an instant is left out.
-    """
-    grid = np.unique(trajectory.sample(dt, two_sided=False).t)
-    if len(instants):
-        apart = np.abs(grid[:, None] - instants[None, :]).min(axis=1) > _SAME_INSTANT
-        grid = np.sort(np.concatenate([grid[apart], instants]))
-    return trajectory.sample(times=grid)
-
-
-def windows(t: Array, inside: BoolArray) -> tuple[tuple[float, float], ...]:
-    """Return first and last time, s, of each run of true samples (N,) at times (N,)."""
-    return tuple((float(t[first]), float(t[after - 1])) for first, after in runs(inside))
+    return MotionRun(case, robot, trajectory.duration, trajectory.breaks, crossings, motion, reduced, solved, parity)
 
 
 def relative_difference(a: Array, b: Array) -> float:
     """Return the largest |a − b| over the largest |a| or |b|; 0 where both are zero or empty, NaN if one has a NaN."""
-    if a.size == 0:
-        return 0.0
-    size = max(float(np.abs(a).max()), float(np.abs(b).max()))
-    return float(np.abs(a - b).max()) / size if size != 0.0 else 0.0
+    size = max(np.abs(a).max(initial=0.0), np.abs(b).max(initial=0.0))
+    return float(np.abs(a - b).max() / size) if size != 0.0 else 0.0
 
 
 def _parity(reduced: Sequence[ReducedDynamics], solved: Sequence[Distribution]) -> dict[str, float]:
@@ -224,40 +206,32 @@ def _parity(reduced: Sequence[ReducedDynamics], solved: Sequence[Distribution]) 
 
 def _instant(crossing: Crossing, motion: PlatformMotion, solved: Distribution) -> PassedSingularity:
     sample = int(np.argmin(np.abs(motion.t - crossing.t)))
+    status = SampleStatus(solved.status[sample])
     return PassedSingularity(
         t=float(motion.t[sample]),
-        x=tuple(float(value) for value in np.atleast_1d(motion.x[sample])),
+        x=tuple(np.atleast_1d(motion.x[sample]).tolist()),
         kind=crossing.kind.label,
-        uncontrolled=tuple(float(value) for value in solved.uncontrolled[sample]),
+        uncontrolled=tuple(solved.uncontrolled[sample].tolist()),
         missing_force=float(solved.residual[sample]),
-        status=SampleStatus(solved.status[sample]).label,
+        status=status.label,
+        unbounded=status is SampleStatus.SINGULAR_INCONSISTENT,
     )
 
 
 # --- measures: one number or several, NaN where there is none ------------------------------------------------------
 
 Numbers = tuple[float, ...]
-Measure = Callable[[Any], Numbers]
 
 ACCELERATING = 1e-6
 """Fraction of the largest reference acceleration below which the platform does not accelerate."""
 
 _SAME_TIME = 9
-"""Digits of a time, s, that have to agree for two samples to be the same: those at events may be apart by rounding."""
+"""Decimals of a time, s, that agree for two samples to be the same: times of events differ by rounding."""
 
 
-def read(name: str, subject: Plan | MotionRun, *arguments: Any) -> Numbers:
+def read(subject: Plan | MotionRun, name: str, *arguments: Any) -> Numbers:
     """Return what a measure of ``MEASURES`` reads off a plan, or off a motion without a planner."""
-    return tuple(float(value) for value in np.atleast_1d(MEASURES[name](subject, *arguments)))
-
-
-def measure(name: str, *arguments: Any) -> Measure:
-    """Return a measure with the arguments behind its subject bound."""
-    return lambda subject: read(name, subject, *arguments)
-
-
-def _largest(values: Any) -> Any:
-    return np.abs(values).max()
+    return tuple(np.atleast_1d(MEASURES[name](subject, *arguments)).astype(float).tolist())
 
 
 def _peak_in(plan: Plan, phase: str) -> float:
@@ -270,9 +244,9 @@ def _bound_nearest(plan: Plan, kind: str, carrier: int, instant: float) -> float
     return min(times, key=lambda t: abs(t - instant), default=math.nan)
 
 
-def _cruising(run: MotionRun) -> IntArray:
+def _deceleration_start(run: MotionRun) -> float:
     speed = np.linalg.norm(run.motion.xd, axis=1)
-    return np.flatnonzero(np.isclose(speed, np.median(speed), rtol=1e-9))
+    return float(run.t[np.flatnonzero(np.isclose(speed, np.median(speed), rtol=1e-9))[-1]])
 
 
 def _parked_forces(run: MotionRun, threshold: float, ramp: float) -> list[float]:
@@ -288,15 +262,13 @@ def _threshold_times(run: MotionRun, threshold: float) -> tuple[float, float]:
     """
     # the logarithm of the condition number is nearly straight between samples, and finite below the threshold
     condition = np.minimum(run.distribution.condition, 1e6)
-    above = windows(run.t, condition > threshold)
-    first = int(np.searchsorted(run.t, above[0][0]))
-    last = int(np.searchsorted(run.t, above[-1][1], side="right")) - 1
+    above = np.flatnonzero(condition > threshold)
 
     def level(left: int) -> float:
         a, b = np.log(condition[left : left + 2])
         return float(run.t[left] + (np.log(threshold) - a) / (b - a) * (run.t[left + 1] - run.t[left]))
 
-    return level(first - 1), level(last)
+    return level(above[0] - 1), level(above[-1])
 
 
 MEASURES: Mapping[str, Callable[..., Any]] = {
@@ -309,11 +281,11 @@ MEASURES: Mapping[str, Callable[..., Any]] = {
     "rise_to_threshold": lambda plan: np.max(
         np.abs(window(plan)["parked_effort_at_entry"]) - np.abs(window(plan)["effort_at_ramp_start"])
     ),
-    "position_at_exit": lambda plan: _largest(window(plan)["carriers_at_exit"]["s"]),
+    "position_at_exit": lambda plan: np.abs(window(plan)["carriers_at_exit"]["s"]).max(),
     # any plan: the condition number at an instant, s; the largest |s|, m; of the actuators the largest |τ|, also in a
     # phase, and the largest root mean square, N or N·m
     "condition_at": lambda plan, instant: np.interp(instant, plan.t, np.minimum(plan.condition, 1e6)),
-    "farthest_position": lambda plan: _largest(plan.carriers.s),
+    "farthest_position": lambda plan: np.abs(plan.carriers.s).max(),
     "peak": lambda plan: plan.peak_effort_at_samples.max(),
     "peak_in": _peak_in,
     "largest_rms": lambda plan: plan.rms_effort.max(),
@@ -322,9 +294,9 @@ MEASURES: Mapping[str, Callable[..., Any]] = {
     "bound_nearest": _bound_nearest,
     # motions without a planner: total time, when the speed begins to fall for the last time, first and last jump of the
     # acceleration, s; x where it is singular, m; largest |τ| of each actuator, N·m or N
-    "duration": lambda run: run.trajectory.duration,
-    "deceleration_start": lambda run: run.t[_cruising(run)[-1]],
-    "arc_times": lambda run: (run.trajectory.breaks[0], run.trajectory.breaks[-1]),
+    "duration": lambda run: run.duration,
+    "deceleration_start": _deceleration_start,
+    "arc_times": lambda run: (run.breaks[0], run.breaks[-1]),
     "crossing_abscissae": lambda run: [instant.x[0] for instant in run.instants],
     "peak_efforts": lambda run: run.peaks,
     # when the threshold is met and left, and one ramp before it is met the time, s, and |τ| of each actuator, N
@@ -345,23 +317,14 @@ def window(plan: Plan) -> Mapping[str, Any]:
     return first
 
 
-def peak_until_off(plan: Plan) -> float:
-    """Return the largest |τ| until the motors are off, N or N·m; NaN of plans that do not switch off."""
-    off = plan.phase == plan.phases.index("off") if plan.planner == "switch_off" else np.zeros(1, dtype=bool)
-    return float(np.nanmax(np.abs(plan.tau[: int(off.argmax())]))) if off.any() else math.nan
-
-
-# --- plans of any kind ---------------------------------------------------------------------------------------------
-
-
 def rms_acceleration(plan: Plan) -> float:
     """Return the root mean square over time of the norm of s̈, m/s²."""
-    return float(np.sqrt(square_integral(plan.t, plan.carriers.sdd) / (plan.t[-1] - plan.t[0])))
+    return float(np.sqrt(square_integral(plan) / (plan.t[-1] - plan.t[0])))
 
 
-def square_integral(t: Array, values: Array) -> float:
-    """Return ∫ Σ v² dt by the trapezoidal rule, from (N,) times and (N, k) v."""
-    return float(np.trapezoid((values**2).sum(axis=1), t))
+def square_integral(plan: Plan) -> float:
+    """Return ∫ Σ s̈² dt by the trapezoidal rule, m²/s³."""
+    return float(np.trapezoid((plan.carriers.sdd**2).sum(axis=1), plan.t))
 
 
 def broken_limits(plan: Plan) -> str:
@@ -370,13 +333,6 @@ def broken_limits(plan: Plan) -> str:
         f"{event.quantity} of {event.joint} by {event.amount:.3g} at {event.worst:.2f} s"
         for event in worst_events(plan.limits.violated)
     )
-
-
-def accelerating(plan: Plan) -> BoolArray:
-    """Return (N,) whether the platform accelerates."""
-    size = np.abs(plan.motion.xdd).max(axis=1)
-    moving: BoolArray = size > ACCELERATING * size.max()
-    return moving
 
 
 # --- limits that a stepwise plan meets -----------------------------------------------------------------------------
@@ -404,18 +360,25 @@ def limits_met(plan: Plan) -> str:
 # --- plans in numbers ----------------------------------------------------------------------------------------------
 
 
-def numbers(plan: Plan) -> dict[str, Any]:
-    """Return a plan in numbers: efforts, energies, carriers against their limits.
+NUMBERS = ("peak", "before", "reversals", "rms", "carrier_force", "main_energy", "carrier_energy", "energy", "position",
+           "speed", "acceleration", "track", "speed_limit", "acceleration_limit")  # fmt: skip
 
-    ``rms`` is that of the norm of τ; energies are ∫ Σ |power| dt, J, what motors that recover nothing would draw;
-    ``position``, ``speed`` and ``acceleration`` are the largest of any carrier, ``track``, ``speed_limit`` and
-    ``acceleration_limit`` what they are judged by.
+
+def numbers(plan: Plan | InfeasiblePlanError) -> dict[str, Any]:
+    """Return a plan in numbers: efforts, energies, carriers against their limits; all NaN without a plan.
+
+    ``before`` is the largest |τ| before the motors are off, NaN if a plan does not switch off; ``rms`` is of the norm
+    of τ; energies are ∫ Σ |power| dt, J, what motors that recover nothing would draw; ``position``, ``speed`` and
+    ``acceleration`` are the largest of any carrier; ``track``, ``speed_limit``, ``acceleration_limit`` their limits.
     """
+    if isinstance(plan, InfeasiblePlanError):
+        return {**dict.fromkeys(NUMBERS, math.nan), "status": ResultStatus.INFEASIBLE.value, "broken": "", "solver": ""}
+    off = plan.phase == plan.phases.index("off") if plan.planner == "switch_off" else np.zeros(1, dtype=bool)
     carriers, limits = plan.carriers, plan.limits.judged_by
     return {
         "status": plan.status.value,
         "peak": float(plan.peak_effort_at_samples.max()),
-        "before": peak_until_off(plan),
+        "before": float(largest(plan.tau[: int(off.argmax())]).max()) if off.any() else math.nan,
         "reversals": float(plan.reversals.max()),
         "rms": float(np.linalg.norm(plan.rms_effort)),
         "carrier_force": float(np.abs(plan.carrier_force).max(initial=0.0)),
@@ -445,9 +408,3 @@ def plan_differences(first: Plan, second: Plan) -> dict[str, float]:
         for plan in (first, second)
     )  # fmt: skip
     return {name: relative_difference(left[name][one], right[name][other]) for name in left}
-
-
-def missing_force(error: InfeasiblePlanError) -> float:
-    """Return the force that nothing can carry at a singular pose, N, if that is why there is no plan, or NaN."""
-    amount = error.details.get("amount") if error.details.get("constraint") == "singular_pose" else None
-    return amount if isinstance(amount, float) else math.nan

@@ -9,86 +9,81 @@ from typing import Any
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.arrays import Array, BoolArray, largest
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.thesis import cases, measures
-from redundancy_pin.thesis.case import Case, Mode, Plans
+from redundancy_pin.thesis.case import Call, Case, Mode, Plans, call_of
 from redundancy_pin.thesis.cases import CORNERS, CROSSINGS, MODE_CASES, NONE, PARKED, Extent
+from redundancy_pin.thesis.claims import MOVING, conclusions
 from redundancy_pin.thesis.measures import bounds, numbers, read
-from redundancy_pin.thesis.statements import claim, counted, judge_all, needed, ratios, sensitivity, thesis, verdict
-from redundancy_pin.thesis.table import Record, grouped, mode_text, text
+from redundancy_pin.thesis.statements import judge_all, needed, sensitivity, thesis
+from redundancy_pin.thesis.table import Record, mode_text, text
 
 Chapter = dict[str, Any]
 """Records of the tables of a chapter, by name."""
 
-Progress = Callable[[str], None]
-"""Called with the name of each finished part."""
-
 PLAN_TOLERANCE = 1e-8
-"""Largest relative difference of two plans: carriers are integrated with error control, which rounding steers."""
-
-STATED_FORCE = 0.005
-"""Smallest force on switching on that the thesis would print, N: half a unit of its last digit."""
+"""Largest relative difference of two plans: rounding changes the steps of the integrator of the carriers."""
 
 POINTS = 4
-"""Points inside each step at which stepwise plans are looked at."""
-
-MOVING = "carriers moving"
+"""Points inside each step at which stepwise plans are evaluated."""
 
 
-def independent(extent: Extent) -> list[tuple[Case, str]]:
-    """Return the plans of the chapter that do not depend on one another, each with its backend."""
-    moded = [replace(case, working_mode=mode) for mode in extent.modes for case in MODE_CASES.values()]
+def calls(extent: Extent) -> list[Call]:
+    """Return the calls that make the plans of the chapter."""
+    moded = [replace(case, working_mode=mode) for mode in extent.modes for case in MODE_CASES]
     first = (*needed(extent), *moded, *map(cases.without_carriers, moded))
     shortest = [case.with_options(return_time="shortest") for case in CROSSINGS]
     others = [*shortest, *map(cases.parked, (*CROSSINGS, *moded)), *_squares(extent.modes).values()]
-    both = [(case, backend) for case in extent.parity for backend in case.backends]
-    alone = (*CROSSINGS, *CORNERS, *first, *others, cases.HEAVY_CROSSING)
-    return both + [(case, case.backends[0]) for case in alone]
+    both = [call_of(case, backend) for case in extent.parity for backend in case.backends]
+    return both + [call_of(case) for case in (*CROSSINGS, *CORNERS, *first, *others, cases.HEAVY_CROSSING)]
 
 
-def run_planned(plans: Plans, extent: Extent, progress: Progress) -> Chapter:
-    """Run the chapter, on several processes."""
-    plans.prepare(independent(extent), extent.jobs, progress)
-    parity = [plan_parity(plans, case) for case in extent.parity]
-    progress("parity")
-    judged = judge_all(plans, extent)
-    progress("statements")
+def run_planned(plans: Plans, extent: Extent) -> Chapter:
+    """Return the records of the chapter."""
     modes, rows = working_modes(plans, extent.modes), list(thesis()["rows"])
+    judged = [*judge_all(plans, extent), *modes.pop("judged")]
     chapter: Chapter = {
         "rule": thesis()["rule"],
-        "parity": parity,
-        "against_thesis": sorted([*judged, *modes.pop("judged")], key=lambda record: rows.index(record["row"])),
+        "parity": [plan_parity(plans, case) for case in extent.parity],
+        "against_thesis": sorted(judged, key=lambda record: rows.index(record["row"])),
         "between_samples": between_records(plans),
         **modes,
         "shortest_returns_on_square": square_returns(plans, extent.modes),
+        "crossings": [crossing_record(plans, case) for case in CROSSINGS],
+        "heavy_end_effector": heavy_record(plans),
+        "fair_comparison": machine_records(plans, extent.modes),
+        "sensitivity": sensitivity(plans, extent),
     }
-    progress("working modes")
-    chapter["crossings"] = [crossing_record(plans, case) for case in CROSSINGS]
-    chapter["heavy_end_effector"] = heavy_record(plans)
-    progress("limits of the crossings")
-    chapter["fair_comparison"] = machine_records(plans, extent.modes)
-    progress("comparison of machines")
-    chapter["sensitivity"] = sensitivity(plans, extent)
-    progress("sensitivity")
     return chapter | {"conclusions": conclusions(chapter)}
 
 
+def compare_backends(plans: Plans, case: Case) -> Record:
+    """Plan a case with both backends and compare; the differences are infinite where only one backend has a plan."""
+    first, second = (plans.outcome(case, backend) for backend in case.backends)
+    if isinstance(first, Plan) and isinstance(second, Plan):
+        differences = measures.plan_differences(first, second)
+    else:
+        apart = 0.0 if type(first) is type(second) else math.inf
+        differences = dict.fromkeys(("position", "speed", "acceleration", "tau", "carrier_force"), apart)
+    statuses = [(one.status if isinstance(one, Plan) else ResultStatus.INFEASIBLE).value for one in (first, second)]
+    return {"case": case.name, **differences, "statuses": statuses, "worst": float(np.max([*differences.values()]))}
+
+
 def plan_parity(plans: Plans, case: Case) -> Record:
-    """Plan a case with both backends; CrossCheckError if the plans differ by too much, or in status."""
-    first, second = (plans.plan(case, backend) for backend in case.backends)
-    differences = measures.plan_differences(first, second)
-    worst = float(np.max(list(differences.values())))
-    if first.status is not second.status or not worst <= PLAN_TOLERANCE:
+    """Compare the plans of a case by both backends; CrossCheckError if they differ by too much, or in status."""
+    compared = compare_backends(plans, case)
+    worst, (first, second) = compared["worst"], compared.pop("statuses")
+    if first != second or not worst <= PLAN_TOLERANCE:
         raise CrossCheckError(
             f"The plans of {case.name} by the two backends differ by {worst:.3g} (relative; at most {PLAN_TOLERANCE:g} "
-            f"is allowed); they are {first.status.value} and {second.status.value}.",
+            f"is allowed); they are {first} and {second}.",
             remedy="One of them is wrong: run `redundancy-pin validate` to see where.",
-            parity=differences,
+            parity=compared,
         )
-    return {"case": case.name, **differences, "status": first.status.value, "worst": worst}
+    return {**compared, "status": first}
 
 
 def between_records(plans: Plans) -> list[Record]:
@@ -99,9 +94,9 @@ def between_records(plans: Plans) -> list[Record]:
         optimised = plan.phase == plan.phases.index("optimise")
         steps = np.flatnonzero(np.diff(plan.t) * optimised[1:] > 0.0)
         times = plan.t[steps, None] + np.diff(plan.t)[steps, None] * np.arange(1, POINTS + 1) / (POINTS + 1)
-        between = np.abs(plan.efforts_at(times.ravel(), case.dynamics())).max(axis=0)
-        baseline = np.abs(plans.plan(cases.without_carriers(case)).tau).max(axis=0)
-        records.append({"case": case.name, "at_samples": np.abs(plan.tau[optimised]).max(axis=0), "between": between,
+        between = largest(plan.efforts_at(times.ravel(), case.dynamics()))
+        baseline = largest(plans.plan(cases.without_carriers(case)).tau)
+        records.append({"case": case.name, "at_samples": largest(plan.tau[optimised]), "between": between,
                         "baseline": baseline})  # fmt: skip
     return records
 
@@ -115,12 +110,12 @@ def crossing_record(plans: Plans, case: Case) -> Record:
         "case": case.name,
         "status": plan.status.value,
         "broken": measures.broken_limits(plan),
-        "beyond_track_at_exit": max(0.0, read("position_at_exit", plan)[0] - end),
-        "beyond_track": max(0.0, read("farthest_position", plan)[0] - end),
+        "beyond_track_at_exit": max(0.0, read(plan, "position_at_exit")[0] - end),
+        "beyond_track": max(0.0, read(plan, "farthest_position")[0] - end),
         "shortest": float(measures.window(shortest)["return_time"]) if isinstance(shortest, Plan) else math.nan,
         "no_shortest": "" if isinstance(shortest, Plan) else shortest.message,
-        "jump": read("exit_forces", plan),
-        "peak_on_return": read("peak_in", plan, "return")[0],
+        "jump": read(plan, "exit_forces"),
+        "peak_on_return": read(plan, "peak_in", "return")[0],
     }
 
 
@@ -144,7 +139,7 @@ def machine_records(plans: Plans, modes: Sequence[Mode]) -> list[Record]:
         if not any(record["motion"] == motion for record in records):
             records.append(_machine(motion, (), PARKED, cases.parked(case), plans))
         records.append(_machine(motion, (), f"{MOVING}, off above CN {case.option('threshold'):g}", case, plans))
-    raised = [case for case in MODE_CASES.values() if case.option("speed") or case.option("acceleration")]
+    raised = [case for case in MODE_CASES if case.option("speed") or case.option("acceleration")]
     for mode in modes:
         for motion in ("corner-r0.025", "corner-r0.013", "square"):
             moded = [replace(case, working_mode=mode) for case in (*CORNERS, *raised) if case.name.startswith(motion)]
@@ -173,15 +168,18 @@ def _machine(motion: str, mode: Mode, how: str, case: Case, plans: Plans) -> Rec
 # --- the stepwise plans in every working mode of the 3-RRR, which the thesis does not state: what of its words holds
 
 HALF = 0.05
-"""How far from half, in units of the baseline's peak, a torque may be and still count as half."""
+"""Largest distance from half, over the baseline's peak, of a torque that counts as half."""
 
 SMALL_JUMP = 0.05
 """Smallest jump of a torque, N·m, that shows in a figure."""
 
+WIDE, SHARP = "corner-r0.025-lam0", "corner-r0.013-lam0"
+SQUARE = "square-lam0"
+
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A plan and that of the machine without carriers (``baseline``), at the same samples."""
+    """A plan and the plan of the machine without carriers (``baseline``), at the same samples."""
 
     plan: Plan
     baseline: Plan
@@ -194,25 +192,18 @@ class Compared:
     @property
     def accelerating(self) -> BoolArray:
         """(N,) whether the platform accelerates."""
-        return measures.accelerating(self.baseline)
-
-    @property
-    def decided(self) -> BoolArray:
-        """(N,) the same, without the second halves of two-sided samples: those are outcome, not choice, of a step."""
-        chosen: BoolArray = self.accelerating & ~self.baseline.motion.jumps
-        return chosen
+        size = np.abs(self.baseline.motion.xdd).max(axis=1)
+        moving: BoolArray = size > measures.ACCELERATING * size.max()
+        return moving
 
     def limited(self, kind: str | None = None, carrier: int | None = None) -> BoolArray:
         """Return (N,) whether a carrier is at a limit; see ``measures.bounds``."""
-        t = self.baseline.t
-        at = np.zeros(len(t), dtype=bool)
-        for _, _, start, end in bounds(self.plan, kind, carrier):
-            at |= (t >= start) & (t <= end)
-        return at
+        at = [self.inside(start, end, 0.0) for _, _, start, end in bounds(self.plan, kind, carrier)]
+        return np.any(at, axis=0) if at else np.zeros(len(self.baseline.t), dtype=bool)
 
-    def inside(self, start: float, end: float) -> BoolArray:
+    def inside(self, start: float, end: float, slack: float = 1e-9) -> BoolArray:
         """Return (N,) whether a sample lies between two times, s."""
-        within: BoolArray = (self.baseline.t >= start - 1e-9) & (self.baseline.t <= end + 1e-9)
+        within: BoolArray = (self.baseline.t >= start - slack) & (self.baseline.t <= end + slack)
         return within
 
     @property
@@ -221,14 +212,9 @@ class Compared:
         jumps = self.baseline.t[self.baseline.motion.jumps]
         return self.inside(float(jumps[0]), float(jumps[1]))
 
-    def peaks(self, where: BoolArray) -> tuple[Array, Array]:
-        """Return (m,) largest |τ| of the plan and of the baseline at some samples, N·m."""
-        largest = [np.abs(tau[where]).max(axis=0, initial=0.0) for tau in (self.tau, self.baseline.tau)]
-        return largest[0], largest[1]
-
 
 Runs = Mapping[str, Compared]
-"""The runs of one working mode, by the names in ``MODE_CASES``."""
+"""The runs of one working mode, by the names of the cases in ``MODE_CASES``."""
 
 Outcome = tuple[bool, str]
 """Whether a claim holds, and the number that decides."""
@@ -236,106 +222,113 @@ Outcome = tuple[bool, str]
 
 def runs_of(plans: Plans, mode: Mode) -> dict[str, Compared]:
     """Return all runs of a working mode."""
-    moded = {name: replace(case, working_mode=mode) for name, case in MODE_CASES.items()}
-    return {name: Compared(plans.plan(case), plans.plan(cases.without_carriers(case))) for name, case in moded.items()}
+    moded = [replace(case, working_mode=mode) for case in MODE_CASES]
+    return {case.name: Compared(plans.plan(case), plans.plan(cases.without_carriers(case))) for case in moded}
 
 
 # --- the claims of the data file -----------------------------------------------------------------------------------
 
 
+def _against(ours: Array, other: Array) -> str:
+    return f"{text(ours, '.2g')} against {text(other, '.2g')} N·m"
+
+
 def small_torque(runs: Runs) -> Outcome:
     """Hold if torques are of the order of 0.1 N·m at most away from limits."""
-    run = runs["wide"]
-    value = float(run.peaks(run.accelerating & ~run.limited())[0].max())
+    run = runs[WIDE]
+    value = float(largest(run.tau[run.accelerating & ~run.limited()]).max())
     return value <= 0.1 * np.sqrt(10.0), f"{value:.2g} N·m"
 
 
 def second_exceeds_at_speed_limit(runs: Runs) -> Outcome:
     """Hold if τ2 exceeds the baseline where carrier 2 is at its speed limit before the corner."""
-    run = runs["wide"]
+    run = runs[WIDE]
     at = run.limited("speed", 2) & run.inside(0.0, 0.8)
-    if not at.any():
-        return False, "carrier 2 is never at its speed limit"
-    ours, other = (peaks[1] for peaks in run.peaks(at))
-    return bool(ours > other), f"{ours:.2g} against {other:.2g} N·m"
+    ours, other = largest(run.tau[at])[1], largest(run.baseline.tau[at])[1]
+    return bool(ours > other), _against(ours, other) if at.any() else "carrier 2 is never at its speed limit"
 
 
 def sharp_exceeds(runs: Runs) -> Outcome:
     """Hold if τ2 and τ3 exceed the baseline in the sharp corner, at an acceleration limit."""
-    run = runs["sharp"]
-    ours, other = (peaks[1:] for peaks in run.peaks(run.corner))
+    run = runs[SHARP]
+    ours, other = largest(run.tau[run.corner])[1:], largest(run.baseline.tau[run.corner])[1:]
     reached = bool((run.limited("acceleration") & run.corner).any())
     return bool((ours > other).all()) and reached, f"τ2, τ3 {_against(ours, other)}"
 
 
 def cured_by_acceleration(runs: Runs) -> Outcome:
     """Hold if with 12 m/s² τ2 and τ3 stay below the baseline in the sharp corner."""
-    run = runs["sharp 12"]
-    ours, other = (peaks[1:] for peaks in run.peaks(run.corner))
+    run = runs[f"{SHARP}-a12"]
+    ours, other = largest(run.tau[run.corner])[1:], largest(run.baseline.tau[run.corner])[1:]
     return bool((ours < other).all()), f"τ2, τ3 {_against(ours, other)}"
 
 
 def first_jumps(runs: Runs) -> Outcome:
     """Hold if τ1 jumps as the sharp corner is entered, at an acceleration limit."""
-    run = runs["sharp"]
+    run = runs[SHARP]
     entered = int(np.flatnonzero(run.baseline.motion.jumps)[0])
     step, start = float(abs(run.tau[entered, 0] - run.tau[entered - 1, 0])), float(run.baseline.t[entered])
     limited = bool((run.limited("acceleration") & run.inside(start, start + 0.02)).any())
     return step > SMALL_JUMP and limited, f"{step:.2g} N·m, acceleration limit {'met' if limited else 'not met'}"
 
 
-def wide_half(runs: Runs, name: str = "wide half") -> Outcome:
+def wide_half(runs: Runs, name: str = "corner-r0.025-lam0.5") -> Outcome:
     """Hold if the torque is half of the baseline's at the wide corner."""
     run = runs[name]
-    other = run.baseline.tau
-    off = float(np.abs(run.tau - 0.5 * other)[run.decided].max() / np.abs(other).max())
+    # of samples at a jump only the first: the second one is a result of a step, and not chosen in it
+    chosen, other = run.accelerating & ~run.baseline.motion.jumps, run.baseline.tau
+    off = float(np.abs(run.tau - 0.5 * other)[chosen].max() / np.abs(other).max())
     return off <= HALF, f"off half by {off:.2g} of the baseline's peak"
 
 
 def square_half(runs: Runs) -> Outcome:
     """Hold if the torque is half of the baseline's in ramps and corners of the square."""
-    return wide_half(runs, "square half")
+    return wide_half(runs, "square-lam0.5")
 
 
 def no_limit(runs: Runs) -> Outcome:
     """Hold if no carrier meets a limit."""
-    met = sorted({f"{kind} of {carrier}" for carrier, kind, _, _ in bounds(runs["wide half"].plan)})
-    return not met, ", ".join(met) if met else "none met"
+    met = sorted({f"{kind} of {carrier}" for carrier, kind, _, _ in bounds(runs["corner-r0.025-lam0.5"].plan)})
+    return not met, ", ".join(met) or "none met"
 
 
 def returns_exceed(runs: Runs) -> Outcome:
     """Hold if all torques exceed the baseline while carriers return."""
-    run = runs["square half"]
-    ours, other = run.peaks((run.plan.phase == run.plan.phases.index("return"))[: len(run.baseline.t)])
+    run = runs["square-lam0.5"]
+    returning = (run.plan.phase == run.plan.phases.index("return"))[: len(run.baseline.t)]
+    ours, other = largest(run.tau[returning]), largest(run.baseline.tau[returning])
     return bool((ours > other).all()), _against(ours, other)
 
 
 def first_accelerates_least(runs: Runs) -> Outcome:
     """Hold if carrier 1 accelerates least on the return at 1.1 s."""
-    plan = runs["square half"].plan
+    plan = runs["square-lam0.5"].plan
     first, second, third = np.abs(plan.carriers.sdd[int(np.abs(plan.t - 1.1).argmin())])
     return bool(first < min(second, third)), f"{first:.2g}, {second:.2g}, {third:.2g} m/s²"
 
 
 def square_spikes(runs: Runs) -> Outcome:
     """Hold if torques at the speed limits on the square exceed the baseline's peak."""
-    run = runs["square"]
+    run = runs[SQUARE]
     at = run.limited("speed") & run.accelerating
-    if not at.any():
-        return False, "no speed limit met"
-    ours, other = float(run.peaks(at)[0].max()), float(np.abs(run.baseline.tau).max())
-    return ours > other, f"{ours:.2g} against {other:.2g} N·m"
+    ours, other = largest(run.tau[at]).max(), np.abs(run.baseline.tau).max()
+    return bool(ours > other), _against(ours, other) if at.any() else "no speed limit met"
 
 
 def cured_by_speed(runs: Runs) -> Outcome:
     """Hold if with 1.2 m/s torques stay below the baseline's peaks while the platform accelerates."""
-    run = runs["square 1.2"]
-    ours, other = run.peaks(run.accelerating)[0], np.abs(run.baseline.tau).max(axis=0)
+    run = runs[f"{SQUARE}-v1.2"]
+    ours, other = largest(run.tau[run.accelerating]), largest(run.baseline.tau)
     return bool((ours < other).all()), _against(ours, other)
 
 
-def _against(ours: Array, other: Array) -> str:
-    return f"{text(ours, '.2g')} against {text(other, '.2g')} N·m"
+TESTS: Mapping[str, Callable[[Runs], Outcome]] = {
+    test.__name__: test
+    for test in (small_torque, second_exceeds_at_speed_limit, sharp_exceeds, cured_by_acceleration, first_jumps,
+                 wide_half, no_limit, square_half, returns_exceed, first_accelerates_least, square_spikes,
+                 cured_by_speed)
+}  # fmt: skip
+"""Tests of the claims in words, by the names in ``thesis.yaml``."""
 
 
 # --- records -------------------------------------------------------------------------------------------------------
@@ -345,7 +338,7 @@ def working_modes(plans: Plans, modes: Sequence[Mode]) -> dict[str, list[Record]
     """Return records of each mode and case, of each claim with its outcome in each mode, and those as verdicts."""
     runs = {mode: runs_of(plans, mode) for mode in modes}
     records = [
-        {"mode": mode, "case": MODE_CASES[name].name, "baseline_peak": np.abs(run.baseline.tau).max(axis=0),
+        {"mode": mode, "case": name, "baseline_peak": largest(run.baseline.tau),
          "peak": run.plan.peak_effort_at_samples, "rms": run.plan.rms_effort, "limits": measures.limits_met(run.plan),
          "status": run.plan.status.value}
         for mode, of_mode in runs.items()
@@ -353,8 +346,7 @@ def working_modes(plans: Plans, modes: Sequence[Mode]) -> dict[str, list[Record]
     ]  # fmt: skip
     claims = []
     for entry in thesis()["claims"]:
-        test: Callable[[Runs], Outcome] = globals()[entry["test"]]
-        outcomes = {mode_text(mode): test(of_mode) for mode, of_mode in runs.items()}
+        outcomes = {mode_text(mode): TESTS[entry["test"]](of_mode) for mode, of_mode in runs.items()}
         shown = {mode: {"holds": bool(holds), "found": number} for mode, (holds, number) in outcomes.items()}
         claims.append({**entry, "modes": shown})
     return {"working_modes": records, "claims": claims, "judged": [_judged(entry) for entry in claims]}
@@ -388,84 +380,3 @@ def _squares(modes: Sequence[Mode]) -> dict[tuple[Mode, float], Case]:
     """Return the square with the shortest returns, by working mode and λ."""
     pairs = [(mode, lam) for mode in modes for lam in (0.0, 0.5)]
     return {(mode, lam): cases.square(lam, mode).with_options(return_time="shortest") for mode, lam in pairs}
-
-
-# --- conclusions of the thesis, from the chapter on its own planners -----------------------------------------------
-
-
-def conclusions(chapter: Mapping[str, Any]) -> list[Record]:
-    """Return what becomes of the thesis's conclusions, from the records of the chapter."""
-    crossings, machines = chapter["crossings"], chapter["fair_comparison"]
-    records = [
-        *_crossings(crossings, chapter["heavy_end_effector"]),
-        _corner("wide_corner", machines, "corner-r0.025"),
-        _corner("sharp_corner", machines, "corner-r0.013"),
-        _square(machines),
-        _shared(machines),
-        _agreement(chapter["claims"]),
-    ]
-    return [{**record, "thesis": record["claim"]} for record in records]
-
-
-def _crossings(crossings: Sequence[Record], heavy: Record | None) -> list[Record]:
-    inside = [record["case"] for record in crossings if record["status"] == "ok"]
-    broken = [record for record in crossings if record["status"] == "limit_violated"]
-    exact, out = max(max(record["jump"]) for record in crossings), "beyond_track_at_exit"
-    artefact = exact < STATED_FORCE
-    return [
-        claim("crossing", verdict(len(inside) + (heavy is None), len(crossings) + 1), crossed=len(crossings),
-              inside=inside, heavy=heavy),
-        counted("limits", len(crossings) - len(broken), len(crossings),
-                broken=[record["case"] for record in broken],
-                out=[(record["case"], record[out]) for record in crossings if record[out]],
-                cured=[(record["case"], record["shortest"]) for record in broken if not record["no_shortest"]],
-                never=[record["case"] for record in crossings if record["no_shortest"]]),
-        claim("exit_forces", "does not stand" if artefact else "stands", artefact=artefact, exact=exact),
-    ]  # fmt: skip
-
-
-def _by_mode(machines: Sequence[Record], motion: str) -> list[dict[str, Record]]:
-    """Return, for each working mode, the records of a motion by what moves."""
-    groups = grouped([record for record in machines if record["motion"] == motion], "mode").values()
-    return [{record["what"]: record for record in group} for group in groups]
-
-
-def _corner(name: str, machines: Sequence[Record], motion: str) -> Record:
-    groups, moving = _by_mode(machines, motion), f"{MOVING}, λ = 0"
-
-    def below(what: str, other: str) -> int:
-        return sum(group[what]["peak"] < group[other]["peak"] for group in groups)
-
-    lower, total = below(moving, NONE), len(groups)
-    # of the sharper corner the thesis says that torques exceed the baseline's
-    good = total - lower if name == "sharp_corner" else lower
-    raised = {what.rpartition(", ")[2]: below(what, NONE) for what in groups[0] if what.startswith(moving + ",")}
-    factors, parked = (ratios([(group[what], group[NONE]) for group in groups], "peak") for what in (moving, PARKED))
-    return counted(name, good, total, below=lower, below_parked=below(moving, PARKED), factors=factors, parked=parked,
-                   raised=raised)  # fmt: skip
-
-
-def _square(machines: Sequence[Record]) -> Record:
-    groups = _by_mode(machines, "square")
-    pairs = [(group[what], group[NONE]) for group in groups for what in group if what.startswith(MOVING)]
-    better = sum(moving["peak"] < none["peak"] for moving, none in pairs)
-    broken = sum(moving["status"] != "ok" for moving, _ in pairs)
-    peaks, rms = ratios(pairs, "peak"), ratios(pairs, "rms")
-    return counted("square", better, len(pairs), better=better, broken=broken, peaks=peaks, rms=rms)
-
-
-def _shared(machines: Sequence[Record]) -> Record:
-    groups = [group for motion in ("corner-r0.025", "corner-r0.013") for group in _by_mode(machines, motion)]
-    pairs = [(group[f"{MOVING}, λ = 0"], group[NONE]) for group in groups]
-    relieved = sum(all(moving[key] < none[key] for key in ("peak", "main_energy")) for moving, none in pairs)
-    forces = [moving["carrier_force"] for moving, _ in pairs]
-    return counted("shared", relieved, len(pairs), relieved=relieved, main=ratios(pairs, "main_energy"),
-                   energy=ratios(pairs, "energy"), carrier_force=forces)  # fmt: skip
-
-
-def _agreement(claims: Sequence[Record]) -> Record:
-    counts = {mode: sum(entry["modes"][mode]["holds"] for entry in claims) for mode in claims[0]["modes"]}
-    best, total = max(counts.values()), len(claims)
-    complete = sum(count == total for count in counts.values())
-    modes = [mode for mode, count in counts.items() if count == best]
-    return claim("agreement", verdict(complete, len(counts)), total=total, best=best, modes=modes)

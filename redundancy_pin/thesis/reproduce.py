@@ -7,26 +7,25 @@ and as one HTML file.
 from __future__ import annotations
 
 import base64
-import functools
 import importlib.metadata
 import json
 import os
 import platform
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import count
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Any
 
 import jinja2
+import numpy as np
 from markdown_it import MarkdownIt
 from markdown_it.common.utils import escapeHtml
-from markdown_it.token import Token
 
 import redundancy_pin
 from redundancy_pin import crosscheck
-from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
+from redundancy_pin.crosscheck import CrossCheckReport
 from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError, OutputError
 from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
@@ -34,13 +33,14 @@ from redundancy_pin.io.json_data import json_data
 from redundancy_pin.parallel import parallel
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_of_record
-from redundancy_pin.simulation.replay import Drive, Replay, replay
+from redundancy_pin.simulation.replay import Replay, replay
 from redundancy_pin.thesis import beyond, cases, future, planned
-from redundancy_pin.thesis.case import Plans
+from redundancy_pin.thesis.case import Call, Plans, plan_or_error
+from redundancy_pin.thesis.claims import environment
 from redundancy_pin.thesis.figures import IN_FRONT, Results, pictures
 from redundancy_pin.thesis.measures import CSV_DIGITS, MotionRun, run
-from redundancy_pin.thesis.statements import compare_motions, environment, thesis
-from redundancy_pin.thesis.table import Column, Link, Record, Table, grouped, mode_text, records_csv, span, table
+from redundancy_pin.thesis.statements import compare_motions
+from redundancy_pin.thesis.table import Record, Table, grouped, mode_text, span, table
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
 from redundancy_pin.visualisation.figures.style import save
 
@@ -65,6 +65,9 @@ _REPLAY_COLUMNS = (
 
 Progress = Callable[[int, int, str], None]
 """Called with steps done, steps in all, and what is being done."""
+
+Notify = Callable[[str], None]
+"""Called with the name of each step that is done."""
 
 NOTES = (
     "Efforts are positive when they do positive work on the joint rate; the thesis has the opposite sign.",
@@ -104,7 +107,9 @@ def reproduce(
         RedundancyPinError: an experiment cannot run.
     """
     require_replaceable(folder)
-    total, steps, notify = _count(extent), count(_CROSS_CHECK_STEPS + 1), progress or (lambda *_: None)
+    todo, notify = calls(extent), progress or (lambda *_: None)
+    files = len(extent.motions) + 30 * ("beyond" in extent.chapters) + (70 if extent.figures else 2)  # about
+    total, steps = _CROSS_CHECK_STEPS + len({call[1:] for call in todo}) + files, count(_CROSS_CHECK_STEPS + 1)
 
     def checked(done: int, states: int) -> None:
         notify(int(done / states * _CROSS_CHECK_STEPS), total, "cross-check")
@@ -113,20 +118,13 @@ def reproduce(
         notify(min(next(steps), total - 1), total, what)  # the last step is that everything is in its place
 
     check = require_agreement(sorted({case.robot for case in extent.motions}), extent.samples, checked, extent.jobs)
-    results = compute(extent, check, step)
+    results = compute(extent, check, todo, step)
     with replacing_folder(folder) as temporary:
         write(temporary, results, step)
         record = summary(results, [path.name for path in temporary.iterdir()])
         write_text(temporary / MANIFEST, json.dumps(record, indent=2, allow_nan=False) + "\n")
     notify(total, total, "results")
     return Reproduction(Path(folder), results, record)
-
-
-def _count(extent: cases.Extent) -> int:
-    """Return the steps of the progress bar: about one per plan, replay and figure."""
-    plans = {"planned": planned.independent(extent), "beyond": beyond.independent(extent), "future": future.PLANNED}
-    made = sum(len(cases) for chapter, cases in plans.items() if chapter in extent.chapters)
-    return _CROSS_CHECK_STEPS + 3 * len(extent.motions) + made + len(extent.replayed) + 60 * extent.figures
 
 
 def require_agreement(
@@ -151,26 +149,45 @@ def require_agreement(
     return check
 
 
-def compute(extent: cases.Extent, check: CrossCheckReport, notify: Callable[[str], None]) -> Results:
-    """Run the motions and the chapters; every plan is made once."""
-    runs: list[MotionRun] = []
-    for result in parallel(run, [(case,) for case in extent.motions], extent.jobs, ordered=True):
-        runs.append(result)
-        notify(result.case.name)
+def calls(extent: cases.Extent) -> list[Call]:
+    """Return the calls that make motions, plans, replays and rows of all chapters, long ones first."""
+    replays = [(f"replay: {one.name}", run_replays, one, extent.coarser) for one in extent.replayed]
+    motions = [(case.name, run, case) for case in extent.motions]
+    chapters = {"beyond": beyond.calls(extent), "replay": replays, "motions": motions, "future": future.calls(extent),
+                "planned": planned.calls(extent)}  # fmt: skip
+    return [call for name, needed in chapters.items() if name in ("motions", *extent.chapters) for call in needed]
+
+
+def compute(extent: cases.Extent, check: CrossCheckReport, todo: Sequence[Call], notify: Notify) -> Results:
+    """Make all calls, and the records of the chapters from their results."""
     plans = Plans()
+    plans.prepare(todo, extent.jobs, notify)
+    runs = tuple(plans.result("", run, case) for case in extent.motions)
     replays: list[Replay] = []
     chapters: dict[str, dict[str, Any]] = {}
-    if "planned" in extent.chapters:
-        chapters["planned"] = planned.run_planned(plans, extent, notify)
-    if "beyond" in extent.chapters:
-        chapters["beyond"] = beyond.run_beyond(plans, extent, notify)
-    if "future" in extent.chapters:
-        chapters["future"] = future.run_future(plans, extent, notify)
+    for name, chapter in (
+        ("planned", planned.run_planned),
+        ("beyond", beyond.run_beyond),
+        ("future", future.run_future),
+    ):
+        if name in extent.chapters:
+            chapters[name] = chapter(plans, extent)
     if "replay" in extent.chapters:
-        replays, missing = run_replays(plans, extent, notify)
+        outcomes = {one.name: plans.result("", run_replays, one, extent.coarser) for one in extent.replayed}
+        missing = {name: outcome for name, outcome in outcomes.items() if isinstance(outcome, str)}
+        replays = [one for name, outcome in outcomes.items() if name not in missing for one in outcome]
         records = [{key: value for key, value in asdict(one).items() if key not in ("t", "error")} for one in replays]
         chapters["replay"] = {"replays": records, "without_plan": missing}
-    return Results(extent, check, tuple(runs), tuple(compare_motions(runs)), chapters, plans, tuple(replays))
+    return Results(extent, check, runs, tuple(compare_motions(runs)), chapters, plans, tuple(replays))
+
+
+def run_replays(replayed: cases.Replayed, coarser: float) -> list[Replay] | str:
+    """Replay a plan with each of its drives; return the reason if there is no plan."""
+    case, motion = replayed.case(coarser), replayed.task.trajectory()
+    outcome = plan_or_error(case, case.backends[0])
+    if isinstance(outcome, InfeasiblePlanError):
+        return str(outcome)
+    return [replay(outcome, drive, name=replayed.name, motion=motion, backend=as_dynamics) for drive in replayed.drives]
 
 
 def summary(results: Results, files: Sequence[str]) -> dict[str, Any]:
@@ -179,8 +196,6 @@ def summary(results: Results, files: Sequence[str]) -> dict[str, Any]:
     ``files`` are all of the results folder: a later run replaces the folder only if there are no others.
     """
     experiments = {one.case.name: one.record() for one in results.runs}
-    for one in results.runs:
-        experiments[one.case.name]["configuration"]["source"] = thesis()["sources"][one.case.robot]
     about = {"format": "redundancy_pin results", "format_version": 1, "versions": made_with()}
     chapters = {name: results.chapters.get(name) for name in cases.CHAPTERS}
     checked, compared = results.check.as_dict(), results.compared
@@ -196,75 +211,67 @@ def made_with() -> dict[str, str]:
     return own | {name: importlib.metadata.version(name) for name in known}
 
 
-def run_replays(
-    plans: Plans, extent: cases.Extent, notify: Callable[[str], None]
-) -> tuple[list[Replay], dict[str, str]]:
-    """Replay plans of all planners with each of their drives; return what came out, and why some plans do not exist."""
-    missing: dict[str, str] = {}
-    jobs: list[tuple[cases.Replayed, Plan, Drive]] = []
-    for replayed in extent.replayed:
-        outcome = plans.outcome(replayed.case(extent.coarser))
-        if isinstance(outcome, InfeasiblePlanError):
-            missing[replayed.name] = str(outcome)
-            notify(f"no plan to replay: {replayed.name}")
-        else:
-            jobs += [(replayed, outcome, drive) for drive in replayed.drives]
-    results: list[Replay] = []
-    for (replayed, _, drive), result in zip(jobs, parallel(_replay, jobs, extent.jobs, ordered=True), strict=True):
-        results.append(result)
-        if drive == replayed.drives[-1]:
-            notify(f"replay: {result.plan}")
-    return results, missing
-
-
-def _replay(replayed: cases.Replayed, plan: Plan, drive: Drive) -> Replay:
-    return replay(plan, drive, name=replayed.name, motion=replayed.task.trajectory(), backend=as_dynamics)
-
-
 # --- files ---------------------------------------------------------------------------------------------------------
 
 
-def write(folder: Path, results: Results, notify: Callable[[str], None]) -> None:
+def write(folder: Path, results: Results, notify: Notify) -> None:
     """Write everything but the summary: data, plans, figures, and the report, which embeds the figures."""
-    for motion in results.runs:
-        write_text(folder / f"{motion.case.name}.csv", motion.csv())
+    writing: list[tuple[Any, ...]] = [(write_motion, folder, motion) for motion in results.runs]
     if "beyond" in results.chapters:
-        write_plans(folder, results)
         records = results.chapters["beyond"]["plans"]
-        write_text(folder / "beyond.csv", records_csv(_BEYOND_COLUMNS, records))
+        writing += [(write_plan, folder / record["file"], plan) for record, plan in saved_plans(results)]
+        write_text(folder / "beyond.csv", _records_csv(_BEYOND_COLUMNS, records))
         write_text(folder / "headline.md", beyond.headline(records).markdown() + "\n")
     if "replay" in results.chapters:
         records = results.chapters["replay"]["replays"]
         # names with commas would need quotes, which not every reader of CSV knows
         rows = [{**row, **{key: row[key].replace(",", ";") for key in ("plan", "drive")}} for row in records]
-        write_text(folder / "replay.csv", records_csv(_REPLAY_COLUMNS, rows, digits=4))
-    drawn = [picture for chapter in pictures(results).values() for picture in chapter]
-    files = [[folder / f"{picture.stem}{suffix}" for suffix in PICTURE_SUFFIXES] for picture in drawn]
-    # a picture is drawn in no time beside that of its layout and its files
-    saving = [(picture.draw(results), *paths) for picture, paths in zip(drawn, files, strict=True)]
-    for picture, _ in zip(drawn, parallel(save, saving, results.extent.jobs, ordered=True), strict=True):
-        notify(picture.title)
+        write_text(folder / "replay.csv", _records_csv(_REPLAY_COLUMNS, rows, digits=4))
+    for picture in [picture for chapter in pictures(results).values() for picture in chapter]:
+        # drawing takes little time beside the layout and the files
+        paths = [folder / f"{picture.stem}{suffix}" for suffix in PICTURE_SUFFIXES]
+        writing.append((save, picture.draw(results), *paths))
+    for _ in parallel(_done, writing, results.extent.jobs):
+        notify("files")
     page = report(results)
     write_text(folder / "report.md", page)
     write_text(folder / "report.html", html(page, folder))
 
 
-def write_plans(folder: Path, results: Results) -> None:
-    """Write the plans of the chapter beyond the thesis, each with its curves as CSV; a time occurs twice at a jump."""
+def _done(function: Callable[..., None], *arguments: Any) -> None:
+    function(*arguments)
+
+
+def _records_csv(names: Sequence[str], records: Sequence[Record], digits: int | None = None) -> str:
+    return csv_rows({name: ("", np.array([record[name] for record in records])) for name in names}, digits=digits)
+
+
+def write_motion(folder: Path, motion: MotionRun) -> None:
+    """Write the curves of a motion without a planner as CSV."""
+    write_text(folder / f"{motion.case.name}.csv", motion.csv())
+
+
+def saved_plans(results: Results) -> Iterator[tuple[Record, Plan]]:
+    """Give the records of the chapter beyond the thesis that have a file, with their plans."""
     tasks = {task.name: task for task in cases.TASKS}
     for record in results.chapters["beyond"]["plans"]:
         if record["exists"] and record["file"]:
-            plan = results.plans.plan(cases.by_method(tasks[record["task"]], record["way"], results.extent.coarser))
-            kept = {key: value for key, value in plan.diagnostics.items() if key not in _CLOCK}
-            replace(plan, diagnostics=kept).save(folder / f"{record['file']}.npz")
-            robot = robot_of_record(plan.robot)
-            columns = {
-                **motion_columns(robot, plan.motion, plan.carriers),
-                **effort_columns(robot.actuated, plan.tau, robot),
-                **effort_columns(robot.carriers, plan.carrier_force, robot),
-                "condition": ("", plan.condition),
-            }
-            write_text(folder / f"{record['file']}.csv", csv_rows(columns, digits=CSV_DIGITS))
+            case = cases.by_method(tasks[record["task"]], record["way"], results.extent.coarser)
+            yield record, results.plans.plan(case)
+
+
+def write_plan(stem: Path, plan: Plan) -> None:
+    """Write a plan, and its curves as CSV; a time occurs twice at a jump."""
+    kept = {key: value for key, value in plan.diagnostics.items() if key not in _CLOCK}
+    replace(plan, diagnostics=kept).save(f"{stem}.npz")
+    robot = robot_of_record(plan.robot)
+    columns = {
+        **motion_columns(robot, plan.motion, plan.carriers),
+        **effort_columns(robot.actuated, plan.tau, robot),
+        **effort_columns(robot.carriers, plan.carrier_force, robot),
+        "condition": ("", plan.condition),
+    }
+    write_text(f"{stem}.csv", csv_rows(columns, digits=CSV_DIGITS))
 
 
 def report(results: Results) -> str:
@@ -272,18 +279,24 @@ def report(results: Results) -> str:
     template = environment(jinja2.PackageLoader("redundancy_pin.thesis", "")).get_template("report.md.j2")
     shown = {"tables": tables(results), "pictures": pictures(results), "versions": made_with(), "notes": NOTES}
     chapters = {name: results.chapters.get(name) for name in cases.CHAPTERS}
-    return template.render(results=results, mode_text=mode_text, in_front=IN_FRONT, **shown, **chapters)
+    found = {one["name"]: one["numbers"] for one in results.chapters.get("beyond", {}).get("findings", ())}
+    return template.render(results=results, mode_text=mode_text, in_front=IN_FRONT, found=found, **shown, **chapters)
 
 
 # --- tables --------------------------------------------------------------------------------------------------------
 
+RANGED = ("peak", "rms", "carrier_force", "main_energy", "energy")
+"""Columns that the comparison of machines shows as ranges over the working modes."""
+
 
 def tables(results: Results) -> dict[str, Table]:
     """Return every table of what was run, by the names in ``tables.yaml``."""
-    runs = [{**run.record(), "name": Link(run.case.name, f"{run.case.name}.csv")} for run in results.runs]
+    runs = [{**run.record(), "name": run.case.name} for run in results.runs]
+    left_out = {"worst": None, "tolerance": None}
+    checks = [{**row.as_dict(), "check": row.title, **(left_out if row.note else {})} for row in results.check.rows]
     chapters = results.chapters
     return {
-        "cross_check": table("cross_check", [_check_record(row) for row in results.check.rows]),
+        "cross_check": table("cross_check", checks),
         "motions": table("motions", runs, "experiments: Pinocchio (RNEA) against virtual work"),
         "thesis": table("thesis", results.compared, "what the thesis states (Parsa 2014), and what comes out here"),
         **(_planned(chapters["planned"], results.extent) if "planned" in chapters else {}),
@@ -291,15 +304,6 @@ def tables(results: Results) -> dict[str, Table]:
         **({"future": table("future", chapters["future"]["plans"])} if "future" in chapters else {}),
         **({"replays": table("replays", chapters["replay"]["replays"])} if "replay" in chapters else {}),
     }
-
-
-RANGED = ("peak", "rms", "carrier_force", "main_energy", "energy")
-"""What the comparison of machines shows as ranges over the working modes."""
-
-
-def _check_record(row: CheckRow) -> dict[str, Any]:
-    """Return a row of the cross-check for its table: without numbers, and with the reason, where it is left out."""
-    return {**row.as_dict(), "check": row.title, **({"worst": None, "tolerance": None} if row.note else {})}
 
 
 def _planned(chapter: Mapping[str, Any], extent: cases.Extent) -> dict[str, Table]:
@@ -310,7 +314,7 @@ def _planned(chapter: Mapping[str, Any], extent: cases.Extent) -> dict[str, Tabl
         {**same[0], "ranges": "; ".join(f"{one['parameter']}: {span((one['low'], one['high']))}" for one in same)}
         for same in grouped(chapter["sensitivity"], "case", "quantity").values()
     ]
-    holds = [Column(f"modes.{name}.holds", name) for name in modes]
+    holds = {name: (lambda record, name=name: record["modes"][name]["holds"]) for name in modes}
     alone = [record for record in machines if record["mode"] in ((), extent.modes[0])]
     whole = ("working_modes", "between_samples", "shortest_returns_on_square", "crossings", "parity")
     return {
@@ -326,8 +330,10 @@ def _planned(chapter: Mapping[str, Any], extent: cases.Extent) -> dict[str, Tabl
 
 def _beyond(chapter: Mapping[str, Any]) -> dict[str, Table]:
     plans, modes = chapter["plans"], chapter["working_modes"]
-    peaks = [Column(method, value=functools.partial(_worst, method)) for method in (modes[0]["rows"] if modes else ())]
-    ratio = Column("ratio", "least peak over no carriers", format=".2f")
+    peaks = {
+        name: (lambda record, name=name: _worst(record["rows"][name])) for name in (modes[0]["rows"] if modes else ())
+    }
+    ratio = {"least peak over no carriers": lambda record: f"{record['ratio']:.2f}"}
     shown = {name: table(name, chapter[name]) for name in ("targets", "fastest", "backends", "first_guesses")}
     for name, tasks in (("singular", cases.SINGULAR), ("turns", cases.TURNS)):
         chosen = [record for record in plans if record["task"] in {task.name for task in tasks}]
@@ -336,13 +342,12 @@ def _beyond(chapter: Mapping[str, Any]) -> dict[str, Table]:
     return shown | {
         "headline": beyond.headline(plans),
         "findings": table("findings", chapter["findings"], "beyond the thesis: planning over the whole trajectory"),
-        "beyond_modes": table("beyond_modes", modes, more=[*peaks, ratio]),
+        "beyond_modes": table("beyond_modes", modes, more={**peaks, **ratio}),
         "trade_off": table("trade_off", [{**one, **point} for one in chapter["trade_off"] for point in one["points"]]),
     }
 
 
-def _worst(method: str, record: Record) -> str:
-    row = record["rows"][method]
+def _worst(row: Record) -> str:
     shown = f"{row['worst']:.2f}" if row["exists"] else ""
     return shown if row["sound"] else f"{shown} ({row['status']})".strip()
 
@@ -350,11 +355,11 @@ def _worst(method: str, record: Record) -> str:
 # --- one HTML file: no network, no file beside it, no script --------------------------------------------------------
 
 VERDICTS = {
-    "good": ("reproduced", "met", "stands"),
-    "partly": ("reproduced:", "stands with conditions"),
-    "bad": ("differs:", "missed", "does not stand"),
+    **dict.fromkeys(("reproduced", "met", "stands"), "good"),
+    **dict.fromkeys(("reproduced:", "stands with conditions"), "partly"),
+    **dict.fromkeys(("differs:", "missed", "does not stand"), "bad"),
 }
-"""Cells by their class; a colon is followed by a condition or reason."""
+"""Class of a cell by its text; a colon is followed by a condition or a reason."""
 
 
 def html(markdown: str, folder: Path) -> str:
@@ -362,7 +367,7 @@ def html(markdown: str, folder: Path) -> str:
     renderer = MarkdownIt("commonmark", {"html": False}).enable("table")
     # rules of a renderer get the tokens, the index of theirs, options and an environment
     rules: dict[str, Callable[..., str]] = {
-        "image": functools.partial(_image, folder),
+        "image": lambda tokens, index, *_: _image(folder / str(tokens[index].attrs["src"]), tokens[index].content),
         "text": lambda tokens, index, *_: _words(tokens[index].content),
         "link_open": lambda *_: "",
         "link_close": lambda *_: "",
@@ -373,34 +378,19 @@ def html(markdown: str, folder: Path) -> str:
     tokens = renderer.parse(markdown)
     headings: list[tuple[str, str]] = []
     title = "Report"
-    shown: list[Token] = []
-    for index, token in enumerate(tokens):
-        inner = tokens[min(index + 1, len(tokens) - 1)].content
-        if token.type == "heading_open":
-            anchor = f"s{index}-" + re.sub(r"[^a-z0-9]+", "-", inner.lower()).strip("-")
-            title = inner if token.tag == "h1" else title
-            if token.tag == "h2":
-                # what came out is the page; each chapter behind it unfolds, also when a link leads into it
-                layer = "</div></details>\n<details><summary>" if len(headings) > 1 else "<details><summary>"
-                shown += [_html(layer)] if headings else []
-                headings.append((anchor, inner))
-            if token.tag != "h2" or len(headings) == 1:
-                token.attrSet("id", anchor)
-        elif token.type == "td_open":
-            head, colon, _ = inner.partition(":")
-            classes = [name for name, verdicts in VERDICTS.items() if head + colon in verdicts]
-            token.attrs = {"class": classes[0]} if classes else {}
-        shown.append(token)
-        if token.type == "heading_close" and token.tag == "h2" and len(headings) > 1:
-            shown.append(_html(f'</summary><div id="{headings[-1][0]}">\n'))
-    tokens = shown + [_html("</div></details>\n")] * (len(headings) > 1)
+    for index, (token, inner) in enumerate(pairwise(tokens)):
+        if token.type == "td_open":
+            verdict, colon, _ = inner.content.partition(":")
+            kind = VERDICTS.get(verdict + colon)
+            token.attrs = {"class": kind} if kind else {}
+        elif token.tag == "h1":
+            title = inner.content or title
+        elif token.type == "heading_open" and token.tag == "h2":
+            headings.append((f"s{index}", inner.content))
+            token.attrSet("id", f"s{index}")
     body = renderer.renderer.render(tokens, renderer.options, {})
     page = jinja2.Environment(loader=jinja2.PackageLoader("redundancy_pin.thesis", ""), autoescape=True)
     return page.get_template("page.html.j2").render(title=title, headings=headings, body=body)
-
-
-def _html(content: str) -> Token:
-    return Token("html_block", "", 0, content=content)
 
 
 def _words(content: str) -> str:
@@ -408,10 +398,9 @@ def _words(content: str) -> str:
     return re.sub("([+\u2212]{2,})", r'<span class="mode">\1</span>', escapeHtml(content))
 
 
-def _image(folder: Path, tokens: Sequence[Token], index: int, *_: object) -> str:
-    path = folder / str(tokens[index].attrs["src"])
+def _image(path: Path, title: str) -> str:
     try:
         content = base64.b64encode(path.read_bytes()).decode("ascii")
     except OSError as error:
         raise OutputError(f"Cannot read {path}: {error.strerror or error}.", path=str(path)) from error
-    return f'<img src="data:image/png;base64,{content}" alt="{escapeHtml(tokens[index].content)}" loading="lazy">'
+    return f'<img src="data:image/png;base64,{content}" alt="{escapeHtml(title)}" loading="lazy">'

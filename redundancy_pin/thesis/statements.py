@@ -1,4 +1,4 @@
-"""Verdicts: what the thesis states (``thesis.yaml``) against our runs, the unstated, and claims (``claims.yaml``)."""
+"""Verdicts on the numbers that the thesis states (``thesis.yaml``), over grids of the parameters it does not state."""
 
 from __future__ import annotations
 
@@ -9,19 +9,50 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
-import jinja2
 import numpy as np
 
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.thesis.case import Case, Plans
 from redundancy_pin.thesis.cases import BY_NAME, CORNERS, CROSSINGS, Extent
-from redundancy_pin.thesis.measures import Measure, MotionRun, Numbers, measure, read
+from redundancy_pin.thesis.measures import MotionRun, Numbers, read
 from redundancy_pin.thesis.table import Record, data, mode_text, span, text
 
 ROUNDING = 1e-12
 """A gap up to this is none: the limits of an interval are themselves rounded."""
 
-thesis = functools.partial(data, "thesis")
+_RAMP_DOWN = 0.03
+"""Time in which the forces fall before the motors are off, on the circle, s."""
+
+_LATE = 0.01
+"""Largest delay with which the thesis notices an instant, s: its times have two decimals, its step may be 10 ms."""
+
+
+@functools.cache
+def thesis() -> Mapping[str, Any]:
+    """Return ``thesis.yaml``; the numbers stated with each crossing are among ``motions``, ``planned`` and ``rows``."""
+    stated = dict(data("thesis"))
+    rows: dict[str, str] = {}
+    motions, planned = list(stated["motions"]), []
+    for one in stated["crossings"]:
+        threshold, figure = one["threshold"], f"fig. {one['figure']}"
+        parked = {"source": figure, "case": f"{one['motion']}-parked"}
+        moving = {"source": figure, "case": f"{one['motion']}-cn{threshold}"}
+        for edge, when, forces, switching in (("entry", "met", "falling", "off"), ("exit", "left", "rising", "on")):
+            row, at = f"{one['figure']} {edge}", float(one[when])
+            rows[row] = f"{one['motion'].replace('-', ' ')} m/s, CN {threshold}, switching {switching}"
+            motions.append({**parked, "quantity": f"threshold {threshold} {when}", "unit": "s", "stated": [at],
+                            "measure": [f"threshold_{when}", threshold], "note": one.get("note", "")})  # fmt: skip
+            planned.append({**moving, "row": row, "quantity": f"threshold {when}", "unit": "s", "stated": [one[when]],
+                            "measure": ["time_of", edge], "grids": [one["ramps"]], "late": _LATE,
+                            "why": f"at {one[when]} s the condition number is {{:.3g}} here",
+                            "of": ["condition_at", at]})  # fmt: skip
+            planned.append({**moving, **stated["forces"][edge], "row": row, "unit": "N", "stated": one[forces],
+                            "grids": [one["ramps"], "ramp_starts"] if edge == "entry" else ["returns"]})  # fmt: skip
+        motions.append({**parked, "quantity": f"threshold {threshold}: forces", "unit": "N",
+                        "stated": [float(force) for force in one["falling"]], "note": stated["forces"]["note"],
+                        "measure": ["parked_forces", threshold, _RAMP_DOWN]})  # fmt: skip
+    motions.sort(key=lambda entry: list(BY_NAME).index(entry["case"]))
+    return {**stated, "motions": motions, "planned": [*planned, *stated["planned"]], "rows": rows | stated["rows"]}
 
 
 # --- the rule ------------------------------------------------------------------------------------------------------
@@ -37,7 +68,7 @@ def interval(printed: str) -> tuple[float, float]:
 
 
 def excess(printed: str, low: float, high: float) -> float:
-    """Return how far a stated number is beyond a range of ours, 0 inside; infinite if there is no such number."""
+    """Return how far a stated number is beyond a range of ours, 0 inside; infinite if our number is NaN."""
     bottom, top = interval(printed)
     return math.inf if math.isnan(low) else max(0.0, low - top, bottom - high)
 
@@ -99,7 +130,7 @@ class ParameterGrid:
 
     @property
     def parameter(self) -> str:
-        """What is varied, in words."""
+        """Names of the parameters."""
         return " and ".join(_PARAMETERS[name][0] for name in self.values)
 
     @property
@@ -115,11 +146,14 @@ class ParameterGrid:
             changed, labels = case, []
             for name, value in zip(self.values, combination, strict=True):
                 before, changed = changed, vary(changed, name, value)
-                mode = name == "working_mode"
-                label = f"mode {mode_text(value)}" if mode else f"{_PARAMETERS[name][0]} = {_quantity(name, [value])}"
-                labels += [label] if changed != before else []
+                shown = f"mode {mode_text(value)}" if name == "working_mode" else _named(name, value)
+                labels += [shown] if changed != before else []
             variations.append((changed, ", ".join(labels)))
         return variations
+
+
+def _named(name: str, value: float) -> str:
+    return f"{_PARAMETERS[name][0]} = {_quantity(name, [value])}"
 
 
 def _quantity(name: str, values: Sequence[float]) -> str:
@@ -145,7 +179,7 @@ def compare_motions(runs: Sequence[MotionRun]) -> list[Record]:
     by_name = {run.case.name: run for run in runs}
     return [
         {"source": entry["source"], "experiment": entry["case"], "quantity": entry["quantity"], "unit": entry["unit"],
-         "stated": entry["stated"], "computed": measure(*entry["measure"])(by_name[entry["case"]]),
+         "stated": entry["stated"], "computed": read(by_name[entry["case"]], *entry["measure"]),
          "note": entry.get("note", "")}
         for entry in thesis()["motions"]
         if entry["case"] in by_name
@@ -166,53 +200,47 @@ def _ranged(extent: Extent) -> tuple[Case, ...]:
 
 def judge_all(plans: Plans, extent: Extent) -> list[Record]:
     """Judge every number, and every joint statement, about the planned cases."""
-    records = [_judged(entry, plans, extent) for entry in thesis()["planned"]]
-    for entry in thesis()["jointly"]:
-        tests = {"growth_with_threshold": growth_with_threshold, "same_before_the_corner": same_before_the_corner}
-        outcome = tests[entry["test"]](plans)
-        records.append({"deviation": "", "covered": "", **entry, **outcome})
-    return records
+    tests = {"growth_with_threshold": growth_with_threshold, "same_before_the_corner": same_before_the_corner}
+    jointly = [
+        {"deviation": "", "covered": "", **entry, **tests[entry["test"]](plans)} for entry in thesis()["jointly"]
+    ]
+    return [*(_judged(entry, plans, extent) for entry in thesis()["planned"]), *jointly]
 
 
 def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
-    case, reading, late = BY_NAME[entry["case"]], measure(*entry["measure"]), entry.get("late", 0.0)
+    case, late = BY_NAME[entry["case"]], entry.get("late", 0.0)
     printed, unit = [str(digits) for digits in entry["stated"]], entry["unit"]
     grids = [grid(name, extent) for name in entry["grids"]]
+    outcomes = [(plans.outcome(varied), label) for over in grids for varied, label in over.cases(case)]
     plan = plans.plan(case)
-    ours = reading(plan)
+    variations = [
+        (read(one, *entry["measure"]), label) for one, label in [(plan, ""), *outcomes] if isinstance(one, Plan)
+    ]
+    ours = variations[0][0]
     as_run = given_by(printed, ours, late)
-    variations = [(ours, ""), *_varied(case, grids, reading, plans)]
-    values = [varied for varied, _ in variations]
     # the nearest run: one that gives the numbers before one that does not
-    _, _, nearest = min(
+    fails, _, nearest = min(
         (not given_by(printed, varied, late), _miss(printed, varied), label) for varied, label in variations
     )
-    ranges = [limits_of(column) for column in zip(*values, strict=True)]
-    reproduced = any(given_by(printed, varied, late) for varied in values)
+    ranges = [limits_of(column) for column in zip(*(values for values, _ in variations), strict=True)]
     beyond = max(excess(digits, low, high + late) for digits, (low, high) in zip(printed, ranges, strict=True))
-    if reproduced:
+    if not fails:
         reason = "" if as_run else f"with {nearest}"
     elif beyond <= ROUNDING:
         reason = "inside the range, but no single run gives it" + (f"; nearest with {nearest}" if nearest else "")
     else:
         reason = f"{beyond:.2g} {unit} beyond the range" if math.isfinite(beyond) else "never happens here"
-        reason += "; " + entry["why"].format(*measure(*entry["of"])(plan)) if "why" in entry else ""
+        reason += "; " + entry["why"].format(*read(plan, *entry["of"])) if "why" in entry else ""
     over = [varied.parameter for varied in grids] + ([f"step up to {late:g} s"] if late else [])
     deviations = [text(value - _value(digits), "+.2g") for value, digits in zip(ours, printed, strict=True)]
     covered = ", ".join(span((low, high + late)) for low, high in ranges) + f" over {', '.join(over)}"
     return {"row": entry["row"], "source": entry["source"], "condition": thesis()["rows"][entry["row"]],
             "quantity": f"{entry['quantity']} [{unit}]", "stated": ", ".join(printed), "ours": text(ours),
-            "deviation": ", ".join(deviations), "covered": covered, **_verdict(reproduced, reason, as_run)}  # fmt: skip
+            "deviation": ", ".join(deviations), "covered": covered, **_verdict(not fails, reason, as_run)}  # fmt: skip
 
 
 def _verdict(reproduced: bool, reason: str, as_run: bool) -> Record:
     return {"verdict": "reproduced" if reproduced else "differs", "reason": reason, "as_run": as_run}
-
-
-def _varied(case: Case, grids: Sequence[ParameterGrid], reading: Measure, plans: Plans) -> list[tuple[Numbers, str]]:
-    """Return what a measure reads off every variation that has a plan, with what the variation changes."""
-    outcomes = [(plans.outcome(varied), label) for entry in grids for varied, label in entry.cases(case)]
-    return [(reading(outcome), label) for outcome, label in outcomes if isinstance(outcome, Plan)]
 
 
 def _value(printed: str) -> float:
@@ -226,7 +254,7 @@ def _miss(printed: Sequence[str], values: Numbers) -> float:
 
 def growth_with_threshold(plans: Plans) -> Record:
     """Judge whether the forces on the line grow with threshold and speed."""
-    slow, fast, high = (read("entry_forces", plans.plan(case)) for case in CROSSINGS[4:])
+    slow, fast, high = (read(plans.plan(case), "entry_forces") for case in CROSSINGS[4:])
     holds, ours = max(slow) < max(fast) < max(high), "; ".join(text(pair, ".2g") for pair in (slow, fast, high))
     return {"ours": f"{ours} N", **_verdict(holds, "forces as they begin to fall", holds)}
 
@@ -237,7 +265,7 @@ def same_before_the_corner(plans: Plans) -> Record:
     entered = float(wide.motion.t[wide.motion.jumps][0])
     first, second = wide.t < entered - 1e-9, sharp.t < entered - 1e-9
     apart = float(np.abs(wide.carriers.s[first] - sharp.carriers.s[second]).max())
-    met = [read("first_bound", plan, "speed", 2)[0] for plan in (wide, sharp)]
+    met = [read(plan, "first_bound", "speed", 2)[0] for plan in (wide, sharp)]
     reason = f"up to {entered:.2g} s the plans differ by at most {apart:.1g} m: no set-up meets both times"
     return {"ours": f"{text(met[0])} and {text(met[1])}", **_verdict(not apart < 1e-9, reason, False)}
 
@@ -256,61 +284,12 @@ def sensitivity(plans: Plans, extent: Extent) -> list[Record]:
 
 
 def _ranges(case: Case, over: ParameterGrid, plans: Plans) -> list[Record]:
-    variations = [variation for variation, _ in over.cases(case)]
-    existing = [plan for _, plan in plans.existing(variations)]
+    outcomes = [plans.outcome(varied) for varied, _ in over.cases(case)]
+    existing = [outcome for outcome in outcomes if isinstance(outcome, Plan)]
     records = []
     for quantity, reading in thesis()["sensitivity"][case.path]["quantities"].items():
-        value_of = measure(*reading)
-        low, high = limits_of([value for plan in existing for value in value_of(plan)])
+        low, high = limits_of([value for plan in existing for value in read(plan, *reading)])
         records.append({"case": case.name, "quantity": quantity, "parameter": over.parameter, "grid": over.shown,
-                        "ours": max(value_of(plans.plan(case))), "low": low, "high": high, "plans": len(variations),
-                        "without": len(variations) - len(existing)})  # fmt: skip
+                        "ours": max(read(plans.plan(case), *reading)), "low": low, "high": high,
+                        "plans": len(outcomes), "without": len(outcomes) - len(existing)})  # fmt: skip
     return records
-
-
-# --- claims: verdicts computed from records, and sentences of claims.yaml ---------------------------------------------
-
-FILTERS = {
-    "n": text,
-    "n1": lambda value: text(value, ".1g"),
-    "n2": lambda value: text(value, ".2g"),
-    "r": lambda values: span(values, ".2g"),
-}
-"""Of templates: a number (in three, one, two digits), and a range of factors."""
-
-
-def environment(loader: jinja2.BaseLoader | None = None) -> jinja2.Environment:
-    """Return what renders Markdown templates: a name that does not exist is an error."""
-    made = jinja2.Environment(
-        loader=loader,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    made.filters.update(FILTERS)
-    return made
-
-
-def verdict(good: int, total: int) -> str:
-    """Return the verdict on a claim that holds in some of all cases."""
-    if good == total:
-        return "stands"
-    return "stands with conditions" if good else "does not stand"
-
-
-def claim(name: str, stands: str, **values: Any) -> Record:
-    """Return what becomes of a claim of the data file: its verdict, and the numbers that its sentence shows."""
-    template = environment().from_string
-    texts = {key: " ".join(template(wording).render(values).split()) for key, wording in data("claims")[name].items()}
-    return {"name": name, "claim": texts["claim"], "stands": stands, "here": texts["here"], "numbers": values}
-
-
-def counted(name: str, good: int, total: int, /, **values: Any) -> Record:
-    """Return what becomes of a claim that holds in some of all cases."""
-    return claim(name, verdict(good, total), total=total, **values)
-
-
-def ratios(pairs: Sequence[tuple[Record, Record]], key: str) -> list[float]:
-    """Return the factors between the numbers of pairs of records."""
-    return [one[key] / other[key] for one, other in pairs]

@@ -1,4 +1,4 @@
-"""Records as tables: columns by name in ``tables.yaml``, or given in code; as Markdown, CSV or on a terminal."""
+"""Records as tables, columns by name in ``tables.yaml``: as Markdown or on a terminal."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import functools
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -14,7 +14,6 @@ import numpy as np
 
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.yaml_file import read_yaml
-from redundancy_pin.trajectory.csv_file import csv_rows
 
 if TYPE_CHECKING:
     from rich.table import Table as TerminalTable
@@ -25,6 +24,9 @@ NONE = "–"
 Record: TypeAlias = dict[str, Any]
 """A row: plain values by the name of their column."""
 
+Cell: TypeAlias = Callable[[Record], Any]
+"""Returns the content of a cell from the record of its row."""
+
 
 @functools.cache
 def data(name: str) -> Mapping[str, Any]:
@@ -34,78 +36,54 @@ def data(name: str) -> Mapping[str, Any]:
 
 
 @dataclass(frozen=True)
-class Column:
-    """A column; its name is the key of its values in records, CSV and JSON. ``value`` makes a cell of a record."""
-
-    name: str
-    title: str = ""
-    format: str = ".3g"
-    value: Callable[[Record], Any] | None = None
-
-    @property
-    def heading(self) -> str:
-        """Heading of the column."""
-        return self.title or self.name
-
-    def cell(self, record: Record) -> Any:
-        """Return the value of the column in a record."""
-        return self.value(record) if self.value else entry(self.name, record)
-
-
-@dataclass(frozen=True)
 class Table:
-    """Records under headings, with a title; entries that no column names are not shown."""
+    """Texts under headings, with a title; ``names`` are the keys of the columns. Links are ``[text](path)``."""
 
-    columns: tuple[Column, ...]
-    records: tuple[Record, ...]
+    names: tuple[str, ...]
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
     title: str = ""
+
+    def markdown(self) -> str:
+        """Return a table in GitHub's Markdown, without its title."""
+        lines = [self.headings, ("---",) * len(self.headings), *self.rows]
+        return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
     def only(self, *names: str) -> Table:
         """Return the table with some of its columns."""
-        return replace(self, columns=tuple(column for column in self.columns if column.name in names))
-
-    @property
-    def texts(self) -> list[list[str]]:
-        """Cells as texts."""
-        return [[text(column.cell(record), column.format) for column in self.columns] for record in self.records]
-
-    def markdown(self) -> str:
-        """Return a table of GitHub's Markdown, without its title."""
-        lines = [[column.heading.replace("|", "\\|") for column in self.columns], ["---"] * len(self.columns)]
-        for record, texts in zip(self.records, self.texts, strict=True):
-            cells = [column.cell(record) for column in self.columns]
-            shown = [part.replace("|", "\\|") for part in texts]
-            links = [f"[{cell.text}]({cell.path})" if isinstance(cell, Link) else "" for cell in cells]
-            lines.append([link or part for link, part in zip(links, shown, strict=True)])
-        return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+        places = [i for i, name in enumerate(self.names) if name in names]
+        kept = [tuple(line[i] for i in places) for line in (self.names, self.headings, *self.rows)]
+        return Table(kept[0], kept[1], tuple(kept[2:]), self.title)
 
     def terminal(self) -> TerminalTable:
-        """Return the table for a rich console."""
+        """Return the table for a rich console, without links."""
         from rich.table import Table as TerminalTable
 
         shown = TerminalTable(title=self.title or None)
-        for column in self.columns:
-            shown.add_column(column.heading, overflow="fold")
-        for row in self.texts:
-            shown.add_row(*row)
+        for heading in self.headings:
+            shown.add_column(heading, overflow="fold")
+        for row in self.rows:
+            shown.add_row(*(re.sub(r"\[(.*)\]\(\S+\)", r"\1", cell) for cell in row))
         return shown
 
 
-@dataclass(frozen=True)
-class Link:
-    """A cell that links to a file of the results folder."""
-
-    text: str
-    path: str
-
-    def __str__(self) -> str:
-        """Return the text."""
-        return self.text
+def table(name: str, records: Sequence[Record], title: str = "", more: Mapping[str, Cell] | None = None) -> Table:
+    """Return records as the table of a name in ``tables.yaml``, followed by further columns by their heading."""
+    columns = [_column(key, shown) for key, shown in data("tables")[name].items()]
+    columns += [(heading, heading, cell) for heading, cell in (more or {}).items()]
+    names, headings, cells = zip(*columns, strict=True)
+    return Table(names, headings, tuple(tuple(text(cell(record)) for cell in cells) for record in records), title)
 
 
-def records_csv(names: Sequence[str], records: Sequence[Record], digits: int | None = None) -> str:
-    """Return entries of records as CSV text; floats to some significant digits, or exactly."""
-    return csv_rows({name: ("", np.array([record[name] for record in records])) for name in names}, digits=digits)
+def _column(key: str, shown: str) -> tuple[str, str, Cell]:
+    heading, kind, form = re.fullmatch(r"(.*?)(?: ([:=])(\S+))?", shown).groups()  # type: ignore[union-attr]
+    return key, heading, CELLS[form] if kind == "=" else lambda record: text(entry(key, record), form or ".3g")
+
+
+def entry(key: str, record: Record) -> Any:
+    """Return an entry of a record; a dot leads into a nested record, None if it is missing."""
+    first, _, rest = key.partition(".")
+    return entry(rest, record.get(first) or {}) if rest else record.get(first)
 
 
 def text(value: Any, form: str = ".3g") -> str:
@@ -130,21 +108,6 @@ def span(values: Sequence[float], form: str = ".3g") -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def table(name: str, records: Sequence[Record], title: str = "", more: Sequence[Column] = ()) -> Table:
-    """Return records as the table of a name in ``tables.yaml``, followed by further columns."""
-    columns = []
-    for key, shown in data("tables")[name].items():
-        heading, kind, form = re.fullmatch(r"(.*?)(?: ([:=])(\S+))?", shown).groups()  # type: ignore[union-attr]
-        columns.append(Column(key, heading, form if kind == ":" else ".3g", CELLS[form] if kind == "=" else None))
-    return Table((*columns, *more), tuple(records), title)
-
-
-def entry(key: str, record: Record) -> Any:
-    """Return an entry of a record; a dot leads into a nested record, None if it is missing."""
-    first, _, rest = key.partition(".")
-    return entry(rest, record.get(first) or {}) if rest else record.get(first)
-
-
 def grouped(records: Sequence[Record], *keys: str) -> dict[tuple[Any, ...], list[Record]]:
     """Return records by their entries of some keys, in order."""
     groups: dict[tuple[Any, ...], list[Record]] = {}
@@ -163,17 +126,18 @@ def _peak(record: Record) -> str:
     return text(record["peak"]) + before if record["exists"] else "none"
 
 
-def _of(value: str, limit: str) -> Callable[[Record], str]:
-    return lambda record: NONE if math.isnan(record[limit]) else f"{record[value]:.3f} of {record[limit]:g}"
+def _of(value: str, limit: str) -> Cell:
+    return lambda record: None if math.isnan(record[limit]) else f"{record[value]:.3f} of {record[limit]:g}"
 
 
-CELLS: Mapping[str, Callable[[Record], Any]] = {
+CELLS: Mapping[str, Cell] = {
     "counts": lambda record: ", ".join(f"{name} {count}" for name, count in record["statuses"].items()),
     "with_reason": lambda record: ": ".join(part for part in (record["verdict"], record["reason"]) if part),
     "mode": lambda record: mode_text(record["mode"]),
     "met": lambda record: "met" if record["met"] else "missed",
     "effort_limit": lambda record: "none" if math.isinf(record["effort_limit"]) else record["effort_limit"],
-    "method": lambda record: Link(record["way"], f"{record['file']}.npz") if record["file"] else record["way"],
+    "method": lambda record: f"[{record['way']}]({record['file']}.npz)" if record["file"] else record["way"],
+    "motion": lambda record: f"[{record['name']}]({record['name']}.csv)",
     "peak": _peak,
     "position": _of("position", "track"),
     "speed": _of("speed", "speed_limit"),

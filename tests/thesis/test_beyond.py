@@ -16,11 +16,9 @@ from redundancy_pin import CarrierMotion, Plan, distribute, load_plan
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.thesis import beyond
 from redundancy_pin.thesis.beyond import (
-    CALM,
     INFEASIBLE,
     SAME_COST,
     backend_record,
-    findings,
     plan_record,
     rises,
     starts_record,
@@ -42,6 +40,7 @@ from redundancy_pin.thesis.cases import (
     TURNS,
     by_method,
 )
+from redundancy_pin.thesis.claims import CALM, NOT_JUDGED, findings
 from redundancy_pin.thesis.table import Record
 
 chapter = functools.partial(quick_results.chapter, "beyond")
@@ -325,6 +324,15 @@ def test_findings_follow_the_other_tables() -> None:
         }
     ]
     assert made(working_modes=lost)["corner_wide"]["stands"] == "does not stand"
+
+
+def test_what_was_not_run_is_not_judged() -> None:
+    """A quick run has no race on the circle; small extents have no second backend and no further first guesses."""
+    line = {**SLOW, "task": "line-0.2"}
+    none = made(lambda r: {**r, "exists": False}, fastest=[line], backends=[], first_guesses=[])
+    for name in ("speed", "cost", "between", "calm", "backends", "first_guesses"):
+        assert none[name]["stands"] == NOT_JUDGED
+        assert none[name]["here"]
 
 
 def test_numbers_of_findings() -> None:

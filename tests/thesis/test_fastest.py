@@ -13,9 +13,10 @@ import pytest
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus
+from redundancy_pin.thesis import beyond
 from redundancy_pin.thesis.beyond import attempt, fastest
 from redundancy_pin.thesis.case import Case, Plans
-from redundancy_pin.thesis.cases import EFFORT, QUICK, SINGULAR, at_speed, by_method
+from redundancy_pin.thesis.cases import EFFORT, QUICK, SINGULAR, Race, at_speed, by_method
 
 CIRCLE, LINE = SINGULAR[0], SINGULAR[4]
 EXTENT = replace(QUICK, tolerance=0.01, starts=3)
@@ -82,6 +83,15 @@ def test_whether_the_wider_limit_suffices(enough: bool) -> None:
     assert fastest(plans, CIRCLE, EXTENT)["suffices"] is enough
     wider = [case.option("acceleration") for case in plans.wanted if case.option("acceleration")]
     assert wider == [pytest.approx(1.01 * 10.1)]
+
+
+def test_efforts_of_a_capped_race_are_those_until_the_motors_are_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(beyond, "fastest", lambda plans, task, extent, effort=np.inf: {"effort": effort})
+    switched = CIRCLE.plan()
+    off = switched.t[switched.phase == switched.phases.index("off")][0]
+    capped = beyond.run_race(Race(CIRCLE, capped=True), EXTENT)["effort"]
+    assert capped == np.abs(switched.tau[switched.t < off]).max()
+    assert beyond.run_race(Race(CIRCLE), EXTENT)["effort"] == np.inf
 
 
 def test_an_unsound_plan_is_none() -> None:

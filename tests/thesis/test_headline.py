@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from redundancy_pin.thesis.beyond import BREAKS, INFEASIBLE, NO_PLAN, headline, headline_cell, plan_record
+from redundancy_pin.thesis.beyond import INFEASIBLE, headline, plan_record
 from redundancy_pin.thesis.case import Case, Plans
 from redundancy_pin.thesis.cases import (
     EFFORT,
@@ -24,6 +24,7 @@ from redundancy_pin.thesis.cases import (
     TURNS,
     crosses,
 )
+from redundancy_pin.thesis.claims import BREAKS, NO_PLAN, peak_text
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 
@@ -59,12 +60,12 @@ def in_readme() -> list[list[str]]:
 def test_a_cell_shows_what_is_wrong_with_a_plan() -> None:
     shown = {0.52: "0.520 N", 28.54: "28.5 N", 285.4: "285 N"}
     for worst, text in shown.items():
-        assert headline_cell(row("a", EFFORT, worst)) == text
-    assert headline_cell(row("a", EFFORT, 0.52, "limit_violated")) == f"0.520 N, {BREAKS}"
-    assert headline_cell(row("a", EFFORT, 0.52, "not_converged")) == "0.520 N, not converged"
-    assert headline_cell(row("a", EFFORT, float("inf"), "unbounded")) == "unbounded"
-    assert headline_cell(row("a", EFFORT, 0.52, INFEASIBLE)) == NO_PLAN
-    assert headline_cell(None) is None
+        assert peak_text(row("a", EFFORT, worst)) == text
+    assert peak_text(row("a", EFFORT, 0.52, "limit_violated")) == f"0.520 N, {BREAKS}"
+    assert peak_text(row("a", EFFORT, 0.52, "not_converged")) == "0.520 N, not converged"
+    assert peak_text(row("a", EFFORT, float("inf"), "unbounded")) == "unbounded"
+    assert peak_text(row("a", EFFORT, 0.52, INFEASIBLE)) == NO_PLAN
+    assert peak_text(None) is None
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,7 @@ def test_peaks_leave_out_near_singular_samples_and_the_statement_says_unbounded(
     result = quick_results.motion_run("circle-0.5-parked", 1e-3)
     d = result.distribution
     assert result.peaks.max() < 20.0 < 1000.0 < np.nanmax(np.abs(d.tau))
-    assert not result.bounded
+    assert not result.record()["bounded"]
     assert "unbounded at t = 0.5194 s, 0.8312 s" in result.statement
     assert sum(result.distribution.status_counts.values()) == len(result.t)
     windows = result.near_singular_windows

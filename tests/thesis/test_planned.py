@@ -15,7 +15,8 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.thesis import planned
 from redundancy_pin.thesis.case import Case, Plans
 from redundancy_pin.thesis.cases import CORNERS, CROSSINGS, NONE, PARKED, parked, without_carriers
-from redundancy_pin.thesis.planned import MOVING, conclusions, plan_parity
+from redundancy_pin.thesis.claims import MOVING, conclusions
+from redundancy_pin.thesis.planned import TESTS, plan_parity
 from redundancy_pin.thesis.statements import thesis
 
 chapter = functools.partial(quick_results.chapter, "planned")
@@ -98,12 +99,11 @@ def test_actuators_do_at_least_the_work_that_the_platform_gains_and_loses() -> N
 def test_known_answers_in_a_working_mode(mode: tuple[int, ...]) -> None:
     runs = planned.runs_of(Plans(), mode)
     for name, answers in KNOWN.items():
-        holds, number = getattr(planned, name)(runs)
+        holds, number = TESTS[name](runs)
         assert holds == answers[mode], (name, number)
     for run in runs.values():
         np.testing.assert_array_equal(run.plan.t[: len(run.baseline.t)], run.baseline.t)
         assert run.accelerating.sum() > 20
-        assert (run.decided <= run.accelerating).all()
 
 
 # --- conclusions follow the numbers --------------------------------------------------------------------------------

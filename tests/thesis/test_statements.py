@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from redundancy_pin.thesis.case import Case
 from redundancy_pin.thesis.cases import BY_NAME, CORNERS, CROSSINGS, FULL
-from redundancy_pin.thesis.measures import measure
+from redundancy_pin.thesis.measures import MEASURES
 from redundancy_pin.thesis.statements import (
     ROUNDING,
     ParameterGrid,
@@ -98,12 +98,31 @@ def test_the_data_file_names_what_exists() -> None:
     data = thesis()
     for entry in (*data["motions"], *data["planned"]):
         assert entry["case"] in BY_NAME
-        assert callable(measure(*entry["measure"]))
+        assert entry["measure"][0] in MEASURES
     for entry in data["planned"]:
         assert entry["row"] in data["rows"]
         assert all(grid(name, FULL).cases(BY_NAME[entry["case"]]) for name in entry["grids"])
         assert all(isinstance(digits, str) for digits in entry["stated"])  # 0.20 is not 0.2
     assert {entry["row"] for key in ("planned", "jointly", "claims") for entry in data[key]} == set(data["rows"])
+
+
+def test_numbers_of_a_crossing_are_read_off_its_motion_and_its_plan() -> None:
+    """Figure 3.16: 0.26 s and 0.67 s, 4.2 N and 5.0 N as the forces fall, 0.46 N and 0.50 N on switching on."""
+    keys = ("row", "case", "stated", "measure", "grids", "late")
+    of_plan = [tuple(entry.get(key) for key in keys) for entry in thesis()["planned"] if entry["source"] == "fig. 3.16"]
+    case, ramps = "circle-0.75-cn5", "fast_circle_ramps"
+    assert of_plan == [
+        ("3.16 entry", case, ["0.26"], ["time_of", "entry"], [ramps], 0.01),
+        ("3.16 entry", case, ["4.2", "5.0"], ["entry_forces"], [ramps, "ramp_starts"], None),
+        ("3.16 exit", case, ["0.67"], ["time_of", "exit"], [ramps], 0.01),
+        ("3.16 exit", case, ["0.46", "0.50"], ["exit_forces"], ["returns"], None),
+    ]
+    motions = [entry for entry in thesis()["motions"] if entry["source"] == "fig. 3.16"]
+    assert {entry["case"] for entry in motions} == {"circle-0.75-parked"}
+    assert [(*entry["measure"], *entry["stated"]) for entry in motions] == [
+        ("threshold_met", 5, 0.26), ("threshold_left", 5, 0.67), ("parked_forces", 5, 0.03, 4.2, 5.0),
+    ]  # fmt: skip
+    assert thesis()["rows"]["3.16 exit"] == "circle 0.75 m/s, CN 5, switching on"
 
 
 def test_stated_numbers_are_met_to_what_the_thesis_rounds_and_reads_off() -> None:

@@ -9,23 +9,27 @@ import numpy as np
 
 from redundancy_pin.io.json_data import json_data
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.thesis.table import Column, Link, Table, span, table, text
+from redundancy_pin.thesis.table import Table, span, table, text
 
-TABLE = Table(
-    (Column("name"), Column("tau", "|torque| [N·m]", ".2f"), Column("good"),
-     Column("file", value=lambda r: Link("run", "a.csv"))),
-    ({"name": "a|b", "tau": (1.0, math.nan), "good": True}, {"name": "c", "tau": math.inf, "good": np.bool_(False)}),
-    "title",
-)  # fmt: skip
+TABLE = Table(("name", "tau", "file"), ("name", "|torque|", "file"), (("a|b", "1.00, –", "[run](a.csv)"),), "title")
 
 
-def test_markdown() -> None:
+def test_markdown_escapes_bars() -> None:
     assert TABLE.markdown().splitlines() == [
-        "| name | \\|torque\\| [N·m] | good | file |",
-        "| --- | --- | --- | --- |",
-        "| a\\|b | 1.00, – | yes | [run](a.csv) |",
-        "| c | unbounded | no | [run](a.csv) |",
+        "| name | \\|torque\\| | file |",
+        "| --- | --- | --- |",
+        "| a\\|b | 1.00, – | [run](a.csv) |",
     ]
+    assert TABLE.only("file").rows == (("[run](a.csv)",),)
+
+
+def test_a_terminal_shows_the_text_of_links() -> None:
+    assert [list(column.cells) for column in TABLE.terminal().columns] == [["a|b"], ["1.00, –"], ["run"]]
+
+
+def test_cells_show_numbers_that_do_not_exist() -> None:
+    assert text((1.0, math.nan), ".2f") == "1.00, –"
+    assert [text(value) for value in (math.inf, True, np.bool_(False), None)] == ["unbounded", "yes", "no", "–"]
 
 
 def test_json_has_no_number_that_does_not_exist() -> None:
@@ -47,7 +51,7 @@ def test_ranges_are_of_the_numbers_that_exist() -> None:
 def test_the_columns_of_the_report_are_entries_of_records() -> None:
     record = {"effort_limit": math.inf, "fastest_with_plan": {"speed": 1.25}, "slowest_without": None}
     fastest = table("fastest", [record])
-    shown = dict(zip([column.heading for column in fastest.columns], fastest.texts[0], strict=True))
+    shown = dict(zip(fastest.headings, fastest.rows[0], strict=True))
     assert shown["limit of main forces [N]"] == "none"
     assert shown["fastest with a plan [m/s]"] == "1.250"
     assert shown["slowest without [m/s]"] == "–"
