@@ -126,6 +126,7 @@ def test_titles_labels_and_legends_are_whole_and_apart_and_axes_have_units(name:
     for axes in drawn.axes:
         if axes.axison and axes.get_visible():
             assert "[" in axes.get_ylabel()
+            assert "…" not in axes.get_ylabel()  # no label of the package is so long that it is cut
     assert "[" in drawn.axes[-1].get_xlabel() + drawn.axes[-1].get_ylabel()
 
 

@@ -206,7 +206,7 @@ def _draw_plane(drawn: Figure, axes: Axes, locus: SingularLocus) -> None:
     size = np.abs(locus.margin)
     image = shade(axes, locus.axes, size, (locus.reachable, locus.reachable), brightest(size))
     bar = drawn.colorbar(image, ax=axes, shrink=0.8, extend="max")
-    bar.set_label("margin to type II: smallest scaled singular value of W [–]")
+    bar.set_label("margin to type II: σ_min of scaled W [–]")
     spatial = ["xyz".index(name) for name in locus.names]  # which of the world's axes the picture has
     for ends in mechanism.links(locus.robot, locus.q_reference):
         axes.plot(*np.stack(ends)[:, spatial].T, "-o", color="#5A5A5A", linewidth=1.6, markersize=3.5, zorder=2.0)
