@@ -11,7 +11,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
 from redundancy_pin.crosscheck.states import REASONS
 
 SCOPE = (
@@ -19,6 +19,12 @@ SCOPE = (
     "and loads are those of your machine."
 )
 """What a cross-check cannot find out; printed below every report."""
+
+PARITY_SCALE = (
+    "Parity: the deviation of a state whose closures have a singularity margin below {margin:g} is multiplied by the "
+    "margin over {margin:g}, because rounding grows as the inverse of the margin."
+).format(margin=NEAR_SINGULAR_MARGIN)
+"""How deviations of parity are scaled; printed below a report with such rows."""
 
 COLOURED = {"ok": "[green]ok[/green]", "FAILED": "[red]FAILED[/red]"}
 """Verdicts as the terminal shows them."""
@@ -32,8 +38,8 @@ class CheckRow:
         robot: name of the robot.
         check: what was compared.
         samples: number of states that were checked (of the row "random states": states that were used).
-        worst: largest deviation, relative to the size of what was compared (of parity, times the margin of the
-            closures over 0.05 where it is smaller: rounding grows as its inverse); NaN if one is not finite.
+        worst: largest deviation, relative to the size of what was compared (of parity, scaled as ``PARITY_SCALE``
+            states); NaN if one is not finite.
         tolerance: largest deviation that passes.
         passed: whether it does; false for a check without samples or with NaN.
         note: why the row is no check and does not count; empty for a check.
@@ -90,11 +96,17 @@ class CrossCheckReport:
 
     def as_dict(self) -> dict[str, object]:
         """Return plain numbers, for JSON."""
-        return {"passed": self.passed, "seed": self.seed, "rows": [row.as_dict() for row in self.rows]}
+        rows = [row.as_dict() for row in self.rows]
+        return {"passed": self.passed, "seed": self.seed, "rows": rows, "notes": list(self.notes)}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the checks do not find out, and how the deviations of parity, if there are any, are scaled."""
+        return (SCOPE, *[PARITY_SCALE] * any(row.check.startswith("parity") for row in self.rows))
 
     def table(self) -> Table:
         """Return the report as a table for the terminal."""
-        table = Table("robot", "check", title=f"cross-check, seed {self.seed}", caption=SCOPE)
+        table = Table("robot", "check", title=f"cross-check, seed {self.seed}", caption="\n".join(self.notes))
         for heading in ("states", "worst", "allowed", ""):
             table.add_column(heading, justify="right")
         for row in self.rows:

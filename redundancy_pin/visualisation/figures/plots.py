@@ -12,7 +12,6 @@ curves apart in print without colour, singular instants dotted, near-singular st
     snapshots   the mechanism at several instants             of a plan's, a simulation's or a robot's ``View``
     video       the moving picture as .gif or .mp4            of a plan's, a simulation's or a robot's ``View``
     locus       singular curves over the workspace            of ``singular_locus``
-    ellipsoids  velocities and forces the motors reach        of ``performance``
     workspace   where the platform can go, and how well       of ``workspace``
     comparison  the efforts of several plans                  of plans, simulations or ``curves``
 
@@ -49,7 +48,6 @@ from redundancy_pin.visualisation.figures.curves import (
     curves_of_run,
     plan_title,
 )
-from redundancy_pin.visualisation.figures.ellipsoids import draw_ellipsoids as ellipsoids
 from redundancy_pin.visualisation.figures.paths import draw_locus as locus
 from redundancy_pin.visualisation.figures.paths import draw_snapshots as snapshots
 from redundancy_pin.visualisation.figures.paths import plot_path
@@ -79,7 +77,6 @@ __all__ = [
     "condition",
     "curves",
     "efforts",
-    "ellipsoids",
     "locus",
     "path",
     "plan",
