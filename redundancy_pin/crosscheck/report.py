@@ -21,9 +21,9 @@ SCOPE = (
 """What a cross-check cannot find out; printed below every report."""
 
 PARITY_SCALE = (
-    "Parity: the deviation of a state whose closures have a singularity margin below {margin:g} is multiplied by the "
-    "margin over {margin:g}, because rounding grows as the inverse of the margin."
-).format(margin=NEAR_SINGULAR_MARGIN)
+    f"Parity: where the singularity margin of the closures is below {NEAR_SINGULAR_MARGIN:g}, the deviation is "
+    f"multiplied by the margin over {NEAR_SINGULAR_MARGIN:g}, because rounding grows as the inverse of the margin."
+)
 """How deviations of parity are scaled; printed below a report with such rows."""
 
 COLOURED = {"ok": "[green]ok[/green]", "FAILED": "[red]FAILED[/red]"}
