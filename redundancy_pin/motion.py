@@ -25,7 +25,7 @@ class PlatformMotion(Frozen):
     """Motion of the independent (platform) coordinates, sampled in time.
 
     Attributes:
-        t: (N,) time, s. Strictly increasing, but for *two-sided samples*: where the acceleration
+        t: (N,) time, s. Strictly increasing, except for *two-sided samples*: where the acceleration
             jumps, the same instant appears twice, with equal ``x`` and ``xd`` and the acceleration
             before and after the jump.
         x: (N, n) platform coordinates in the base frame, m and rad; or (N, 4, 4) homogeneous poses of a
@@ -34,10 +34,9 @@ class PlatformMotion(Frozen):
             axes at the platform origin.
         xdd: (N, n) its rate, m/s² and rad/s².
 
-    Efforts, plans and crossings are not computed of a motion whose rates are not those of its positions
-    (``require_consistent``): one in other units, or one that moves while ẋ is zero, would give numbers that look right.
-    ``check_rates=False`` is the word of the caller that the samples need not be a motion (poses to stand still in,
-    states that have nothing to do with one another); slices and copies keep it.
+    Efforts, plans and crossings are refused for a motion whose rates contradict its positions (``require_consistent``):
+    other units, or positions that move while ẋ is zero, would give plausible but wrong numbers. ``check_rates=False``
+    declares that the samples are not one motion (poses at rest, unrelated states); slices and copies keep it.
 
     Raises:
         InputError: wrong shapes, values that are not finite, time that does not increase.
@@ -234,7 +233,7 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
     errors below the noise; one wrong ẋ or ẍ among right ones.
 
     Raises:
-        InputError: rates that are not those of the positions, with ``column``, ``sample``, ``time``, the mean rate
+        InputError: rates that contradict the positions, with ``column``, ``sample``, ``time``, the mean rate
             ``found`` from the positions and ``given`` by the rates, and how much they may differ, ``allowed``.
     """
     require_carrier_motion(carriers)
@@ -320,7 +319,7 @@ def _steps(x: Array) -> Array:
 
 
 def _dimensions(values: ArrayLike) -> int:
-    """Return the number of axes, −1 where there is no such number; ``checked`` says what is wrong then."""
+    """Return the number of axes; −1 for ragged values, which ``checked`` refuses."""
     try:
         return np.ndim(values)
     except ValueError:
@@ -354,7 +353,7 @@ def _pose_errors(x: Array) -> Array:
 
 
 def require_poses(x: Array) -> None:
-    """Raise InputError where a matrix among (N, 4, 4) is no homogeneous pose, to ``POSE_TOLERANCE``."""
+    """Raise InputError if a matrix among (N, 4, 4) is not a homogeneous pose within ``POSE_TOLERANCE``."""
     error = _pose_errors(x)
     if not error.max() <= POSE_TOLERANCE:
         k = int(error.argmax())

@@ -42,7 +42,7 @@ class CheckRow:
             states); NaN if one is not finite.
         tolerance: largest deviation that passes.
         passed: whether it does; false for a check without samples or with NaN.
-        note: why the row is no check and does not count; empty for a check.
+        note: why the row does not count as a check; empty for a check.
         skipped: number of states that were skipped, by reason (a key of ``REASONS``).
     """
 
@@ -62,7 +62,7 @@ class CheckRow:
 
     @property
     def verdict(self) -> str:
-        """``ok``, ``FAILED``, or ``left out`` where there is a note."""
+        """``ok``, ``FAILED``, or ``left out`` for a row with a note."""
         return "left out" if self.note else "ok" if self.passed else "FAILED"
 
     @property
@@ -123,8 +123,8 @@ def checked_row(
 ) -> CheckRow:
     """Return the row of a check by the deviations (N,) of its states, relative to the size of what was compared.
 
-    A check that skips every state is left out, with a note that says so; but where another branch is the reason it
-    fails, for then a backend may be wrong.
+    A check that skips every state is left out, with a note. It fails if another branch is the reason, because the
+    backend may be wrong.
     """
     worst = float(np.max(values, initial=0.0)) if np.isfinite(values).all() else float("nan")
     nothing = bool(skipped) and not len(values) and "other_branch" not in skipped

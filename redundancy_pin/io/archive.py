@@ -94,7 +94,7 @@ def encode(value: object, arrays: Arrays, name: str = "", *, of_record: bool = T
         of_record: whether dataclasses and enumerations may be there; inside mappings and lists there is plain data.
 
     Raises:
-        InputError: something that is none of these, or stands inside a mapping and is not plain.
+        InputError: another type, or one inside a mapping that is not plain.
     """
     if of_record and is_dataclass(value) and not isinstance(value, type):
         names = {field.name: f"{name}.{field.name}" if name else field.name for field in fields(value)}
@@ -171,11 +171,11 @@ def write_archive(path: str | Path, kind: str, version: int, record: object) -> 
         path: the file; it gets exactly this name.
         kind: what the file calls itself.
         version: version of the format.
-        record: the dataclass; see ``encode`` for what it may hold.
+        record: the dataclass; ``encode`` lists the types that it may hold.
 
     Raises:
         InputError: the record holds something that is not plain data.
-        OutputError: the file cannot be written, or its name says that it is of another format.
+        OutputError: the file cannot be written, or its name has the suffix of another format.
     """
     if isinstance(path, (str, Path)) and (suffix := Path(path).suffix.lower()) in _OTHER_FORMATS:
         raise OutputError(
@@ -204,11 +204,11 @@ def read_archive(path: str | Path, kind: str, version: int, word: str, make: Cal
 
     Args:
         path: the file.
-        kind: what it must call itself.
+        kind: the kind of record that the file must name.
         version: the version of the format that the caller understands.
-        word: what it holds, for messages: "plan".
-        make: from the record, dataclasses as mappings of their fields, to what is returned; raises ``InputError``, or
-            what Python raises, where it does not fit.
+        word: the kind of record in messages: "plan".
+        make: makes the returned object from the record, whose dataclasses are mappings of their fields; raises
+            ``InputError``, or errors of Python, if the record does not fit.
 
     Raises:
         PlanFileError: missing, unreadable, truncated or damaged, another kind of file, another version of the format,
@@ -303,7 +303,7 @@ def _sound(name: str, array: Any) -> NDArray[Any]:
 
 
 def _foreign(path: Path, word: str, what: str) -> PlanFileError:
-    """Return the error for a file that never held what is looked for."""
+    """Return the error for a file of another kind."""
     return PlanFileError(f"{path} {what}.", remedy=f"Give a file that a {word} was saved to.", path=str(path))
 
 

@@ -1,6 +1,6 @@
-"""Writing files and folders so that a reader never sees half of one: write beside the target, then ``os.replace``.
+"""Writing files and folders so that a reader never sees half of one: write next to the target, then ``os.replace``.
 
-What a link leads to is written, and the link stays; an existing file keeps its permissions; a read-only one is left
+A link stays, and its target is written; an existing file keeps its permissions; a read-only one is left
 alone.
 """
 
@@ -75,14 +75,14 @@ def write_text(target: str | Path, text: str | Iterable[str]) -> None:
 def replacing_folder(target: str | Path) -> Iterator[Path]:
     """Give the path of a temporary folder that takes the place of ``target`` when the block ends without an error.
 
-    An earlier folder of results is replaced as a whole, so that no file of it survives beside those of the new one. It
-    counts as such when its ``summary.json`` lists every file in it: a folder with anything else is never touched.
+    An earlier folder of results is replaced as a whole, so that no old file remains among the new ones. A folder counts
+    as results if its ``summary.json`` lists every file in it: a folder with anything else is never touched.
 
     Args:
         target: the folder to make; missing, empty, or one of earlier results.
 
     Yields:
-        An empty folder beside the target.
+        An empty folder next to the target.
 
     Raises:
         OutputError: as ``require_replaceable``, or the disk refuses; the target is then as it was before.
@@ -172,7 +172,7 @@ def expanded(target: str | Path) -> Path:
     """Return a path to write, ``~`` being the user's folder.
 
     Raises:
-        OutputError: there is no such user.
+        OutputError: ``~name`` of an unknown user.
     """
     try:
         return Path(target).expanduser()

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Stroke:
-    """How one series is drawn: a colour of the Okabe–Ito palette; line style and marker tell it apart in grey."""
+    """How one series is drawn: a colour of the Okabe–Ito palette; line style and marker distinguish it in grey."""
 
     color: str
     dash: Any
@@ -145,7 +145,7 @@ def save(drawn: Figure, *paths: str | Path) -> None:
     """Write a figure to files, each whole or not at all; the suffix decides on the format.
 
     Raises:
-        OutputError: a suffix that is no picture format, or a file that cannot be written.
+        OutputError: a suffix of another format, or a file that cannot be written.
     """
     kinds = [picture_format(path) for path in paths]
     for path, kind in zip(paths, kinds, strict=True):
@@ -155,7 +155,7 @@ def save(drawn: Figure, *paths: str | Path) -> None:
 
 
 def picture_format(path: str | Path) -> str:
-    """Return the format that the suffix of a file stands for."""
+    """Return the picture format of a file by its suffix."""
     kind = Path(path).suffix[1:].lower()
     if kind not in _FORMATS:
         raise OutputError(
@@ -182,7 +182,7 @@ def write_numbers(axis: Axis) -> None:
 
 
 def legend_above(axes: Axes, width: float) -> None:
-    """Put the legend above axes that are ``width`` inches wide, where it hides nothing; none without labels."""
+    """Put the legend above axes that are ``width`` inches wide, so that it hides nothing; no legend without labels."""
     labels = axes.get_legend_handles_labels()[1]
     if labels:
         columns = _columns(labels, width)

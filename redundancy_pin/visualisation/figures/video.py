@@ -1,4 +1,4 @@
-"""A moving picture as a file: a GIF, or an MP4 where there is an ffmpeg (extra ``video``), drawn without a display."""
+"""A moving picture as a file: a GIF, or an MP4 with an ffmpeg (extra ``video``), drawn without a display."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def _writer(path: str | Path, rate: float) -> Any:
 
 
 def _ffmpeg() -> str:
-    """Return the system's ffmpeg, otherwise that of the package imageio-ffmpeg."""
+    """Return the system's ffmpeg, otherwise the one of the package imageio-ffmpeg."""
     remedy = "Install it with `pip install 'redundancy_pin[video]'`, or write a .gif."
     found = shutil.which("ffmpeg")
     return found or optional("imageio_ffmpeg", "Without the program ffmpeg an MP4 needs", remedy).get_ffmpeg_exe()

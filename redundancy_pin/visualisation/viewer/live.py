@@ -40,7 +40,7 @@ _WHY: Mapping[SampleStatus, str] = {
 class LiveRobot:
     """A robot in a notebook, moved by sliders, with its loops closed, and its efforts at rest.
 
-    As the last line of a cell it shows itself: sliders and numbers, and the robot beside them in meshcat. Each change
+    As the last line of a cell it shows itself: sliders and numbers, and the robot in meshcat. Each change
     of a slider is followed along the branch (``Follower.advance``). Where the branch ends, the robot stays at its last
     closed configuration, the sliders return to that configuration, and ``message`` has the reason.
 
@@ -55,7 +55,7 @@ class LiveRobot:
         carrier_force: (k,) efforts of the carriers' actuators, N or N·m.
         status: the ``SampleStatus`` of these efforts.
         margin: distance to type II, the smallest singular value of the scaled W, no unit.
-        branch: working mode, such as ``"+-+"``, and the sign of det W; empty parts where there is none.
+        branch: working mode, such as ``"+-+"``, and the sign of det W, each if it exists.
         message: why the last drag, or a value of the last ``set``, was not followed; empty if it was.
 
     Example:
@@ -141,7 +141,7 @@ class LiveRobot:
 
     @cached_property
     def widget(self) -> Any:
-        """Sliders and numbers, and the picture beside them, from a meshcat server of this machine."""
+        """Sliders, numbers and the picture, from a meshcat server of this machine."""
         self.send_to(import_meshcat().Visualizer())
         self._window = self._viewer.window
         style = f"width: 100%; height: {self._height}px; border: none"
@@ -159,7 +159,7 @@ class LiveRobot:
 
     @cached_property
     def _first(self) -> Scene:
-        """The picture when it is first asked for: all later ones have its solids and its scale of efforts."""
+        """The first picture: all later ones have its solids and its scale of efforts."""
         efforts = self.tau[None], self.carrier_force[None]
         return make_scene(
             self.robot, np.zeros(1), self.q[None], np.array([self.margin]), *efforts, title=self.robot.name

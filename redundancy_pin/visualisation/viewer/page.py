@@ -50,10 +50,10 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A scene that can be looked at. The last expression of a notebook cell shows itself; no display is needed.
+    """A scene to show. As the last expression of a notebook cell it shows itself; no display is needed.
 
     Attributes:
-        scene: what is shown.
+        scene: the scene.
         forces: whether arrows are shown at first.
         height: of the picture in a notebook, pixels.
     """
