@@ -360,23 +360,21 @@ def positive(value: float, name: str, unit: str) -> float:
 
 def not_negative(value: float, name: str) -> float:
     """Return a number as a float after checking that it is finite and not negative."""
-    try:
-        number = real(value)
-    except (TypeError, ValueError, OverflowError):
-        number = np.nan
-    if not 0.0 <= number < np.inf:
-        raise InputError(f"{name} is {shown(value)}, expected a number that is not negative.", name=name, value=value)
-    return number
+    return _within(value, name, sys.float_info.max, "that is not negative")
 
 
 def fraction(value: float, name: str) -> float:
     """Return a number after checking that it is from 0 to 1."""
+    return _within(value, name, 1.0, "in [0, 1]")
+
+
+def _within(value: float, name: str, most: float, allowed: str) -> float:
     try:
         number = real(value)
     except (TypeError, ValueError, OverflowError):
         number = np.nan
-    if not 0.0 <= number <= 1.0:
-        raise InputError(f"{name} is {shown(value)}, expected a number in [0, 1].", name=name, value=value)
+    if not 0.0 <= number <= most:
+        raise InputError(f"{name} is {shown(value)}, expected a number {allowed}.", name=name, value=value)
     return number
 
 

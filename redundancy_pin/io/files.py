@@ -10,7 +10,7 @@ import os
 import secrets
 import shutil
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -131,6 +131,18 @@ def require_writable(target: str | Path) -> Path:
     if not (path.stat().st_mode & 0o222 and os.access(path, os.W_OK)):
         raise _refused(path, "it is read-only.", "Make it writable, or give another name.")
     return path
+
+
+def require_suffix(path: str | Path, allowed: Sequence[str]) -> str:
+    """Return the suffix of a file to write, in lower case.
+
+    Raises:
+        OutputError: a suffix that is not among the allowed ones.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in allowed:
+        raise _refused(path, f"its name does not end in {' or '.join(allowed)}.", f"Give it the suffix {allowed[0]}.")
+    return suffix
 
 
 def require_replaceable(target: str | Path) -> Path:

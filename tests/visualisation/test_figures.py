@@ -483,7 +483,10 @@ def test_a_picture_is_whole_in_the_format_of_its_suffix_or_not_there(tmp_path: P
     rp.plot.save(drawn, target)
     head = target.read_bytes()[:200]
     assert {".png": b"\x89PNG", ".svg": b"<svg", ".pdf": b"%PDF"}[suffix] in head or head.startswith(b"<?xml")
-    for wrong, text in ((tmp_path / "a.txt", "picture format"), (tmp_path / "none" / f"a{suffix}", "Cannot write")):
+    for wrong, text in (
+        (tmp_path / "a.txt", "does not end in .png or .svg or .pdf"),
+        (tmp_path / "none" / f"a{suffix}", "Cannot write"),
+    ):
         with pytest.raises(OutputError, match=text):
             rp.plot.save(drawn, wrong)
     assert list(tmp_path.iterdir()) == [target]

@@ -45,7 +45,6 @@ from redundancy_pin.visualisation.figures.curves import (
     curves,
     curves_of,
     curves_of_plan,
-    curves_of_run,
     plan_title,
 )
 from redundancy_pin.visualisation.figures.paths import draw_locus as locus
@@ -239,7 +238,7 @@ def simulation(
         InputError: a plan of another kind of robot, or of other times.
         PlanFileError: the robot is gone or has changed.
     """
-    drawn = curves_of_run(run, robot)
+    drawn = curves_of(run, robot)
     columns = [[main_panel(drawn)]]
     if drawn.carrier_names:
         columns = [[main_panel(drawn), force_panel(drawn)], _carrier_column(drawn)]

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from redundancy_pin.errors import OutputError, shortened
-from redundancy_pin.io.files import refusing, replacing_file
+from redundancy_pin.errors import shortened
+from redundancy_pin.io.files import refusing, replacing_file, require_suffix
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,7 +62,7 @@ INSTANT: dict[str, Any] = {
 
 # How a stretch of near-singular samples is drawn, and what legends call it
 WINDOW: dict[str, Any] = {"facecolor": "#D9D9D9", "edgecolor": "none", "label": "near-singular"}
-_FORMATS = ("png", "svg", "pdf")
+_FORMATS = (".png", ".svg", ".pdf")
 
 _LETTERS, _KEY = 15.0, 9  # letters of a legend on an inch, and how many of them an entry takes with its line and space
 _TITLE_LETTERS = 12.0  # letters of a title on an inch
@@ -156,14 +156,7 @@ def save(drawn: Figure, *paths: str | Path) -> None:
 
 def picture_format(path: str | Path) -> str:
     """Return the picture format of a file by its suffix."""
-    kind = Path(path).suffix[1:].lower()
-    if kind not in _FORMATS:
-        raise OutputError(
-            f"Cannot write {path}: {Path(path).suffix or 'no suffix'} is no picture format.",
-            remedy=f"Use .{', .'.join(_FORMATS)}.",
-            path=str(path),
-        )
-    return kind
+    return require_suffix(path, _FORMATS)[1:]
 
 
 def log_scale(axes: Axes, which: Literal["x", "y"] = "y") -> None:
