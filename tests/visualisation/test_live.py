@@ -108,6 +108,23 @@ def test_a_value_beyond_its_slider_is_set_to_the_end_and_reported() -> None:
     assert live.message == ""
 
 
+def test_arrows_appear_with_the_first_effort() -> None:
+    """A crank on a spring at rest needs no effort until it is turned."""
+    plain = rp.load_robot("four_bar", gravity=[0.0, 0.0, 0.0])
+    (crank,) = plain.actuated
+    rest = float(plain.joint_positions(np.array(plain.q_reference), [crank]).item())
+    live = rp.show(plain.loaded(rp.JointForces(crank, stiffness=3.0, rest=rest)), live=True, by="actuators")
+    sent = commands_of(live.send_to)
+    assert not live.scene.arrows
+    for turn in (0.1, 0.2):
+        live.set(**{crank: rest + turn})
+        assert live.tau[0] == pytest.approx(3.0 * turn, rel=1e-6)
+        (arrow,) = live.scene.arrows
+        assert arrow.length[0] > 0.0
+    arrows = [one for one in sent if one["type"] == "set_object" and one["path"].startswith("/meshcat/forces")]
+    assert len(arrows) == 1
+
+
 def test_close_ends_the_server_and_keeps_the_numbers() -> None:
     live = rp.show("four_bar", live=True)
     live.widget.layout.width = "90%"

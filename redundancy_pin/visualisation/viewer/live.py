@@ -159,7 +159,7 @@ class LiveRobot:
 
     @cached_property
     def _first(self) -> Scene:
-        """The first picture: all later ones have its solids and its scale of efforts."""
+        """The first picture, again with the first efforts: all later ones have its solids and its scale of efforts."""
         efforts = self.tau[None], self.carrier_force[None]
         return make_scene(
             self.robot, np.zeros(1), self.q[None], np.array([self.margin]), *efforts, title=self.robot.name
@@ -210,7 +210,15 @@ class LiveRobot:
         self.tau, self.carrier_force, self.status, self.margin = held.tau, held.carrier_force, held.status, held.margin
         self.branch = _branch_name(self.robot, self._state.q)
         self._numbers.value = self._text()
-        if self._viewer is not None:
+        if (
+            "_first" in vars(self)
+            and not self._first.arrows
+            and np.nansum(np.abs([*self.tau, *self.carrier_force])) > 0.0
+        ):
+            del self._first  # the efforts were zero so far, and gave the arrows no scale
+            if self._viewer is not None:
+                self.send_to(self._viewer)
+        elif self._viewer is not None:
             send_frame(self._viewer, self.scene, 0)
 
     def _text(self) -> str:
