@@ -47,8 +47,9 @@ _KINDS = "biufcU"
 _HEADER = "metadata"
 """Name of the array that holds the JSON text."""
 
-UNPACKED, _RATIO = 1 << 27, 20
-"""Bytes that a file may have when it is unpacked: so many, and so many for each byte it has. Plans have 1.4 to 3."""
+UNPACKED, _RATIO = 1 << 25, 20
+"""Bytes that a file may have when it is unpacked, with eight for each element of an array, because readers make doubles
+of all: so many, and so many for each byte of the file. Plans have 1.4 to 3."""
 
 _MOST_ARRAYS = 10_000
 """Arrays in a file; plans have some 40."""
@@ -194,7 +195,7 @@ def write_archive(path: str | Path, kind: str, version: int, record: object) -> 
             f"The record is more than a file may hold: {error}.", remedy="Keep numbers in few arrays, not in lists."
         ) from error
     # what packs well, such as millions of zeros, looks like a bomb to the reader
-    save = np.savez if sum(array.nbytes for array in arrays.values()) > UNPACKED else np.savez_compressed
+    save = np.savez if _size_as_doubles(arrays) > UNPACKED else np.savez_compressed
     with replacing_file(path) as temporary, refusing(path), temporary.open("wb") as stream:
         save(stream, allow_pickle=False, **{_HEADER: np.array(text)}, **arrays)
 
@@ -280,6 +281,8 @@ def _read_arrays(path: Path, word: str, damaged: Callable[[str], PlanFileError])
             raise ValueError(f"{unpacked} bytes when unpacked, of at most {largest}")
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: _sound(name, file[name]) for name in file.files}
+        if _size_as_doubles(arrays) > largest:
+            raise ValueError(f"{_size_as_doubles(arrays)} bytes as doubles, of at most {largest}")
     except PlanFileError:
         raise
     except Exception as error:  # untrusted bytes: zip, zlib and numpy raise a dozen kinds
@@ -289,6 +292,10 @@ def _read_arrays(path: Path, word: str, damaged: Callable[[str], PlanFileError])
         names = ", ".join(shown(name)[1:-1] for name in list(arrays)[:5]) or "nothing"
         raise _foreign(path, word, f"is an npz archive without metadata (it holds {names})")
     return arrays
+
+
+def _size_as_doubles(arrays: Arrays) -> int:
+    return sum(max(array.nbytes, 8 * array.size) for array in arrays.values())
 
 
 def _sound(name: str, array: Any) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""11,500 malformed files: each is refused by one clear error, or read as it stands. Nothing else."""
+"""9,500 malformed files (plans and JSON: ``tests/io/test_spoiled_archives.py``): each is refused by one clear error, or read as it stands. Nothing else."""
 
 from __future__ import annotations
 
