@@ -255,6 +255,15 @@ def test_singular_instants_are_where_the_circle_meets_the_line_of_the_base() -> 
     np.testing.assert_array_equal(inside, computed().margin < 0.05)
 
 
+def test_condition_and_margin_of_a_simulation_are_those_of_its_configurations() -> None:
+    robot, _, simulated = run()
+    classes = rp.classify(robot, simulated.q)
+    shown = _lines(rp.plot.condition(simulated, robot=robot).axes[0], len(simulated.t))[:, 0]
+    np.testing.assert_allclose(shown, classes.condition, rtol=1e-12)
+    scene = rp.show(simulated, robot=robot).scene
+    np.testing.assert_allclose(scene.path_margin, np.abs(classes.parallel_margin), rtol=1e-12)
+
+
 def test_thresholds_of_condition_numbers_are_drawn_and_named() -> None:
     axes = rp.plot.condition(computed()).axes[0]
     assert _horizontals(axes) == {5.0, 20.0}
