@@ -210,15 +210,12 @@ class LiveRobot:
         self.tau, self.carrier_force, self.status, self.margin = held.tau, held.carrier_force, held.status, held.margin
         self.branch = _branch_name(self.robot, self._state.q)
         self._numbers.value = self._text()
-        if (
-            "_first" in vars(self)
-            and not self._first.arrows
-            and np.nansum(np.abs([*self.tau, *self.carrier_force])) > 0.0
-        ):
+        if self._viewer is None:
+            return
+        if not self._first.arrows and np.nansum(np.abs([*self.tau, *self.carrier_force])) > 0.0:
             del self._first  # the efforts were zero so far, and gave the arrows no scale
-            if self._viewer is not None:
-                self.send_to(self._viewer)
-        elif self._viewer is not None:
+            self.send_to(self._viewer)
+        else:
             send_frame(self._viewer, self.scene, 0)
 
     def _text(self) -> str:
