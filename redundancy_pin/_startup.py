@@ -1,8 +1,8 @@
 """Ctrl-C while the command ``redundancy-pin`` is still importing: one line and exit code 130, no traceback.
 
 The imports take a second or two, before any code of the command line could catch an interrupt. A program that imports
-the package keeps Python's own handling. This file imports what every interpreter has loaded already, and is imported
-first: what is interrupted before has not reached the package.
+the package keeps Python's own handling. This file is imported first, and imports only modules that every interpreter
+has loaded already.
 """
 
 from __future__ import annotations

@@ -58,9 +58,9 @@ _DECIMAL = re.compile(r"\s*([+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|inf(inity)?|nan)
 
 
 def decimal(text: str) -> float:
-    """Return the number that a text is; ValueError where it is none to everybody.
+    """Return a decimal number from text; ValueError for other text.
 
-    ``float`` takes 1_0 for ten, and digits of any script, which other readers of the same file do not.
+    ``float`` also reads 1_0 as ten, and digits of any script; other readers of the same file do not.
     """
     if not _DECIMAL.fullmatch(text):
         raise ValueError(f"{text!r} is no decimal number")
@@ -179,7 +179,7 @@ def numbers(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
     Args:
         values: anything numpy can turn into an array of floats; an array of doubles is returned as it is.
         name: what to call it in an error.
-        shape: expected length of each axis; a string stands for any length.
+        shape: expected length of each axis; a string means any length.
 
     Raises:
         InputError: not real numbers (complex ones, text, None, masked ones), wrong number of axes, wrong length.
@@ -221,7 +221,7 @@ def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
     Args:
         values: anything numpy can turn into an array of floats.
         name: what to call it in an error.
-        shape: expected length of each axis; a string stands for any length.
+        shape: expected length of each axis; a string means any length.
 
     Raises:
         InputError: as ``numbers``; a NaN or infinity, or a number beyond 1e100.
@@ -300,20 +300,20 @@ what a few dozen additions of doubles lose, and far below any sampling interval.
 
 
 def require_type(value: object, kind: type | tuple[type, ...], what: str, remedy: str) -> None:
-    """Check that an argument is of a kind, before an attribute that it lacks says it in other words.
+    """Check the type of an argument, before a missing attribute raises AttributeError.
 
     Raises:
-        InputError: it is not; ``what`` was expected, such as "A plan".
+        InputError: another type; ``what`` was expected, such as "A plan".
     """
     if not isinstance(value, kind):
         raise InputError(f"{what} was expected, not {type(value).__name__}.", remedy=remedy)
 
 
 def require_few(count: float, most: int, what: str, remedy: str, **details: object) -> None:
-    """Check that something does not become too many, before time and memory go into it.
+    """Check a count before time and memory are spent.
 
     Raises:
-        InputError: ``count``, which stands for the braces in ``what`` ("The map has {} cells"), is above ``most``.
+        InputError: ``count``, which replaces the braces in ``what`` ("The map has {} cells"), is above ``most``.
     """
     if not count <= most:
         message = what.replace("{}", f"{min(count, 1e300):.4g}")  # no float is as large as some integers
@@ -360,23 +360,21 @@ def positive(value: float, name: str, unit: str) -> float:
 
 def not_negative(value: float, name: str) -> float:
     """Return a number as a float after checking that it is finite and not negative."""
-    try:
-        number = real(value)
-    except (TypeError, ValueError, OverflowError):
-        number = np.nan
-    if not 0.0 <= number < np.inf:
-        raise InputError(f"{name} is {shown(value)}, expected a number that is not negative.", name=name, value=value)
-    return number
+    return _within(value, name, sys.float_info.max, "that is not negative")
 
 
 def fraction(value: float, name: str) -> float:
     """Return a number after checking that it is from 0 to 1."""
+    return _within(value, name, 1.0, "in [0, 1]")
+
+
+def _within(value: float, name: str, most: float, allowed: str) -> float:
     try:
         number = real(value)
     except (TypeError, ValueError, OverflowError):
         number = np.nan
-    if not 0.0 <= number <= 1.0:
-        raise InputError(f"{name} is {shown(value)}, expected a number in [0, 1].", name=name, value=value)
+    if not 0.0 <= number <= most:
+        raise InputError(f"{name} is {shown(value)}, expected a number {allowed}.", name=name, value=value)
     return number
 
 
@@ -431,7 +429,7 @@ def one_of(value: object, name: str, allowed: Iterable[object]) -> None:
     """Check that an option is one of its choices.
 
     Raises:
-        InputError: it is none of them.
+        InputError: another value.
     """
     if not any(type(value) is type(choice) and value == choice for choice in allowed):
         choices = ", ".join(map(str, allowed))

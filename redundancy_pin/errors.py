@@ -1,4 +1,4 @@
-"""One tree of errors: each says what is wrong, with which numbers, and what to do about it."""
+"""One tree of errors: each states the problem, the numbers and the remedy."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class RedundancyPinError(Exception):
     """Root of every error this package raises on purpose.
 
     Attributes:
-        message: what is wrong, numbers included.
+        message: the problem, numbers included.
         remedy: what the user can do about it (may be empty).
         details: the numbers behind the message, by name, for programs that handle the error.
     """
@@ -43,7 +43,7 @@ def _rebuild(
 
 
 def shown(value: object) -> str:
-    """Return ``repr(value)`` for a message, cut short where it would be long.
+    """Return ``repr(value)`` for a message, shortened if it is long.
 
     Values come from untrusted files: a few aliases in YAML make one of any size, so it must not be written
     out before it is cut.
@@ -74,12 +74,12 @@ def _is_small(value: object, most: int = 100) -> bool:
 
 
 def shortened(text: str, most: int = _SHOWN) -> str:
-    """Return a text for a message, its middle left out where it is longer than so many characters."""
+    """Return a text for a message, without its middle if it is longer than ``most`` characters."""
     return text if len(text) <= most else f"{text[: most // 2]} … {text[-most // 4 :]}"
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return the start of a remedy that names the nearest known name; empty where none is near."""
+    """Return the start of a remedy that names the nearest known name; empty if no name is near."""
     close = difflib.get_close_matches(str(name)[:_SHOWN], list(known), n=1)
     return f"Did you mean {shown(close[0])}? " if close else ""
 
@@ -156,11 +156,11 @@ class InfeasiblePlanError(RedundancyPinError):
 
 
 class PlanFileError(RedundancyPinError):
-    """A saved plan is missing, damaged, of a newer format, or no plan; or its robot is no longer what it was."""
+    """A saved plan is missing, damaged, of a newer format or another kind of file; or its robot has changed."""
 
 
 class OutputError(RedundancyPinError):
-    """A result cannot be written where it was asked for; nothing was written."""
+    """A result cannot be written to the requested place; nothing was written."""
 
 
 class CrossCheckError(RedundancyPinError):

@@ -64,7 +64,7 @@ def scaled(W: Array, row_scale: Array, column_scale: Array) -> Array:
 
 
 def spectrum_of(matrices: Array) -> Spectrum:
-    """Return the singular values of stacked matrices (N, n, m), exact to rounding relative to the largest."""
+    """Return the singular values of stacked matrices (N, n, m), to machine precision relative to the largest."""
     samples, n, m = matrices.shape
     finite = np.isfinite(matrices).all(axis=(1, 2))
     if not finite.all():

@@ -22,7 +22,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.trajectory import reference
-from redundancy_pin.visualisation.figures.curves import curves_of_run
+from redundancy_pin.visualisation.figures.curves import curves_of
 from redundancy_pin.visualisation.viewer.live import By, LiveRobot
 from redundancy_pin.visualisation.viewer.page import View
 from redundancy_pin.visualisation.viewer.scene import make_scene
@@ -109,17 +109,14 @@ def show(
         kind = "plan" if isinstance(subject, Plan) else "simulation"
         raise InputError(f"A {kind} has its own motions.", remedy=f"Pass a robot instead of the {kind}, or no motion.")
     positive(force_scale, "force_scale", "")  # before the inverse_kinematics, which takes long
-    if isinstance(subject, Simulation):
+    if isinstance(subject, (Plan, Simulation)):
         shown = robot_of_record(subject.robot, robot)
-        drawn = curves_of_run(subject, shown)
-        t, q, margin, title = subject.t, subject.q, drawn.margin, drawn.title
-        tau, force = subject.tau, subject.carrier_force
-    elif isinstance(subject, Plan):
-        shown = robot_of_record(subject.robot, robot)
-        q = inverse_kinematics(shown, subject.motion).with_carriers(subject.carriers).q
-        t, margin = subject.t, subject.margin
-        tau, force = subject.tau, subject.carrier_force
-        title = f"{shown.name}: {subject.planner.replace('_', ' ')}, {subject.status.value.replace('_', ' ')}"
+        drawn = curves_of(subject, shown)
+        t, margin, title, tau, force = subject.t, drawn.margin, drawn.title, subject.tau, subject.carrier_force
+        if isinstance(subject, Plan):
+            q = inverse_kinematics(shown, subject.motion).with_carriers(subject.carriers).q
+        else:
+            q = subject.q
     elif isinstance(subject, (Robot, str, Path)):
         if robot is not None:
             raise InputError("robot= goes with a plan or a simulation.", remedy="Pass the robot first, without robot=.")

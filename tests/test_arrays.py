@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from redundancy_pin.arrays import checked, decimal, frozen, read_only
+from redundancy_pin.arrays import checked, decimal, fraction, frozen, not_negative, read_only
 from redundancy_pin.errors import InputError
 
 
@@ -58,6 +61,14 @@ def test_bad_arrays_are_refused_by_name(values: object, shape: tuple[int | str, 
         checked(values, "x", shape)  # type: ignore[arg-type]
     assert caught.value.details["name"] == "x"
     assert caught.value.remedy
+
+
+@pytest.mark.parametrize("check", [not_negative, fraction])
+def test_numbers_out_of_range_are_refused(check: Callable[[Any, str], float]) -> None:
+    assert [check(value, "x") for value in (0, 0.5, np.float64(1.0))] == [0.0, 0.5, 1.0]
+    for bad in (-1e-300, np.nan, np.inf, "1", True, None, *((1.0 + 1e-15,) if check is fraction else ())):
+        with pytest.raises(InputError, match=r"x is .*, expected a number"):
+            check(bad, "x")
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

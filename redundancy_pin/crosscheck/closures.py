@@ -1,7 +1,7 @@
 """Rates of closures and of the platform by their definitions, from Pinocchio's frames: nothing of ``kinematics``.
 
-A closure row keeps the product of two vectors constant: an axis u of frame A and r from the origin of A to that of B;
-two axes u, w that stay normal; or r and r of a rod. Joint rates that keep the loop closed make both
+A closure row keeps the product of two vectors constant: an axis u of frame A and r, from the origin of A to the origin
+of B; two axes u, w that stay normal; or r and r of a rod. Joint rates that keep the loop closed make both
 
     (u·w)˙ = u̇·w + u·ẇ   and   (u·w)¨ = ü·w + 2 u̇·ẇ + u·ẅ
 

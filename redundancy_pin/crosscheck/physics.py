@@ -95,7 +95,7 @@ def check_round_trip(states: RandomStates, along: RneaAlongMotion) -> Iterator[C
 def check_parity(
     states: RandomStates, along: RneaAlongMotion, label: str, make: Callable[[Robot], Dynamics]
 ) -> Iterator[CheckRow]:
-    """W, f, carrier forces and base wrench of another backend are those of RNEA."""
+    """W, f, carrier forces and base wrench of another backend equal the values of RNEA."""
     robot = states.robot
     try:
         other = make(robot).along(states.motion)
@@ -121,9 +121,9 @@ def check_parity(
 
 
 def _elsewhere(along: RneaAlongMotion, q: Array | None) -> BoolArray:
-    """Return (N,) whether q (N, nq) closes the loops elsewhere than RNEA: two branches come near each other between.
+    """Return (N,) whether q (N, nq) closes the loops on another branch than RNEA.
 
-    Where working modes tell branches apart a backend has no choice.
+    Two branches may come near each other between samples. Declared working modes leave a backend no choice.
     """
     if q is None or along.robot.working_modes is not None:
         return np.zeros(len(along.q), dtype=bool)
@@ -182,7 +182,7 @@ def relative(first: Array, second: Array) -> Array:
     """Return (N,) the largest difference of each sample (N, …) relative to the largest entry of the sample.
 
     The divisor is at least 1e-6, and a thousandth of the typical size of the whole array: rounding of a quantity that
-    vanishes at one sample is no deviation.
+    vanishes at one sample does not count.
     """
     count = len(first)
     if first.size == 0:

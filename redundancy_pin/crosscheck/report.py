@@ -11,7 +11,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
 from redundancy_pin.crosscheck.states import REASONS
 
 SCOPE = (
@@ -19,6 +19,12 @@ SCOPE = (
     "and loads are those of your machine."
 )
 """What a cross-check cannot find out; printed below every report."""
+
+PARITY_SCALE = (
+    f"Parity: where the singularity margin of the closures is below {NEAR_SINGULAR_MARGIN:g}, the deviation is "
+    f"multiplied by the margin over {NEAR_SINGULAR_MARGIN:g}, because rounding grows as the inverse of the margin."
+)
+"""How deviations of parity are scaled; printed below a report with such rows."""
 
 COLOURED = {"ok": "[green]ok[/green]", "FAILED": "[red]FAILED[/red]"}
 """Verdicts as the terminal shows them."""
@@ -32,11 +38,11 @@ class CheckRow:
         robot: name of the robot.
         check: what was compared.
         samples: number of states that were checked (of the row "random states": states that were used).
-        worst: largest deviation, relative to the size of what was compared (of parity, times the margin of the
-            closures over 0.05 where it is smaller: rounding grows as its inverse); NaN if one is not finite.
+        worst: largest deviation, relative to the size of what was compared (of parity, scaled as ``PARITY_SCALE``
+            states); NaN if one is not finite.
         tolerance: largest deviation that passes.
         passed: whether it does; false for a check without samples or with NaN.
-        note: why the row is no check and does not count; empty for a check.
+        note: why the row does not count as a check; empty for a check.
         skipped: number of states that were skipped, by reason (a key of ``REASONS``).
     """
 
@@ -56,7 +62,7 @@ class CheckRow:
 
     @property
     def verdict(self) -> str:
-        """``ok``, ``FAILED``, or ``left out`` where there is a note."""
+        """``ok``, ``FAILED``, or ``left out`` for a row with a note."""
         return "left out" if self.note else "ok" if self.passed else "FAILED"
 
     @property
@@ -90,11 +96,17 @@ class CrossCheckReport:
 
     def as_dict(self) -> dict[str, object]:
         """Return plain numbers, for JSON."""
-        return {"passed": self.passed, "seed": self.seed, "rows": [row.as_dict() for row in self.rows]}
+        rows = [row.as_dict() for row in self.rows]
+        return {"passed": self.passed, "seed": self.seed, "rows": rows, "notes": list(self.notes)}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the checks do not find out, and how the deviations of parity, if there are any, are scaled."""
+        return (SCOPE, *[PARITY_SCALE] * any(row.check.startswith("parity") for row in self.rows))
 
     def table(self) -> Table:
         """Return the report as a table for the terminal."""
-        table = Table("robot", "check", title=f"cross-check, seed {self.seed}", caption=SCOPE)
+        table = Table("robot", "check", title=f"cross-check, seed {self.seed}", caption="\n".join(self.notes))
         for heading in ("states", "worst", "allowed", ""):
             table.add_column(heading, justify="right")
         for row in self.rows:
@@ -111,8 +123,8 @@ def checked_row(
 ) -> CheckRow:
     """Return the row of a check by the deviations (N,) of its states, relative to the size of what was compared.
 
-    A check that skips every state is left out, with a note that says so; but where another branch is the reason it
-    fails, for then a backend may be wrong.
+    A check that skips every state is left out, with a note. It fails if another branch is the reason, because the
+    backend may be wrong.
     """
     worst = float(np.max(values, initial=0.0)) if np.isfinite(values).all() else float("nan")
     nothing = bool(skipped) and not len(values) and "other_branch" not in skipped

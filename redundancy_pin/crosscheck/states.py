@@ -82,10 +82,10 @@ def random_states(
     trust: bool = False,
     settings: tuple[tuple[str, object], ...] = (),
 ) -> RandomStates:
-    """Return states of a robot with the arguments ``settings``; those of different ``index`` are independent.
+    """Return states of a robot with the arguments ``settings``; states with different ``index`` are independent.
 
-    Every second batch of a robot without working modes starts at another assembly mode or reference, because that of a
-    file may be next to a singularity, as zeros often are.
+    Every second batch of a robot without working modes starts at another assembly mode or reference, because the
+    reference of a file may be near a singularity, as zeros often are.
 
     Raises:
         UnreachablePoseError: no coordinates that can be used are found.

@@ -47,8 +47,9 @@ _KINDS = "biufcU"
 _HEADER = "metadata"
 """Name of the array that holds the JSON text."""
 
-UNPACKED, _RATIO = 1 << 27, 20
-"""Bytes that a file may have when it is unpacked: so many, and so many for each byte it has. Plans have 1.4 to 3."""
+UNPACKED, _RATIO = 1 << 25, 20
+"""Bytes that a file may have when it is unpacked, with eight for each element of an array, because readers make doubles
+of all: so many, and so many for each byte of the file. Plans have 1.4 to 3."""
 
 _MOST_ARRAYS = 10_000
 """Arrays in a file; plans have some 40."""
@@ -94,7 +95,7 @@ def encode(value: object, arrays: Arrays, name: str = "", *, of_record: bool = T
         of_record: whether dataclasses and enumerations may be there; inside mappings and lists there is plain data.
 
     Raises:
-        InputError: something that is none of these, or stands inside a mapping and is not plain.
+        InputError: another type, or one inside a mapping that is not plain.
     """
     if of_record and is_dataclass(value) and not isinstance(value, type):
         names = {field.name: f"{name}.{field.name}" if name else field.name for field in fields(value)}
@@ -171,11 +172,11 @@ def write_archive(path: str | Path, kind: str, version: int, record: object) -> 
         path: the file; it gets exactly this name.
         kind: what the file calls itself.
         version: version of the format.
-        record: the dataclass; see ``encode`` for what it may hold.
+        record: the dataclass; ``encode`` lists the types that it may hold.
 
     Raises:
         InputError: the record holds something that is not plain data.
-        OutputError: the file cannot be written, or its name says that it is of another format.
+        OutputError: the file cannot be written, or its name has the suffix of another format.
     """
     if isinstance(path, (str, Path)) and (suffix := Path(path).suffix.lower()) in _OTHER_FORMATS:
         raise OutputError(
@@ -194,7 +195,7 @@ def write_archive(path: str | Path, kind: str, version: int, record: object) -> 
             f"The record is more than a file may hold: {error}.", remedy="Keep numbers in few arrays, not in lists."
         ) from error
     # what packs well, such as millions of zeros, looks like a bomb to the reader
-    save = np.savez if sum(array.nbytes for array in arrays.values()) > UNPACKED else np.savez_compressed
+    save = np.savez if _size_as_doubles(arrays) > UNPACKED else np.savez_compressed
     with replacing_file(path) as temporary, refusing(path), temporary.open("wb") as stream:
         save(stream, allow_pickle=False, **{_HEADER: np.array(text)}, **arrays)
 
@@ -204,11 +205,11 @@ def read_archive(path: str | Path, kind: str, version: int, word: str, make: Cal
 
     Args:
         path: the file.
-        kind: what it must call itself.
+        kind: the kind of record that the file must name.
         version: the version of the format that the caller understands.
-        word: what it holds, for messages: "plan".
-        make: from the record, dataclasses as mappings of their fields, to what is returned; raises ``InputError``, or
-            what Python raises, where it does not fit.
+        word: the kind of record in messages: "plan".
+        make: makes the returned object from the record, whose dataclasses are mappings of their fields; raises
+            ``InputError``, or errors of Python, if the record does not fit.
 
     Raises:
         PlanFileError: missing, unreadable, truncated or damaged, another kind of file, another version of the format,
@@ -280,6 +281,8 @@ def _read_arrays(path: Path, word: str, damaged: Callable[[str], PlanFileError])
             raise ValueError(f"{unpacked} bytes when unpacked, of at most {largest}")
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: _sound(name, file[name]) for name in file.files}
+        if _size_as_doubles(arrays) > largest:
+            raise ValueError(f"{_size_as_doubles(arrays)} bytes as doubles, of at most {largest}")
     except PlanFileError:
         raise
     except Exception as error:  # untrusted bytes: zip, zlib and numpy raise a dozen kinds
@@ -289,6 +292,10 @@ def _read_arrays(path: Path, word: str, damaged: Callable[[str], PlanFileError])
         names = ", ".join(shown(name)[1:-1] for name in list(arrays)[:5]) or "nothing"
         raise _foreign(path, word, f"is an npz archive without metadata (it holds {names})")
     return arrays
+
+
+def _size_as_doubles(arrays: Arrays) -> int:
+    return sum(max(array.nbytes, 8 * array.size) for array in arrays.values())
 
 
 def _sound(name: str, array: Any) -> NDArray[Any]:
@@ -303,7 +310,7 @@ def _sound(name: str, array: Any) -> NDArray[Any]:
 
 
 def _foreign(path: Path, word: str, what: str) -> PlanFileError:
-    """Return the error for a file that never held what is looked for."""
+    """Return the error for a file of another kind."""
     return PlanFileError(f"{path} {what}.", remedy=f"Give a file that a {word} was saved to.", path=str(path))
 
 

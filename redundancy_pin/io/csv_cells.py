@@ -13,7 +13,7 @@ _STARTS = "(^|[,;|\\t])"  # of a cell, also where a program divides at something
 def escape_formula(text: str) -> str:
     """Return the name of a column, or another text of a cell, as no spreadsheet takes it for a formula.
 
-    An apostrophe stands in front of what could begin one; ``unescape_formula`` takes it away again.
+    An apostrophe precedes each character that could begin a formula; ``unescape_formula`` removes it.
     """
     return re.sub(f"{_STARTS}(?={_FORMULA})", r"\1'", text)
 
@@ -24,5 +24,5 @@ def escape_value(text: str) -> str:
 
 
 def unescape_formula(cell: str) -> str:
-    """Return the text whose ``escape_formula`` form stands in a cell."""
+    """Return the text of a cell that ``escape_formula`` wrote."""
     return re.sub(f"{_STARTS}'(?={_FORMULA})", r"\1", cell)

@@ -1,6 +1,6 @@
-"""Writing files and folders so that a reader never sees half of one: write beside the target, then ``os.replace``.
+"""Writing files and folders so that a reader never sees half of one: write next to the target, then ``os.replace``.
 
-What a link leads to is written, and the link stays; an existing file keeps its permissions; a read-only one is left
+A link stays, and its target is written; an existing file keeps its permissions; a read-only one is left
 alone.
 """
 
@@ -10,7 +10,7 @@ import os
 import secrets
 import shutil
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -75,14 +75,14 @@ def write_text(target: str | Path, text: str | Iterable[str]) -> None:
 def replacing_folder(target: str | Path) -> Iterator[Path]:
     """Give the path of a temporary folder that takes the place of ``target`` when the block ends without an error.
 
-    An earlier folder of results is replaced as a whole, so that no file of it survives beside those of the new one. It
-    counts as such when its ``summary.json`` lists every file in it: a folder with anything else is never touched.
+    An earlier folder of results is replaced as a whole, so that no old file remains among the new ones. A folder counts
+    as results if its ``summary.json`` lists every file in it: a folder with anything else is never touched.
 
     Args:
         target: the folder to make; missing, empty, or one of earlier results.
 
     Yields:
-        An empty folder beside the target.
+        An empty folder next to the target.
 
     Raises:
         OutputError: as ``require_replaceable``, or the disk refuses; the target is then as it was before.
@@ -133,6 +133,18 @@ def require_writable(target: str | Path) -> Path:
     return path
 
 
+def require_suffix(path: str | Path, allowed: Sequence[str]) -> str:
+    """Return the suffix of a file to write, in lower case.
+
+    Raises:
+        OutputError: a suffix that is not among the allowed ones.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in allowed:
+        raise _refused(path, f"its name does not end in {' or '.join(allowed)}.", f"Give it the suffix {allowed[0]}.")
+    return suffix
+
+
 def require_replaceable(target: str | Path) -> Path:
     """Check that a folder of results can be written, before the work that fills it is done, and return its path.
 
@@ -172,7 +184,7 @@ def expanded(target: str | Path) -> Path:
     """Return a path to write, ``~`` being the user's folder.
 
     Raises:
-        OutputError: there is no such user.
+        OutputError: ``~name`` of an unknown user.
     """
     try:
         return Path(target).expanduser()

@@ -1,4 +1,4 @@
-"""Reading untrusted files of text and JSON: what is no file, too large, or no text is refused before it is read."""
+"""Reading untrusted files of text and JSON: other kinds of files, and large ones, are refused before they are read."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def is_file(path: Path) -> bool:
 def open_text(path: str | Path, error: type[RedundancyPinError], what: str = "", *, largest: int) -> TextIO:
     """Open an ordinary UTF-8 text file for reading, with or without a byte order mark, ends of lines as they stand.
 
-    For files that are read piece by piece; what is no UTF-8 raises UnicodeDecodeError where it is met.
+    For files that are read piece by piece; bytes that are not UTF-8 raise UnicodeDecodeError during reading.
 
     Args:
         path: the file; ``~`` is the user's folder.
-        error: raised where it cannot be opened.
-        what: what it is, before its path in messages: "The problem ".
+        error: type of the error for a file that cannot be opened.
+        what: kind of file, before its path in messages: "The problem ".
         largest: most bytes that it may have.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Files of keys and values against a schema of pydantic: a bad one is refused by key, value and what is allowed."""
+"""Files of keys and values against a schema of pydantic: a bad one is refused with key, value and allowed values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _Model = TypeVar("_Model", bound=BaseModel)
 
 
 class Schema(BaseModel):
-    """A mapping with known keys; the description of a field says what is allowed there, in messages too."""
+    """A mapping with known keys; the description of a field lists its allowed values, and messages quote it."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
@@ -26,14 +26,14 @@ def validated(
     """Return the data as a model.
 
     Args:
-        kind: the model; its validators raise ``ValueError`` with what is allowed.
+        kind: the model; its validators raise ``ValueError`` with the allowed values.
         data: as a reader of YAML or JSON gives it.
         key: where the data are in their file, for messages.
         context: handed to the validators.
         of: what the data are, for messages.
 
     Raises:
-        DeclarationError: naming the first bad key, its value and what is allowed; for an unknown key the nearest known.
+        DeclarationError: the first bad key, its value and the allowed values; for an unknown key the nearest known.
     """
     try:
         return kind.model_validate(data, context=context)
@@ -63,7 +63,7 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 
 
 def record_of(kind: type[_T], data: object) -> _T:
-    """Return a dataclass of numbers and text from a mapping of its fields; ValueError where it is none."""
+    """Return a dataclass of numbers and text from a mapping of its fields; ValueError for other data."""
     try:
         known: Any = kind  # hashable, as every class, which its type does not say
         made: _T = _adapter(known).validate_python(data)

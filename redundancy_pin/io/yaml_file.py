@@ -39,7 +39,7 @@ _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 @dataclass(frozen=True)
 class YamlFile:
-    """The content of a file, and where it stands.
+    """The content of a file, with the line of each entry.
 
     Attributes:
         path: the file, as given.
@@ -59,9 +59,9 @@ class YamlFile:
 
     @contextmanager
     def naming(self) -> Iterator[None]:
-        """Errors of a declaration raised in the block begin with the file and the line of what they are about.
+        """Put file and line in front of errors of a declaration that are raised in the block.
 
-        It is the line of the key that the error names, or that of the first value or key with the name in the error.
+        The line is the line of the key, or of the first value or key with the name, in the details of the error.
         """
         try:
             yield
@@ -95,9 +95,9 @@ def read_yaml(
 
     Args:
         path: the file, UTF-8.
-        error: what is raised.
-        what: what it is, before its path in messages: "The problem ".
-        tags: what the text of a scalar with a tag of one's own, such as ``!degrees 90``, stands for; as it raises.
+        error: type of the errors.
+        what: kind of file, before its path in messages: "The problem ".
+        tags: function that reads the text of a scalar with its own tag, such as ``!degrees 90``; its errors pass.
 
     Raises:
         RedundancyPinError: of the given kind, with the line: no file, too large, not UTF-8, broken YAML, a key twice in
@@ -152,7 +152,7 @@ class _Builder:
                 raise self.too_deep(event.start_mark) if depth > DEEPEST else self.too_many(event.start_mark)
 
     def value(self, node: yaml.Node, key: str, depth: int) -> Any:
-        """Return the data of a node, which stands at ``key``."""
+        """Return the data of a node at ``key``."""
         self.count += 1
         if self.count > MOST_VALUES:
             raise self.too_many(node.start_mark)

@@ -20,7 +20,7 @@ from spatial_chains import chain_of
 from redundancy_pin import CarrierMotion, PlatformMotion, crosscheck
 from redundancy_pin.crosscheck import physics, states
 from redundancy_pin.crosscheck.closures import largest_miss
-from redundancy_pin.crosscheck.report import SCOPE, CheckRow, CrossCheckReport, checked_row, merged
+from redundancy_pin.crosscheck.report import PARITY_SCALE, SCOPE, CheckRow, CrossCheckReport, checked_row, merged
 from redundancy_pin.crosscheck.states import REASONS, RandomStates, random_states, walk
 from redundancy_pin.dynamics import rnea as rnea_module
 from redundancy_pin.dynamics import virtual_work
@@ -265,6 +265,10 @@ def test_what_could_not_be_checked_is_named_and_does_not_fail():
     assert "a closure [red]is[/red] about one axis" in shown.getvalue()
     assert "FAILED" not in shown.getvalue()
     assert SCOPE.split(".")[0] in " ".join(shown.getvalue().split())
+    assert "below 0.05" not in shown.getvalue()
+    Console(file=shown, width=150).print(CrossCheckReport((good, agree), 0).table())
+    assert "is multiplied by the margin over 0.05" in " ".join(shown.getvalue().split())
+    assert CrossCheckReport((good, agree), 0).as_dict()["notes"] == [SCOPE, PARITY_SCALE]
     # one batch with states makes it a check
     assert merged([note, replace(note, samples=2, worst=0.5, note="")])[0] == replace(
         note, samples=2, worst=0.5, passed=True, note=""

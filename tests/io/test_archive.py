@@ -104,6 +104,9 @@ def test_what_a_bomb_would_look_like_is_written_so_that_it_is_read(
     assert read(path)["a"].shape == (1_000_000,)
     np.savez_compressed(path, metadata=np.array(text()), a=np.zeros(1_000_000))
     refused(path, "when unpacked, of at most")
+    # a reader makes doubles of flags: eight bytes each
+    np.savez_compressed(path, metadata=np.array(text()), a=np.zeros(50_000, dtype=np.int8))
+    refused(path, "bytes as doubles, of at most")
 
 
 def test_what_could_not_be_read_again_is_not_written(tmp_path: Path) -> None:

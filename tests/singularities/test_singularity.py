@@ -385,23 +385,6 @@ def test_numbers_of_no_sense_are_refused(poses: tuple[rp.Robot, Array, Array]) -
         rp.performance(weak, q)
 
 
-@pytest.mark.parametrize("name", ["2rpr", "gough"])
-def test_figure_has_an_ellipse_a_pose_in_each_panel(name: str) -> None:
-    robot = zoo.robot_of(name)
-    performance = rp.performance(robot, zoo.random_closed(robot, 2, 3))
-    drawn = rp.plot.ellipsoids(performance)
-    for axes, unit in zip(drawn.axes, ("m/s", " N "), strict=True):
-        assert unit in axes.get_title()
-        rings = [line for line in axes.lines if len(line.get_xdata()) == 73]
-        assert len(rings) == 3
-    if name == "2rpr":  # drawn as long as it is
-        ring = np.array(drawn.axes[1].lines[-2].get_xydata()) - np.array(drawn.axes[1].lines[-1].get_xydata())
-        length = np.linalg.norm(ring, axis=1)
-        assert abs(length.max() / length.min() - performance.force.condition[-1]) < 1e-9
-    with pytest.raises(InputError, match="A performance was expected"):
-        rp.plot.ellipsoids(5)
-
-
 def test_a_signed_margin_is_negative_where_the_determinant_is() -> None:
     """Singular values 2 and 1/2 by construction; no determinant without a square matrix, and none of NaN."""
     turned = np.array([[0.6, -0.8], [0.8, 0.6]])

@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
-import json
 import math
 import random
 import sys
@@ -24,12 +23,9 @@ import mjcf_models
 import mutated
 import numpy as np
 import pinocchio as pin
-from random_plans import difference
 
 import redundancy_pin as rp
 from redundancy_pin.cli.problem import read_problem
-from redundancy_pin.errors import InputError
-from redundancy_pin.io.reading import read_json
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.robot import Robot
@@ -191,30 +187,6 @@ def read_motion(folder: Path) -> str | None:
     return None
 
 
-def read_plan(folder: Path) -> str | None:
-    """Read a plan: one that is accepted has to be the plan it was made from."""
-    right = rp.load_plan(folder / "right.npz")
-    plan = rp.load_plan(folder / "plan.npz")
-    differs = difference(right, plan)
-    if differs:
-        return f"accepted: an edited plan: {differs}"
-    return None
-
-
-def read_json_text(folder: Path) -> str | None:
-    """Read JSON: what is accepted is what Python reads, once each key."""
-    raw = (folder / "data.json").read_bytes()
-    try:
-        text = raw.decode("utf-8")
-    except UnicodeDecodeError:
-        return None  # nobody hands bytes to it
-    try:
-        value = read_json(text)
-    except ValueError as error:  # that is how it refuses; who calls it makes an error of the package of it
-        raise InputError(str(error), remedy="Repair it.") from error
-    return None if repr(value) == repr(json.loads(text)) else "accepted: JSON that means something else"
-
-
 def read_problem_file(folder: Path) -> str | None:
     """Read a problem, with its robot and its motion."""
     problem = read_problem(str(folder / "problem.yaml"))
@@ -235,8 +207,6 @@ KINDS = {
     "URDF": Kind(mutated.urdfs, load_urdf, 2000),
     "xacro": Kind(mutated.xacros, load_declared, 1500),
     "motions (CSV)": Kind(mutated.motions, read_motion, 1500),
-    "plans (npz)": Kind(mutated.archives, read_plan, 1500),
-    "JSON": Kind(mutated.texts, read_json_text, 500),
     "problems (YAML)": Kind(mutated.problems, read_problem_file, 1000),
     "MJCF": Kind(mutated.mjcfs, load_mjcf, 1000),
     "SDF": Kind(mutated.sdfs, load_sdf, 500),

@@ -8,13 +8,9 @@ from __future__ import annotations
 import copy
 import datetime
 import functools
-import io
-import json
 import random
 import tempfile
-import warnings
 import xml.etree.ElementTree as ElementTree
-import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -615,137 +611,6 @@ def motions(dice: Dice) -> Files:
             )
         )()
     return {"motion.csv": spoiled}
-
-
-def _members(data: bytes) -> dict[str, bytes]:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        return {name: archive.read(name) for name in archive.namelist()}
-
-
-def _archive(members: Mapping[str, bytes], dice: Dice) -> bytes:
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", dice.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as archive:
-        for name, content in members.items():
-            archive.writestr(name, content)
-    return stream.getvalue()
-
-
-def _npy(array: Any) -> bytes:
-    stream = io.BytesIO()
-    np.save(stream, array, allow_pickle=True)
-    return stream.getvalue()
-
-
-def spoiled_array(array: np.ndarray, dice: Dice) -> Any:
-    """Return an array with another content, shape or type."""
-    array = np.array(array)
-    kind = dice.randrange(9)
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")
-        if kind <= 2 and array.size and array.dtype.kind in "fiub":
-            array.reshape(-1)[dice.randrange(array.size)] = (
-                dice.choice((0, 1, 7, -1))
-                if array.dtype.kind != "f"
-                else dice.choice((np.nan, np.inf, -1.0, 0.0, 1e300, 7.0))
-            )
-            return array
-        if kind == 3 and array.dtype.kind in "fi":
-            return 7 * array
-        if kind == 4:
-            return (
-                array.astype(dice.choice((np.float32, np.int8, np.complex128, np.bool_, object, "S4", "U4")), copy=True)
-                if array.dtype.kind != "U"
-                else array.astype(object)
-            )
-        if kind == 5:
-            return array.reshape(-1)
-        if kind == 6:
-            return array[..., None]
-        if kind == 7:
-            return array[:0] if array.ndim else np.zeros(0)
-        return dice.choice(
-            (np.zeros(0), np.array(None, dtype=object), np.array("text"), np.zeros((2, 3, 4)), np.array(np.nan))
-        )
-
-
-def spoiled_archive(data: bytes, dice: Dice) -> bytes:
-    """Return an npz with a member or its metadata spoiled, or its bytes."""
-    kind = dice.random()
-    if kind < 0.25:
-        return spoiled_bytes(data, dice)
-    members = _members(data)
-    name = dice.choice(list(members))
-    if kind < 0.55:
-        array = np.load(io.BytesIO(members[name]), allow_pickle=False)
-        members[name] = _npy(spoiled_array(array, dice))
-    elif kind < 0.85:
-        content = json.loads(str(np.load(io.BytesIO(members["metadata.npy"]), allow_pickle=False)))
-        text = json.dumps(spoiled_data(content, dice), default=str)
-        if dice.random() < 0.15:
-            text = dice.choice(
-                (
-                    text[:-1],
-                    text + text,
-                    "[" * 10**5,
-                    '{"a":' * 10**4,
-                    "NaN",
-                    "",
-                    "\x00",
-                    text.replace(":", ": 1" + "0" * 5000, 1),
-                )
-            )
-        members["metadata.npy"] = _npy(np.array(text))
-    elif kind < 0.9:
-        del members[name]
-    elif kind < 0.95:
-        members[name] = spoiled_bytes(members[name], dice)
-    else:
-        members[name] = dice.choice(
-            (
-                _npy(np.zeros(4)).replace(b"(4,)", b"(9" + b"9" * 12 + b",)"),
-                _npy(np.zeros(4)).replace(b"<f8", b"|O8"),
-                b"\x93NUMPY" + b"\xff" * 100,
-                b"\x00" * 10**8,
-                b"",
-            )
-        )
-    return _archive(members, dice)
-
-
-def _three() -> Plan:
-    return plan_of("3rrr")
-
-
-def _gough() -> Plan:
-    return plan_of("gough")
-
-
-PLANS: tuple[Callable[[], Plan], ...] = (_three, _gough, stepwise_plan)
-
-
-def archives(dice: Dice) -> Files:
-    """A plan's file that is spoiled; ``right.npz`` is the one that is not."""
-    right = saved(dice.choice(PLANS))
-    return {"right.npz": right, "plan.npz": spoiled_archive(right, dice)}
-
-
-def texts(dice: Dice) -> Files:
-    """JSON that is spoiled."""
-    content = json.loads(str(np.load(io.BytesIO(_members(saved(stepwise_plan))["metadata.npy"]))))
-    text = json.dumps(spoiled_data(content["record"]["robot"], dice), default=str)
-    kind = dice.random()
-    if kind < 0.4:
-        return {"data.json": spoiled_bytes(text.encode(), dice)}
-    if kind < 0.6:
-        spoiled = dice.choice(
-            (
-                '{"a": 1, "a": 2}', "[" * 10**5, "[" * 10**5 + "]" * 10**5, '{"a":' * 10**4 + "1" + "}" * 10**4,
-                "1" + "0" * 10**5, "1e999999999", "NaN", "-Infinity", '"\\ud800"', '"\x00"', "", " ", "nul", "{'a': 1}",
-                "[1,]", "1 2", '{"a": 1}}', "\ufeff{}", '"' + "x" * 10**7 + '"',
-            )
-        )  # fmt: skip
-        return {"data.json": spoiled.encode("utf-8", "surrogatepass")}
-    return {"data.json": text.encode("utf-8", "surrogatepass")}
 
 
 PROBLEM = {

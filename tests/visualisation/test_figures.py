@@ -126,6 +126,7 @@ def test_titles_labels_and_legends_are_whole_and_apart_and_axes_have_units(name:
     for axes in drawn.axes:
         if axes.axison and axes.get_visible():
             assert "[" in axes.get_ylabel()
+            assert "…" not in axes.get_ylabel()  # no label of the package is so long that it is cut
     assert "[" in drawn.axes[-1].get_xlabel() + drawn.axes[-1].get_ylabel()
 
 
@@ -252,6 +253,15 @@ def test_singular_instants_are_where_the_circle_meets_the_line_of_the_base() -> 
     for start, end in computed().windows:
         inside |= (computed().t >= start) & (computed().t <= end)
     np.testing.assert_array_equal(inside, computed().margin < 0.05)
+
+
+def test_condition_and_margin_of_a_simulation_are_those_of_its_configurations() -> None:
+    robot, _, simulated = run()
+    classes = rp.classify(robot, simulated.q)
+    shown = _lines(rp.plot.condition(simulated, robot=robot).axes[0], len(simulated.t))[:, 0]
+    np.testing.assert_allclose(shown, classes.condition, rtol=1e-12)
+    scene = rp.show(simulated, robot=robot).scene
+    np.testing.assert_allclose(scene.path_margin, np.abs(classes.parallel_margin), rtol=1e-12)
 
 
 def test_thresholds_of_condition_numbers_are_drawn_and_named() -> None:
@@ -482,7 +492,10 @@ def test_a_picture_is_whole_in_the_format_of_its_suffix_or_not_there(tmp_path: P
     rp.plot.save(drawn, target)
     head = target.read_bytes()[:200]
     assert {".png": b"\x89PNG", ".svg": b"<svg", ".pdf": b"%PDF"}[suffix] in head or head.startswith(b"<?xml")
-    for wrong, text in ((tmp_path / "a.txt", "picture format"), (tmp_path / "none" / f"a{suffix}", "Cannot write")):
+    for wrong, text in (
+        (tmp_path / "a.txt", "does not end in .png or .svg or .pdf"),
+        (tmp_path / "none" / f"a{suffix}", "Cannot write"),
+    ):
         with pytest.raises(OutputError, match=text):
             rp.plot.save(drawn, wrong)
     assert list(tmp_path.iterdir()) == [target]

@@ -85,10 +85,55 @@ def test_a_drag_that_cannot_be_closed_leaves_the_last_state_and_says_so() -> Non
     assert live.message in live._numbers.value
     np.testing.assert_array_equal(live.q, q)
     np.testing.assert_array_equal(live.tau, tau)
+    assert (live.sliders["x"].value, live.sliders["y"].value) == (0.3, start)  # where the robot is
     live.sliders["y"].value = start - 0.01
     assert live.message == ""
     assert np.abs(np.array(live.q) - q).max() > 1e-3
     assert _residual(live) < CLOSED
+
+
+def test_a_value_beyond_its_slider_is_set_to_the_end_and_reported() -> None:
+    live = rp.show("3rrr", live=True)
+    end = live.sliders["carrier_1"].max
+    live.set(carrier_1=99.0)
+    assert live.message == f"carrier_1 = 99 is outside [{-end:.4g}, {end:.4g}]: set to {end:.4g}."
+    assert live.message in live._numbers.value
+    assert live.s[0] == live.sliders["carrier_1"].value == end
+    live.set(x=99.0)  # which no configuration closes either
+    assert "x = 99 is outside" in live.message
+    assert "Not followed" in live.message
+    with pytest.raises(InputError, match="x has 1 value"):
+        live.set(x=float("nan"))
+    live.set(carrier_1=0.1)
+    assert live.message == ""
+
+
+def test_arrows_appear_with_the_first_effort() -> None:
+    """A crank on a spring at rest needs no effort until it is turned."""
+    plain = rp.load_robot("four_bar", gravity=[0.0, 0.0, 0.0])
+    (crank,) = plain.actuated
+    rest = float(plain.joint_positions(np.array(plain.q_reference), [crank]).item())
+    live = rp.show(plain.loaded(rp.JointForces(crank, stiffness=3.0, rest=rest)), live=True, by="actuators")
+    sent = commands_of(live.send_to)
+    assert not live.scene.arrows
+    for turn in (0.1, 0.2):
+        live.set(**{crank: rest + turn})
+        assert live.tau[0] == pytest.approx(3.0 * turn, rel=1e-6)
+        (arrow,) = live.scene.arrows
+        assert arrow.length[0] > 0.0
+    arrows = [one for one in sent if one["type"] == "set_object" and one["path"].startswith("/meshcat/forces")]
+    assert len(arrows) == 1
+
+
+def test_close_ends_the_server_and_keeps_the_numbers() -> None:
+    live = rp.show("four_bar", live=True)
+    live.widget.layout.width = "90%"
+    server, tau = live._window.server_proc, np.array(live.tau)
+    assert server.poll() is None
+    live.close()
+    assert server.poll() is not None
+    np.testing.assert_array_equal(live.tau, tau)
+    live.close()  # twice changes nothing
 
 
 def test_a_singular_pose_is_not_passed_by_motors_and_the_branch_is_named() -> None:

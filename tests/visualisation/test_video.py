@@ -71,7 +71,7 @@ def test_speed_and_rate_decide_on_the_frames(tmp_path: Path) -> None:
 def test_what_cannot_be_made_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = rp.show(zoo.robot_of("four_bar")).scene
     for path, kind, text in (
-        ("seen.avi", OutputError, "no .gif and no .mp4"),
+        ("seen.avi", OutputError, "does not end in .gif or .mp4"),
         ("none/seen.gif", OutputError, "no folder"),
     ):
         with pytest.raises(kind, match=text):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,49 +73,54 @@ class Curves:
         return tuple((float(self.t[start]), float(self.t[stop - 1])) for start, stop in near)
 
 
-def curves_of_plan(plan: Plan) -> Curves:
-    """Return the curves of a plan; singular instants and threshold where its planner names them."""
-    require_type(plan, Plan, "A plan", "Pass load_plan(...).")
-    threshold = plan.parameters.get("threshold") if plan.parameters.get("measure") == "condition" else None
-    return Curves(
-        title=f"{plan.robot.name}: {plan.planner.replace('_', ' ')}, {plan.status.value.replace('_', ' ')}",
-        t=plan.t,
-        tau=plan.tau,
-        carrier_force=plan.carrier_force,
-        carriers=plan.carriers,
-        limits=plan.limits.judged_by.of_carriers,
-        condition=plan.condition,
-        margin=plan.margin,
-        regular=plan.sample_status == SampleStatus.OK,
-        instants=plan.findings.singular_instants,
-        thresholds=(float(threshold),) if isinstance(threshold, (int, float)) else (),
-        **_joints(plan.robot),
-    )
+def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -> Curves:
+    """Return the curves of a plan or a simulation, or curves as they are.
 
-
-def curves_of_run(run: Simulation, robot: Robot | None = None) -> Curves:
-    """Return the curves of a simulation; without its robot at hand, it is loaded.
-
-    A robot whose files are gone leaves condition and margin unknown: NaN.
+    Singular instants and the threshold of a plan come from its planner. A simulation whose robot is not given loads it;
+    without its files, condition and margin are NaN.
     """
-    condition = margin = np.full(len(run), np.nan)
-    try:
-        classes = classify(robot_of_record(run.robot, robot), run.q)
-        condition, margin = classes.condition, classes.parallel_margin
-    except PlanFileError:
-        pass
-    return Curves(
-        title=run_title(run),
-        t=run.t,
-        tau=run.tau,
-        carrier_force=run.carrier_force,
-        carriers=run.carriers,
-        limits=run.robot.carrier_limits,
-        condition=condition,
-        margin=margin,
-        regular=np.ones(len(run), dtype=bool),  # the efforts are those that acted
-        **_joints(run.robot),
+    if isinstance(subject, Curves):
+        return subject
+    require_type(
+        subject,
+        (Plan, Simulation),
+        "A plan, a simulation or curves",
+        "Pass load_plan(...), load_simulation(...) or rp.plot.curves(robot, reduced, efforts).",
     )
+    own: dict[str, Any]
+    if isinstance(subject, Plan):
+        threshold = subject.parameters.get("threshold") if subject.parameters.get("measure") == "condition" else None
+        planner, status = (text.replace("_", " ") for text in (subject.planner, subject.status.value))
+        own = {
+            "title": f"{subject.robot.name}: {planner}, {status}",
+            "limits": subject.limits.judged_by.of_carriers,
+            "condition": subject.condition,
+            "margin": subject.margin,
+            "regular": subject.sample_status == SampleStatus.OK,
+            "instants": subject.findings.singular_instants,
+            "thresholds": (float(threshold),) if isinstance(threshold, (int, float)) else (),
+        }
+    else:
+        own = {"title": run_title(subject), "limits": subject.robot.carrier_limits}
+        own |= dict.fromkeys(("condition", "margin"), np.full(len(subject), np.nan))
+        own["regular"] = np.ones(len(subject), dtype=bool)  # the efforts are those that acted
+        with suppress(PlanFileError):
+            classes = classify(robot_of_record(subject.robot, robot), subject.q)
+            own |= {"condition": classes.condition, "margin": classes.parallel_margin}
+    return Curves(
+        t=subject.t,
+        tau=subject.tau,
+        carrier_force=subject.carrier_force,
+        carriers=subject.carriers,
+        **own,
+        **_joints(subject.robot),
+    )
+
+
+def curves_of_plan(plan: Plan) -> Curves:
+    """Return the curves of a plan."""
+    require_type(plan, Plan, "A plan", "Pass load_plan(...).")
+    return curves_of(plan)
 
 
 _DRIVES = {"FeedForward": "open loop", "ComputedTorque": "computed torque", "TimeVaryingLqr": "LQR"}
@@ -204,17 +210,3 @@ def plan_title(plan: Plan) -> str:
             broken.setdefault(quantity, []).append(name)
     parts = [f"{quantity} of {', '.join(of)}" for quantity, of in broken.items()]
     return f"{title} ({'; '.join(parts)})"
-
-
-def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -> Curves:
-    """Return the curves of a plan or a simulation, whose robot may be given, or curves as they are."""
-    if isinstance(subject, Plan):
-        return curves_of_plan(subject)
-    if isinstance(subject, Simulation):
-        return curves_of_run(subject, robot)
-    if not isinstance(subject, Curves):
-        raise InputError(
-            f"This figure draws a plan, a simulation or curves, not a {type(subject).__name__}.",
-            remedy="Pass a plan, a simulation, or rp.plot.curves(robot, reduced, efforts).",
-        )
-    return subject

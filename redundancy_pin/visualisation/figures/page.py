@@ -12,7 +12,7 @@ _FINER = 1.6  # pixels of the picture per pixel of the page: lettering stays sha
 class Page(Figure):
     """A figure that a notebook shows without pyplot or ``%matplotlib inline``.
 
-    IPython only knows how to show figures that pyplot made; those of this package keep out of its global state.
+    IPython shows only figures that pyplot made; figures of this package do not use pyplot's global state.
     """
 
     def _repr_png_(self) -> tuple[bytes, dict[str, int]]:

@@ -1,6 +1,6 @@
 """Figures in the plane: the path of a motion, the mechanism at several instants, singular curves of the workspace.
 
-What is not flat is seen obliquely ("3d"), with the directions of the axes drawn, or projected on two axes, and said so.
+Spatial machines are drawn obliquely ("3d"), with the directions of the axes, or as a projection that the title names.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def projection(plane: str) -> Array:
 
 
 def label_plane(axes: Axes, plane: str = "xy", *, flat: bool = True) -> None:
-    """Give both axes their names and the same scale; say what is a projection of something that is not ``flat``."""
+    """Give both axes their names and the same scale; the title names a projection unless the machine is ``flat``."""
     axes.set_aspect("equal", adjustable="datalim")
     if plane == "3d":
         _draw_triad(axes)
@@ -110,12 +110,12 @@ def plot_path(
     instants: Sequence[float] = (),
     singular_points: Sequence[ArrayLike] = (),
 ) -> Figure:
-    """Draw the mechanism with the path, the path enlarged where it is small, and the condition number over time.
+    """Draw the mechanism with the path, the path enlarged if it is small, and the condition number over time.
 
     All of it in the base frame, m: the path ``point`` (N, 2) in x and y, or (N, 3), the lines (2, 2) or (2, 3) of the
     mechanism at the start, the ``hinges`` (h, 2) or (h, 3) on the base, and where the path meets singularities, (2,) or
-    (3,) each. ``condition`` (N,) is infinite at a singularity. What has three coordinates is seen obliquely, its path
-    in a panel of its own as a projection on x and y.
+    (3,) each. ``condition`` (N,) is infinite at a singularity. Points with three coordinates are drawn
+    obliquely, and the path once more as a projection on x and y.
     """
     everything, spatial = np.concatenate([point, hinges, *mechanism]), point.shape[1] == 3
     zoomed = spatial or np.ptp(point, axis=0).max() < _ZOOM_BELOW * np.ptp(everything, axis=0).max()
@@ -206,7 +206,7 @@ def _draw_plane(drawn: Figure, axes: Axes, locus: SingularLocus) -> None:
     size = np.abs(locus.margin)
     image = shade(axes, locus.axes, size, (locus.reachable, locus.reachable), brightest(size))
     bar = drawn.colorbar(image, ax=axes, shrink=0.8, extend="max")
-    bar.set_label("margin to type II: smallest scaled singular value of W [–]")
+    bar.set_label("margin to type II: σ_min of scaled W [–]")
     spatial = ["xyz".index(name) for name in locus.names]  # which of the world's axes the picture has
     for ends in mechanism.links(locus.robot, locus.q_reference):
         axes.plot(*np.stack(ends)[:, spatial].T, "-o", color="#5A5A5A", linewidth=1.6, markersize=3.5, zorder=2.0)
@@ -314,7 +314,7 @@ def draw_frame(
 
 
 def draw_path(axes: Axes, scene: scenes.Scene, *, plane: str = "xy") -> None:
-    """Draw the path of the platform in the colours of the margin, wider where it is near-singular."""
+    """Draw the path of the platform in the colours of the margin, wider near singularities."""
     points, classes = scene.path @ projection(plane).T, scenes.margin_classes(scene.path_margin)
     if len(points) < 2:
         return

@@ -1,7 +1,8 @@
 """Figures for papers: ``rp.plot``. Functions return a matplotlib ``Figure``; ``save`` writes SVG, PNG or PDF.
 
-One look for all: the same colour and line style for the same actuator, units on every axis, line styles that tell the
-curves apart in print without colour, singular instants dotted, near-singular stretches grey, what is forbidden hatched.
+One look for all: the same colour and line style for the same actuator, units on every axis, line styles that
+distinguish the curves in print without colour, singular instants dotted, near-singular intervals grey, forbidden ranges
+hatched.
 
     efforts     main efforts and carrier forces              of a plan, a simulation or ``curves``
     carriers    position, speed, acceleration with limits     of a plan, a simulation or ``curves``
@@ -12,12 +13,10 @@ curves apart in print without colour, singular instants dotted, near-singular st
     snapshots   the mechanism at several instants             of a plan's, a simulation's or a robot's ``View``
     video       the moving picture as .gif or .mp4            of a plan's, a simulation's or a robot's ``View``
     locus       singular curves over the workspace            of ``singular_locus``
-    ellipsoids  velocities and forces the motors reach        of ``performance``
     workspace   where the platform can go, and how well       of ``workspace``
     comparison  the efforts of several plans                  of plans, simulations or ``curves``
 
-All raise ``RedundancyPinError`` where matplotlib is not installed. A new figure over time is a function here that lists
-its panels: ``time_panels`` says how.
+A new figure over time is a function here that lists its panels; ``time_panels`` has an example.
 """
 
 from __future__ import annotations
@@ -46,10 +45,8 @@ from redundancy_pin.visualisation.figures.curves import (
     curves,
     curves_of,
     curves_of_plan,
-    curves_of_run,
     plan_title,
 )
-from redundancy_pin.visualisation.figures.ellipsoids import draw_ellipsoids as ellipsoids
 from redundancy_pin.visualisation.figures.paths import draw_locus as locus
 from redundancy_pin.visualisation.figures.paths import draw_snapshots as snapshots
 from redundancy_pin.visualisation.figures.paths import plot_path
@@ -79,7 +76,6 @@ __all__ = [
     "condition",
     "curves",
     "efforts",
-    "ellipsoids",
     "locus",
     "path",
     "plan",
@@ -166,7 +162,7 @@ def condition(subject: Plan | Simulation | Curves, *, robot: Robot | None = None
 
     Args:
         subject: a plan, a simulation, or ``curves`` of an inverse-dynamics computation.
-        robot: that of a simulation from a file, if its files have moved, or it was changed in Python.
+        robot: of a simulation from a file, if the files of the robot have moved, or it was changed in Python.
 
     Raises:
         InputError: a simulation whose robot cannot be loaded.
@@ -194,7 +190,7 @@ def plan(
     """Draw a plan: six panels over time, readable without colour.
 
     Left: main efforts, carrier forces, condition number. Right: position, speed and acceleration of the carriers, with
-    what their limits forbid hatched and every broken limit marked. Grey shades tell the phases of the planner. Drawn if
+    what their limits forbid hatched and every broken limit marked. Grey shades show the phases of the planner. Drawn if
     the planner has them: its threshold (parameters ``threshold`` and ``measure``) and the singular instants
     (``Plan.findings``).
 
@@ -227,22 +223,22 @@ def _carrier_column(drawn: Curves, events: Sequence[LimitEvent] = ()) -> list[Pa
 def simulation(
     run: Simulation, plan: Plan | None = None, *, robot: Robot | None = None, title: str | None = None
 ) -> Figure:
-    """Draw a simulation, and the plan it was to follow in thin grey lines behind it.
+    """Draw a simulation, with its plan in thin grey lines behind it.
 
     Main efforts and the efforts of the carriers; with a plan the distance of the platform from it; position, speed and
     acceleration of the carriers with what their limits forbid hatched.
 
     Args:
         run: the simulation.
-        plan: what it was to follow.
-        robot: that of a simulation from a file, if its files have moved, or it was changed in Python.
+        plan: the plan that was simulated.
+        robot: of a simulation from a file, if the files of the robot have moved, or it was changed in Python.
         title: of the figure; made from the simulation when left out.
 
     Raises:
         InputError: a plan of another kind of robot, or of other times.
         PlanFileError: the robot is gone or has changed.
     """
-    drawn = curves_of_run(run, robot)
+    drawn = curves_of(run, robot)
     columns = [[main_panel(drawn)]]
     if drawn.carrier_names:
         columns = [[main_panel(drawn), force_panel(drawn)], _carrier_column(drawn)]
@@ -307,7 +303,7 @@ def path(
         subject: a plan, a simulation, or the robot that the motion is for.
         motion: of a robot.
         crossings: from ``find_crossings`` along the same motion, to mark.
-        robot: that of a plan or a simulation from a file, if its files have moved, or it was changed in Python.
+        robot: of a plan or a simulation from a file, if the files of the robot have moved, or it was changed in Python.
         title: of the figure.
 
     Raises:
@@ -355,8 +351,8 @@ def path(
 def comparison(subjects: Mapping[str, Plan | Simulation | Curves], *, title: str | None = None) -> Figure:
     """Draw the main efforts of several plans along the same motion, one panel an actuator, with their peaks.
 
-    Of an inverse-dynamics computation, near-singular samples are left out of curves and peaks, and the title says so:
-    efforts grow without bound there. Those of a plan are bounded, and all of them count.
+    Of an inverse-dynamics computation, near-singular samples are left out of curves and peaks, which the title
+    states: efforts grow without bound there. Efforts of a plan are bounded, and all of them count.
 
     Args:
         subjects: plans, simulations or ``curves`` by what the legend calls them; at most six.

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from redundancy_pin.errors import OutputError, shortened
-from redundancy_pin.io.files import refusing, replacing_file
+from redundancy_pin.errors import shortened
+from redundancy_pin.io.files import refusing, replacing_file, require_suffix
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Stroke:
-    """How one series is drawn: a colour of the Okabe–Ito palette; line style and marker tell it apart in grey."""
+    """How one series is drawn: a colour of the Okabe–Ito palette; line style and marker distinguish it in grey."""
 
     color: str
     dash: Any
@@ -62,7 +62,7 @@ INSTANT: dict[str, Any] = {
 
 # How a stretch of near-singular samples is drawn, and what legends call it
 WINDOW: dict[str, Any] = {"facecolor": "#D9D9D9", "edgecolor": "none", "label": "near-singular"}
-_FORMATS = ("png", "svg", "pdf")
+_FORMATS = (".png", ".svg", ".pdf")
 
 _LETTERS, _KEY = 15.0, 9  # letters of a legend on an inch, and how many of them an entry takes with its line and space
 _TITLE_LETTERS = 12.0  # letters of a title on an inch
@@ -145,7 +145,7 @@ def save(drawn: Figure, *paths: str | Path) -> None:
     """Write a figure to files, each whole or not at all; the suffix decides on the format.
 
     Raises:
-        OutputError: a suffix that is no picture format, or a file that cannot be written.
+        OutputError: a suffix of another format, or a file that cannot be written.
     """
     kinds = [picture_format(path) for path in paths]
     for path, kind in zip(paths, kinds, strict=True):
@@ -155,15 +155,8 @@ def save(drawn: Figure, *paths: str | Path) -> None:
 
 
 def picture_format(path: str | Path) -> str:
-    """Return the format that the suffix of a file stands for."""
-    kind = Path(path).suffix[1:].lower()
-    if kind not in _FORMATS:
-        raise OutputError(
-            f"Cannot write {path}: {Path(path).suffix or 'no suffix'} is no picture format.",
-            remedy=f"Use .{', .'.join(_FORMATS)}.",
-            path=str(path),
-        )
-    return kind
+    """Return the picture format of a file by its suffix."""
+    return require_suffix(path, _FORMATS)[1:]
 
 
 def log_scale(axes: Axes, which: Literal["x", "y"] = "y") -> None:
@@ -182,7 +175,7 @@ def write_numbers(axis: Axis) -> None:
 
 
 def legend_above(axes: Axes, width: float) -> None:
-    """Put the legend above axes that are ``width`` inches wide, where it hides nothing; none without labels."""
+    """Put the legend above axes that are ``width`` inches wide, so that it hides nothing; no legend without labels."""
     labels = axes.get_legend_handles_labels()[1]
     if labels:
         columns = _columns(labels, width)

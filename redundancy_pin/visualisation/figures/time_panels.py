@@ -69,8 +69,8 @@ class Curve:
 class Panel:
     """Curves that share an axis.
 
-    ``limits`` are the smallest and largest admissible value, (2,) of all curves or (c, 2) of each, infinite where there
-    is none: drawn, and hatched beyond, where the curves come near to them, else written in the corner.
+    ``limits`` are the smallest and largest admissible value, (2,) of all curves or (c, 2) of each, infinite for no
+    limit: drawn, and hatched beyond, if the curves come near to them; otherwise written in the corner.
     """
 
     label: str  # of the axis, with its unit
@@ -121,9 +121,9 @@ def series(names: Sequence[str], t: Array, values: Array, **settings: Any) -> tu
 
 
 def condition_panel(t: Array, condition: Array, thresholds: Sequence[float] = (), *, singular: bool = False) -> Panel:
-    """Return a panel of a condition number (N,): linear where it is small, and cut at 1000.
+    """Return a panel of a condition number (N,): linear if it is small, and cut at 1000.
 
-    ``singular`` says that the motion meets a singularity, where the condition number is infinite or NaN.
+    With ``singular`` the motion meets a singularity, and the condition number is infinite or NaN there.
     """
     shown = np.minimum(np.nan_to_num(condition, nan=np.inf), 10.0 * _CONDITION_TOP)
     top = max([float(shown.max()), *(2.0 * threshold for threshold in thresholds)])

@@ -1,4 +1,4 @@
-"""A moving picture as a file: a GIF, or an MP4 where there is an ffmpeg (extra ``video``), drawn without a display."""
+"""A moving picture as a file: a GIF, or an MP4 with an ffmpeg (extra ``video``), drawn without a display."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import IntArray, positive
-from redundancy_pin.errors import InputError, OutputError, optional
-from redundancy_pin.io.files import refusing, replacing_file, require_writable
+from redundancy_pin.errors import InputError, optional
+from redundancy_pin.io.files import refusing, replacing_file, require_suffix, require_writable
 from redundancy_pin.visualisation.figures import paths
 from redundancy_pin.visualisation.figures.style import break_lines, figure, legend_below
 from redundancy_pin.visualisation.viewer.page import View
@@ -93,7 +93,7 @@ def _writer(path: str | Path, rate: float) -> Any:
 
 
 def _ffmpeg() -> str:
-    """Return the system's ffmpeg, otherwise that of the package imageio-ffmpeg."""
+    """Return the system's ffmpeg, otherwise the one of the package imageio-ffmpeg."""
     remedy = "Install it with `pip install 'redundancy_pin[video]'`, or write a .gif."
     found = shutil.which("ffmpeg")
     return found or optional("imageio_ffmpeg", "Without the program ffmpeg an MP4 needs", remedy).get_ffmpeg_exe()
@@ -101,10 +101,7 @@ def _ffmpeg() -> str:
 
 def require_video(path: str | Path) -> None:
     """Check, before the work, that a video can be drawn and written there; raises as ``save_video``."""
-    suffix = Path(path).suffix.lower()
-    if suffix not in (".gif", ".mp4"):
-        raise OutputError(f"Cannot write {path}: it is no .gif and no .mp4.", remedy="Write video.gif.", path=str(path))
-    if suffix == ".mp4":
+    if require_suffix(path, (".gif", ".mp4")) == ".mp4":
         _ffmpeg()
     require_writable(path)
 

@@ -26,9 +26,9 @@ def draw_workspace(space: Workspace) -> Figure:
     """Draw a workspace: a map for each working mode over two coordinates, a cloud over three, curves over one.
 
     The colour is the margin to type II singularities. Its top is the 95th percentile, so that one bright spot does not
-    flatten the rest; the arrow of the scale says that there is more. Islands that the start does not reach are
+    flatten the rest; the arrow of the scale shows that larger margins exist. Islands that the start does not reach are
     outlined: in maps as a whole, in clouds each point, on curves by a broken line. In a cloud the nearest points hide
-    what is behind.
+    the others.
 
     Raises:
         InputError: no workspace.

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, SingularPoseError, optional
 from redundancy_pin.kinematics.branch import BranchEnd, follower
@@ -40,9 +40,9 @@ _WHY: Mapping[SampleStatus, str] = {
 class LiveRobot:
     """A robot in a notebook, moved by sliders, with its loops closed, and its efforts at rest.
 
-    As the last line of a cell it shows itself: sliders and numbers, and the robot beside them in meshcat. Each change
+    As the last line of a cell it shows itself: sliders and numbers, and the robot in meshcat. Each change
     of a slider is followed along the branch (``Follower.advance``). Where the branch ends, the robot stays at its last
-    closed configuration and ``message`` has the reason; the next drag starts from that configuration.
+    closed configuration, the sliders return to that configuration, and ``message`` has the reason.
 
     Attributes:
         robot: the robot.
@@ -55,8 +55,8 @@ class LiveRobot:
         carrier_force: (k,) efforts of the carriers' actuators, N or N·m.
         status: the ``SampleStatus`` of these efforts.
         margin: distance to type II, the smallest singular value of the scaled W, no unit.
-        branch: working mode, such as ``"+-+"``, and the sign of det W; empty parts where there is none.
-        message: why the sliders are not at ``q``; empty where they are.
+        branch: working mode, such as ``"+-+"``, and the sign of det W, each if it exists.
+        message: why the last drag, or a value of the last ``set``, was not followed; empty if it was.
 
     Example:
         >>> import redundancy_pin as rp
@@ -81,9 +81,11 @@ class LiveRobot:
                 remedy='Use the other by=, "platform" or "actuators", or load the robot with another reference.',
             )
         self._viewer: Any = None
+        self._window: Any = None  # connection to the meshcat server that ``widget`` started
         self._held, self._numbers = True, self._widgets.HTML()
         ranges = _coordinate_ranges(self._driven, self._home.x)
         self._coordinates, self._start = tuple(ranges), np.array([start for start, _, _ in ranges.values()])
+        self._values = self._start
         for name, limits in zip(robot.carriers, robot.carrier_limits, strict=True):
             parked = min(max(0.0, limits.lower), limits.upper)
             ranges[name] = _joint_range(robot, name, parked, limits.lower, limits.upper)
@@ -92,26 +94,56 @@ class LiveRobot:
         self._update()
 
     def set(self, **values: float) -> None:
-        """Set several sliders by name as one drag, m and rad; a value beyond a slider's range is its end.
+        """Set several sliders by name as one drag, m and rad.
+
+        A value beyond the range of its slider sets the slider to the end of the range; ``message`` reports it.
 
         Raises:
-            InputError: a name that no slider has.
+            InputError: a name that no slider has, or a value that is not a finite number.
         """
         unknown = sorted(values.keys() - self.sliders.keys())
         if unknown:
             raise InputError(f"No slider is called {unknown[0]}.", remedy=f"Choose from {', '.join(self.sliders)}.")
+        requested = {name: float(checked([value], name, (1,))[0]) for name, value in values.items()}
+        self._move_sliders(requested)
+        self._update(
+            " ".join(
+                f"{name} = {value:.4g} is outside [{slider.min:.4g}, {slider.max:.4g}]: set to {slider.value:.4g}."
+                for name, value in requested.items()
+                if (slider := self.sliders[name]).value != value
+            )
+        )
+
+    def close(self) -> None:
+        """Remove sliders and picture from the notebook, and end the meshcat server that ``widget`` started.
+
+        A viewer that ``send_to`` was given stays open. The last configuration and efforts stay readable.
+        """
+        self._held, self._viewer = True, None
+        for slider in (*self.sliders.values(), self._numbers):
+            slider.close()
+        if "widget" in vars(self):
+            self.widget.close()
+        if self._window is not None:
+            self._window.zmq_socket.close()
+            with self._window.server_proc as server:
+                server.kill()
+            self._window = None
+
+    def _move_sliders(self, values: Mapping[str, float]) -> None:
+        """Set sliders by name without an update."""
         self._held = True
         try:
             for name, value in values.items():
                 self.sliders[name].value = value
         finally:
             self._held = False
-        self._update()
 
     @cached_property
     def widget(self) -> Any:
-        """Sliders and numbers, and the picture beside them, from a meshcat server of this machine."""
+        """Sliders, numbers and the picture, from a meshcat server of this machine."""
         self.send_to(import_meshcat().Visualizer())
+        self._window = self._viewer.window
         style = f"width: 100%; height: {self._height}px; border: none"
         picture = self._widgets.HTML(f'<iframe src="{self._viewer.url()}" style="{style}"></iframe>')
         picture.layout.width = "60%"
@@ -127,7 +159,7 @@ class LiveRobot:
 
     @cached_property
     def _first(self) -> Scene:
-        """The picture when it is first asked for: all later ones have its solids and its scale of efforts."""
+        """The first picture, again with the first efforts: all later ones have its solids and its scale of efforts."""
         efforts = self.tau[None], self.carrier_force[None]
         return make_scene(
             self.robot, np.zeros(1), self.q[None], np.array([self.margin]), *efforts, title=self.robot.name
@@ -156,18 +188,19 @@ class LiveRobot:
         slider.observe(lambda _: self._update(), names="value")
         return slider
 
-    def _update(self) -> None:
-        """Follow the branch to the sliders, compute the efforts at rest, and show both."""
+    def _update(self, message: str = "") -> None:
+        """Follow the branch to the sliders, compute the efforts at rest, and show both; ``message`` is shown first."""
         if self._held:
             return
         values = np.array([self.sliders[name].value for name in self._coordinates])
         end = self._branch.advance(self._state, moved(self._driven, self._home.x, values - self._start))
-        self.message = ""
         if isinstance(end, BranchEnd):
             why = _WHY.get(end.status, end.status.label)
-            self.message = f"Not followed: {why}. The robot stays at the last closed configuration."
+            message += f" Not followed: {why}. The robot stays at the last closed configuration."
+            self._move_sliders(dict(zip(self._coordinates, self._values.tolist(), strict=True)))
         else:
-            self._state = end
+            self._state, self._values = end, values
+        self.message = message.strip()
         self.s = read_only(np.array([self.sliders[name].value for name in self.robot.carriers]))
         q = np.array(self._state.q)
         q[self.robot.carrier_position] = self.s
@@ -177,7 +210,12 @@ class LiveRobot:
         self.tau, self.carrier_force, self.status, self.margin = held.tau, held.carrier_force, held.status, held.margin
         self.branch = _branch_name(self.robot, self._state.q)
         self._numbers.value = self._text()
-        if self._viewer is not None:
+        if self._viewer is None:
+            return
+        if not self._first.arrows and np.nansum(np.abs([*self.tau, *self.carrier_force])) > 0.0:
+            del self._first  # the efforts were zero so far, and gave the arrows no scale
+            self.send_to(self._viewer)
+        else:
             send_frame(self._viewer, self.scene, 0)
 
     def _text(self) -> str:

@@ -57,7 +57,7 @@ def solids_of(robot: Robot) -> tuple[Solid, ...]:
 
 
 def body_points(robot: Robot, body: int) -> Array:
-    """Return (c, 3) where a body is jointed to others, closures included, in the frame of its own joint, m."""
+    """Return (c, 3) the hinges of a body, closures included, in the frame of the joint that moves it, m."""
     data = _placed(robot, pin.neutral(robot.model))
     points: Array = (_hinges(robot, body, data) - data.oMi[body].translation) @ data.oMi[body].rotation
     return points
@@ -87,7 +87,7 @@ def links(robot: Robot, q: Array) -> tuple[tuple[Array, Array], ...]:
 
 
 def rods_of(robot: Robot) -> tuple[Closure, ...]:
-    """Return the rods that close loops. No joint carries them: their numbers are behind those of the joints."""
+    """Return the rods that close loops. No joint carries them: their numbers follow the numbers of the joints."""
     return tuple(closure for closure in robot.closures if closure.is_rod)
 
 
@@ -100,7 +100,7 @@ def _placed(robot: Robot, q: Array) -> pin.Data:
 def _hinges(robot: Robot, body: int, data: pin.Data) -> Array:
     """Return (c, 3) where a body is jointed to others in a configuration, m, world.
 
-    A joint that floats or moves in a plane joins nothing: its origin is no point that both bodies have.
+    The origin of a floating or planar joint is not a point of both bodies, so it does not count.
     """
     model = robot.model
     joints = [body, *(j for j in range(1, model.njoints) if model.parents[j] == body)]

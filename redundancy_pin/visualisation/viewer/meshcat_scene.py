@@ -45,7 +45,7 @@ def import_meshcat() -> Any:
 
 
 def send_scene(viewer: Any, scene: scenes.Scene, *, forces: bool = True) -> None:
-    """Send the objects of a scene to a ``meshcat.Visualizer``; ``forces`` says whether arrows are shown at first."""
+    """Send the objects of a scene to a ``meshcat.Visualizer``; arrows are shown at first if ``forces`` is true."""
     _set_stage(viewer, scene)
     for solid in scene.solids:
         _add_solid(viewer, scene, solid)
@@ -182,7 +182,7 @@ def _add_path(viewer: Any, scene: scenes.Scene) -> None:
 
 
 def _add(viewer: Any, path: str, shape: Any, material: Any, placement: Array | None = None, *, order: int = 0) -> None:
-    """Set an object; among see-through objects, those of a higher ``order`` are drawn later."""
+    """Set an object; see-through objects of a higher ``order`` are drawn later."""
     from meshcat import geometry
 
     class Ordered(geometry.Mesh):  # type: ignore[misc]

@@ -24,8 +24,8 @@ from typing import Any
 import jinja2
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import OutputError, RedundancyPinError
-from redundancy_pin.io.files import write_text
+from redundancy_pin.errors import RedundancyPinError
+from redundancy_pin.io.files import require_suffix, write_text
 from redundancy_pin.visualisation.viewer.meshcat_scene import (
     arrow_path,
     import_meshcat,
@@ -50,10 +50,10 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A scene that can be looked at. The last expression of a notebook cell shows itself; no display is needed.
+    """A scene to show. As the last expression of a notebook cell it shows itself; no display is needed.
 
     Attributes:
-        scene: what is shown.
+        scene: the scene.
         forces: whether arrows are shown at first.
         height: of the picture in a notebook, pixels.
     """
@@ -238,10 +238,5 @@ class LiveView(ThreadingHTTPServer):
 
 
 def require_html(path: str | Path) -> None:
-    """Check that a file is to hold HTML."""
-    if Path(path).suffix.lower() not in (".html", ".htm"):
-        raise OutputError(
-            f"Cannot write {path}: its name does not end in .html.",
-            remedy="Give the file the suffix .html.",
-            path=str(path),
-        )
+    """Check that the name of a file ends in .html."""
+    require_suffix(path, (".html", ".htm"))

@@ -1,6 +1,6 @@
 """A motion of a robot and its efforts turned into the frames of a moving picture, as arrays.
 
-Frames, the arrows of the efforts, the colours of the margin; the solids are those of ``mechanism``.
+Frames, the arrows of the efforts, the colours of the margin; the solids come from ``mechanism``.
 """
 
 from __future__ import annotations
@@ -229,7 +229,7 @@ def _arrows(
 
 
 def margin_classes(margin: Array) -> IntArray:
-    """Return (N,) the class of each margin: an index into ``MARGIN_COLORS``, −1 where it is not known."""
+    """Return (N,) the class of each margin: an index into ``MARGIN_COLORS``, −1 for NaN."""
     classes: IntArray = np.searchsorted(MARGIN_EDGES, np.abs(margin), side="right").astype(np.intp)
     return np.where(np.isnan(margin), -1, classes)
 
@@ -240,7 +240,7 @@ def margin_color(margin: float) -> str:
 
 
 def margin_labels() -> tuple[str, ...]:
-    """Return what the legend says of each class."""
+    """Return the label of each class in the legend."""
     edges = [f"{edge:g}" for edge in MARGIN_EDGES]
     inner = [f"{low} to {high}" for low, high in pairwise(edges)]
     return (f"below {edges[0]}: near-singular", *inner, f"above {edges[-1]}")

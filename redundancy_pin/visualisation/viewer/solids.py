@@ -64,7 +64,7 @@ class Solid:
     """A shape fixed to a body. A cylinder has its axis along z; a plate is a prism over a polygon.
 
     Its ``size``, m: sides (3) of a box, radius and length of a cylinder, radius of a sphere; radius and thickness of an
-    arc and where it starts and ends, rad about z from x; empty for a mesh and a plate.
+    arc and the angles of its ends, rad about z from x; empty for a mesh and a plate.
     """
 
     name: str  # unique within the body
@@ -118,7 +118,7 @@ def corners_of(solid: Solid) -> Array:
 def extent_of(solids: Iterable[Solid], placement: Array, path: Array, seen: Array) -> tuple[Array, Array]:
     """Return the corners (d,), (d,) of the box that holds solids and a path (N, 3) over F frames, m.
 
-    ``placement`` (F, J, 4, 4) are those of the joints; ``seen`` (d, 3) is a projection, or the identity.
+    ``placement`` (F, J, 4, 4) are the frames of the joints; ``seen`` (d, 3) is a projection, or the identity.
     """
     points = [path @ seen.T]
     for solid in solids:
@@ -174,10 +174,10 @@ def shapes_of_urdf(robot: Robot) -> tuple[Solid, ...]:
 
 
 def find_mesh(filename: str, folder: str) -> Path | None:
-    """Return the file that a URDF means, or None where there is none.
+    """Return the mesh file that a URDF names, or None if it does not exist.
 
-    A relative name is looked for in the folder of the URDF. ``package://NAME/...`` is looked for in folders of that
-    name beside and above the URDF, and where ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH`` point to.
+    A relative name is searched in the folder of the URDF; ``package://NAME/...`` in folders called NAME next to and
+    above the URDF, and in the folders of ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH``.
     """
     for scheme in _SCHEMES:
         if filename.startswith(scheme):
@@ -193,7 +193,7 @@ def find_mesh(filename: str, folder: str) -> Path | None:
 
 
 def _with_readable_meshes(robot: Robot, loader: Any) -> tuple[str, tuple[str, ...]]:
-    """Return a URDF for drawing only, and what is wrong with the meshes that were left out of it.
+    """Return a URDF for drawing only, and the problem of each mesh that was left out of it.
 
     Mesh files have their absolute paths, visuals with meshes that cannot be read are gone, and so is all collision
     geometry. A capsule, which Pinocchio's reader does not know, is a cylinder and two spheres.
@@ -219,7 +219,7 @@ def _with_readable_meshes(robot: Robot, loader: Any) -> tuple[str, tuple[str, ..
 
 
 def _resolve(mesh: ElementTree.Element, robot: Robot, loader: Any) -> str:
-    """Give a mesh its absolute path; return what is wrong with it, if anything."""
+    """Give a mesh its absolute path; return the problem with the file, if any."""
     filename = mesh.get("filename", "")
     file = find_mesh(filename, robot.urdf_folder)
     if file is None:
