@@ -65,7 +65,7 @@ _LISTED = 8  # events that the table lists; the rest is counted
 @click.option("--encoders", is_flag=True, help="It sees the joints through encoders of 16 bits a turn and 1 µm.")
 @click.option("--noise", type=float, default=0.0, show_default=True, metavar="N",
               help="Standard deviation of every actuator's effort, one value a period, N or N·m.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, metavar="N", help="Of the noise.")
+@click.option("--seed", type=click.IntRange(0), metavar="N", help="Of the noise.  [default: 0]")
 @options.settings_option("--friction", "friction", f"Friction of the joints: {', '.join(FRICTION)}; N, N·m, s. "
                          "May be repeated.")  # fmt: skip
 @options.keyword_options(run_simulation, only=KEYWORDS)
@@ -149,6 +149,8 @@ def simulate(
 
 
 def _sampling(given: Mapping[str, Any]) -> Sampling | None:
+    if given["seed"] is not None and not given["noise"]:
+        raise InputError("--seed is that of the noise, and there is none.", remedy="Add --noise, or leave it out.")
     if given["period"] is not None:
         return Sampling(given["period"], given["delay"] or 0.0)
     for flag in ("delay", "noise", "encoders"):
@@ -188,7 +190,7 @@ def _run(machine: Robot, reference: MotionReference, sampling: Sampling | None, 
     if sampling is not None and given["encoders"]:
         controller = Encoders(controller, reference, period=sampling.period)
     if given["noise"]:
-        controller = NoisyAmplifier(controller, np.random.default_rng(given["seed"]), given["noise"])
+        controller = NoisyAmplifier(controller, np.random.default_rng(given["seed"] or 0), given["noise"])
     friction, events = given["friction"], set(given["stop_at"])
     options.require_known(friction, FRICTION, "--friction")
     if NEVER in events and len(events) > 1:
