@@ -202,9 +202,10 @@ def _remedy(problem: Problem) -> str:
         "Widen these limits, by a few per cent more than that (the least leaves no room)",
         "lead the path elsewhere" if timed else "slow the motion down",
     ]
-    ends = [name for name in (("begin", "end") if timed else ("end",)) if getattr(settings, name) != "free"]
-    if ends and not settings.lap:
-        ways.append(f"leave the {' and the '.join(ends)} free")
+    ends = {"start": settings.begin, "end": settings.end} if timed else {"end": settings.end}
+    bound = [place for place, how in ends.items() if how != "free"]
+    if bound and not settings.lap:
+        ways.append(f"leave the {' and the '.join(bound)} free")
     return f"{', '.join(ways[:-1])}, or {ways[-1]}."
 
 
