@@ -113,13 +113,11 @@ def inverse_dynamics(
             drawn = curves(loaded, result.reduced, result.efforts, carriers)
             save(efforts(replace(drawn, instants=tuple(one.t for one in result.instants))), path)
 
-        failed = output.drawn(plot, draw)
+        plot, failed = output.drawn(plot, draw)
         advance(len(samples), len(samples), "dynamics")
-    for text in result.warnings():
-        output.warning(text)
     used, (main, moved) = backend_of(dynamics), robot_record(loaded).effort_units
     facts = {"robot": loaded.name, "backend": used, "motion": motion.described, "out": out, **result.summary()}
-    facts |= {"ends": getattr(followed, "ends", None), "plot": None if failed else plot}
+    facts |= {"ends": getattr(followed, "ends", None), "plot": plot}
     rows = [
         ("motion", motion.described),
         *((f"{name} samples", str(count)) for name, count in facts["statuses"].items()),
@@ -131,7 +129,6 @@ def inverse_dynamics(
         ("written to", out),
         *output.written(facts, plot="picture"),
     ]
-    output.report(as_json, facts, output.TextTable(f"{loaded.name}, {used}: {len(samples)} samples", rows))
-    if failed:
-        raise failed
+    table = output.TextTable(f"{loaded.name}, {used}: {len(samples)} samples", rows)
+    output.report(as_json, facts, table, warnings=result.warnings(), failed=failed)
     return output.EXIT_CODES[result.status]

@@ -9,7 +9,7 @@ import click
 
 from redundancy_pin.cli import options
 from redundancy_pin.cli.errors import BAD_INPUT
-from redundancy_pin.cli.output import report, warning
+from redundancy_pin.cli.output import report
 from redundancy_pin.errors import InputError, RedundancyPinError
 from redundancy_pin.io.files import require_writable, write_text
 from redundancy_pin.robot.propose import KINDS
@@ -100,7 +100,6 @@ def new(
         "notes": notes,
         "undecided": proposal.questions,
     }
-    for question in proposal.questions:
-        warning(f"undecided: {question}")
-    report(as_json, facts, *proposal.listed(), *notes, f"{target}: {outcome}.")
+    asked = [f"undecided: {question}" for question in proposal.questions]
+    report(as_json, facts, *proposal.listed(), *notes, f"{target}: {outcome}.", warnings=asked)
     return BAD_INPUT if proposal.questions else 0

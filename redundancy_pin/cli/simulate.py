@@ -126,25 +126,26 @@ def simulate(
         def film(path: str) -> None:
             save_video(view(run, robot=machine), path, progress=lambda done, all_: advance(done, all_, "video"))
 
-        undrawn = output.drawn(plot, lambda path: save(plot_simulation(run, plan, robot=machine, title=title), path))
-        unfilmed = output.drawn(video, film)
+        plot, undrawn = output.drawn(
+            plot, lambda path: save(plot_simulation(run, plan, robot=machine, title=title), path)
+        )
+        video, unfilmed = output.drawn(video, film)
     facts = {
         **summary(run, reference, machine),
         "motion": f"the plan {plan_path}" if plan_path else motion.described,
         "controller": given["controller"],
         "ends": ends,
         "out": out,
-        "plot": None if undrawn else plot,
-        "video": None if unfilmed else video,
+        "plot": plot,
+        "video": video,
     }
-    output.report(as_json, facts, _table(run, facts, machine))
+    warnings = []
     if run.status is ResultStatus.STOPPED:
         last = run.events[-1]
-        output.warning(f"stopped at t = {last.t:.6g} s: {last.kind.replace('_', ' ')} ({last.name})")
+        warnings.append(f"stopped at t = {last.t:.6g} s: {last.kind.replace('_', ' ')} ({last.name})")
     elif run.status is ResultStatus.NOT_CONVERGED:
-        output.warning(f"could not go on at t = {run.t[-1]:.6g} s: {run.reason}")
-    for error in filter(None, (undrawn, unfilmed)):
-        raise error
+        warnings.append(f"could not go on at t = {run.t[-1]:.6g} s: {run.reason}")
+    output.report(as_json, facts, _table(run, facts, machine), warnings=warnings, failed=undrawn or unfilmed)
     return output.EXIT_CODES[run.status]
 
 

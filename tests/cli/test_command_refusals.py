@@ -175,6 +175,8 @@ validate --robot 3rrr --samples -1 => samples is -1
 check nowhere.npz => nowhere.npz does not exist
 export plan.npz --to l.txt => --to l.txt does not end in .csv or .json or .mat or .yaml or
 export plan.npz --to l.csv --rate 0 => rate is 0 Hz
+export plan.npz --to l.csv --rate 1e12 => at most 10000000 are possible. Use a lower rate
+plan stepwise --robot 2rpr --trajectory circle --lam 0.5 => load_robot("2rpr", carriers=False)
 export plan.npz --to l.csv --ros => --ros does not go with .csv
 export plan.npz --to l.yaml --two-sided => A JointTrajectory has one point at a time
 export plan.npz --to nowhere/l.csv => Cannot write nowhere/l.csv

@@ -126,7 +126,7 @@ def plan_stepwise(
             none of the jerk, as accelerations jump from step to step.
         mesh: ``dt``, the time step of a trajectory, s, ``LARGEST_STEP`` when left out. Jumps of its acceleration are
             sampled from both sides.
-        active: when carriers move: "always", or "accelerating", while the reference acceleration is not zero.
+        active: carriers move "always", or only while the motion is "accelerating".
         start: scalar or (k,) positions at the start, at rest, m.
         datum: scalar or (k,) positions to return to, m.
         return_time: duration of a return, s, or "shortest": the least that keeps the limits of track, speed and
