@@ -226,7 +226,7 @@ def _keyword(name: str, hint: Any, default: object, texts: Mapping[str, str]) ->
         from redundancy_pin.planners.optimal import OBJECTIVES
 
         words = list(OBJECTIVES)
-        text = f"{text} Names: {', '.join(words)}."
+        text = f"{text} Names: {', '.join(words)}; rp.plan_whole_trajectory has their formulas."
     return Keyword(name, read, metavar, default, text, words)
 
 
@@ -559,7 +559,7 @@ def motion_options(what: str) -> Callable[[_Command], Callable[..., Any]]:
         words = (
             f"Trajectory {what}: {', '.join(TRAJECTORIES)}, with keys as circle:speed=0.5 or "
             "'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'; or a CSV or JSON file of points, such as "
-            "way.csv:speed=0.1 (columns t,x,y; ends=rest: at rest at both ends). A CSV with rates is a motion."
+            "way.csv:speed=0.1 (columns t,x,y; ends=rest: at rest at both ends). docs/problem.yaml lists the keys. A CSV with rates is a motion."
         )
         complete = completed(list(TRAJECTORIES), files=True)
         metavar = "NAME|FILE[:KEY=VALUE,...]"
