@@ -390,27 +390,40 @@ def jobs_option(default: int) -> Callable[[_Command], _Command]:
     return click.option("--jobs", default=default, show_default=True, metavar="N", help="Processes; -1: one per core.")
 
 
-def robot_options(*, required: bool = True) -> Callable[[_Command], Callable[..., Any]]:
-    """Add the flags of the robot to a command that takes them as one ``RobotOptions``, its argument ``robot``."""
+def in_one(name: str, kind: Callable[..., Any], *own: Callable[..., Any]) -> Callable[[_Command], Callable[..., Any]]:
+    """Add options, in this order, to a command that takes them as one object of a dataclass, its argument ``name``.
+
+    The options have the names of its fields, as may further ones of the command (``untrusted_option``).
+    """
+    names = tuple(inspect.signature(kind).parameters)
 
     def decorate(command: _Command) -> Callable[..., Any]:
         @functools.wraps(command)
-        def called(robot: str | None, settings: Any, working_mode: Any, gravity: Any, trust: bool, **given: Any) -> Any:
-            return command(robot=RobotOptions(robot or "", settings, working_mode, gravity, trust), **given)
+        def called(**given: Any) -> Any:
+            values = {each: given.pop(each) for each in names if each in given}
+            return command(**{name: kind(**values)}, **given)
 
-        text = "Shipped robot (see `info`), robot.yaml, its folder, or a model file (URDF, xacro, MJCF, SDF)."
-        mode = "Working mode, one sign per leg, such as +-+."
-        for option in (
-            trust_option,
-            click.option("--gravity", metavar="X,Y,Z", callback=by(parse_vector), help="Gravity, m/s²."),
-            click.option("--working-mode", metavar="SIGNS", callback=by(parse_mode), help=mode),
-            settings_option("--set", "settings", "Parameter of the robot, such as carrier_mass=2.0. May be repeated."),
-            click.option("--robot", required=required, metavar="NAME|PATH", help=text, shell_complete=robots()),
-        ):
+        for option in reversed(own):  # the last one that is added is listed first
             called = option(called)
         return called
 
     return decorate
+
+
+def robot_options(*, required: bool = True) -> Callable[[_Command], Callable[..., Any]]:
+    """Add the flags of the robot to a command that takes them as one ``RobotOptions``, its argument ``robot``."""
+    text = "Shipped robot (see `info`), robot.yaml, its folder, or a model file (URDF, xacro, MJCF, SDF)."
+    mode = "Working mode, one sign per leg, such as +-+."
+    default = {"required": True} if required else {"default": ""}
+    return in_one(
+        "robot",
+        RobotOptions,
+        click.option("--robot", "source", metavar="NAME|PATH", help=text, shell_complete=robots(), **default),
+        settings_option("--set", "settings", "Parameter of the robot, such as carrier_mass=2.0. May be repeated."),
+        click.option("--working-mode", metavar="SIGNS", callback=by(parse_mode), help=mode),
+        click.option("--gravity", metavar="X,Y,Z", callback=by(parse_vector), help="Gravity, m/s²."),
+        trust_option,
+    )
 
 
 def robots() -> Callable[..., list[CompletionItem]]:
@@ -548,21 +561,17 @@ def motion_options(what: str) -> Callable[[_Command], Callable[..., Any]]:
     """
     from redundancy_pin.trajectory.reference import TRAJECTORIES
 
-    def decorate(command: _Command) -> Callable[..., Any]:
-        @functools.wraps(command)
-        def called(*args: Any, motion_path: Any, check_rates: bool, trajectory: Any, **given: Any) -> Any:
-            return command(*args, motion=MotionOptions(motion_path, check_rates, trajectory), **given)
-
-        rates = "Refuse a motion whose rates are not those of its positions; poses to stand still in need --no-."
-        called = click.option("--check-rates/--no-check-rates", default=True, show_default=True, help=rates)(called)
-        called = click.option("--motion", "motion_path", metavar="CSV", help=f"Motion {what}: {MOTION_CSV}")(called)
-        words = (
-            f"Trajectory {what}: {', '.join(TRAJECTORIES)}, with keys as circle:speed=0.5 or "
-            "'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'; or a CSV or JSON file of points, such as "
-            "way.csv:speed=0.1 (columns t,x,y; ends=rest: at rest at both ends). docs/problem.yaml lists the keys. A CSV with rates is a motion."
-        )
-        complete = completed(list(TRAJECTORIES), files=True)
-        metavar = "NAME|FILE[:KEY=VALUE,...]"
-        return click.option("--trajectory", metavar=metavar, help=words, shell_complete=complete)(called)
-
-    return decorate
+    rates = "Refuse a motion whose rates are not those of its positions; poses to stand still in need --no-."
+    words = (
+        f"Trajectory {what}: {', '.join(TRAJECTORIES)}, with keys (docs/problem.yaml lists them): circle:speed=0.5, "
+        "'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'; or a CSV or JSON file of points, such as "
+        "way.csv:speed=0.1 (columns t,x,y; ends=rest: at rest at both ends). A CSV with rates is a motion."
+    )
+    complete, metavar = completed(list(TRAJECTORIES), files=True), "NAME|FILE[:KEY=VALUE,...]"
+    return in_one(
+        "motion",
+        MotionOptions,
+        click.option("--trajectory", metavar=metavar, help=words, shell_complete=complete),
+        click.option("--motion", "path", metavar="CSV", help=f"Motion {what}: {MOTION_CSV}"),
+        click.option("--check-rates/--no-check-rates", default=True, show_default=True, help=rates),
+    )
