@@ -18,6 +18,7 @@ import numpy as np
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 from numpy.typing import NDArray
 
+from redundancy_pin.arrays import require_type
 from redundancy_pin.errors import InputError, RedundancyPinError, optional, shown
 
 R = TypeVar("R")
@@ -48,8 +49,10 @@ class SweepResult:
     def values(self, name: str) -> NDArray[Any]:
         """Return an entry of every record: one dimension per axis of the grid, in its order; (N,) without axes.
 
+        Entries that are arrays add their own dimensions at the end.
+
         Raises:
-            InputError: a record has no such entry; the remedy lists the entries.
+            InputError: a record has no such entry (the remedy lists the entries), or entries have different shapes.
         """
         missing = [record for record in self.records if name not in record]
         if missing:
@@ -57,7 +60,12 @@ class SweepResult:
                 f"A record has no entry {name!r}.", remedy=f"Its entries are {', '.join(missing[0])}.", name=name
             )
         shape = [len(self.records)] if self.axes is None else [len(values) for values in self.axes.values()]
-        return np.array([record[name] for record in self.records]).reshape(shape)
+        try:
+            found = np.array([record[name] for record in self.records])
+        except ValueError as error:
+            message = f"The entries {name!r} have different shapes."
+            raise InputError(message, remedy="Read them from `records`.", name=name) from error
+        return found.reshape(*shape, *found.shape[1:])
 
     def to_dataframe(self) -> Any:
         """Return the records as a pandas DataFrame, one row per point; needs the extra ``pandas``."""
@@ -95,8 +103,10 @@ def sweep(
         progress: called as points finish.
 
     Raises:
-        InputError: ``jobs`` is 0, below -1, or many times the cores; an argument has no values; with a cache, a closure
-            or ``functools.partial``, whose values the cache would not see.
+        InputError: ``jobs`` is no whole number, 0, below -1, or many times the cores; an argument has no values, or is
+            no list of them; points are no mappings; the function returns an entry with the name of an argument; with a
+            cache, a folder that cannot be made, a closure or ``functools.partial``, whose values the cache would not
+            see.
         RedundancyPinError: a process died.
 
     Example:
@@ -114,9 +124,11 @@ def sweep(
     """
     axes: dict[str, tuple[Any, ...]] | None = None
     if not isinstance(grid, Mapping):
-        points = [dict(point) for point in grid]
+        points = list(_listed(grid, "grid"))
+        for point in points:
+            require_type(point, Mapping, "A mapping for each point", 'Pass [{"speed": 0.1}, {"speed": 0.2}].')
     else:
-        axes = {name: tuple(values) for name, values in grid.items()}
+        axes = {name: _listed(values, name) for name, values in grid.items()}
         for name, values in axes.items():
             if not values:
                 raise InputError(f"The argument {name!r} has no values.", remedy="Give at least one.", name=name)
@@ -127,11 +139,24 @@ def sweep(
         results[index] = value
         if progress:
             progress(done, len(points))
-    records = tuple(
-        {**point, **(value if isinstance(value, Mapping) else {"value": value})}
-        for point, value in zip(points, results, strict=True)
-    )
-    return SweepResult(records, axes)
+    records = []
+    for point, value in zip(points, results, strict=True):
+        entries = value if isinstance(value, Mapping) else {"value": value}
+        if both := point.keys() & entries.keys():
+            name = min(both)
+            message = f"{name!r} is an argument, and an entry that the function returns."
+            raise InputError(message, remedy="Give the entry another name.", name=name)
+        records.append({**point, **entries})
+    return SweepResult(tuple(records), axes)
+
+
+def _listed(values: Any, name: str) -> tuple[Any, ...]:
+    """Return the values of an argument; a text is one value, no list of its letters."""
+    if isinstance(values, (str, bytes)) or not isinstance(values, Iterable):
+        raise InputError(
+            f"{name} is {shown(values)}, not a list of values.", remedy="Write [...] around it.", name=name
+        )
+    return tuple(values)
 
 
 def _require_named(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -149,10 +174,14 @@ def _require_named(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _memory(folder: str | Path) -> Any:
-    version = sys.modules[
-        "redundancy_pin"
-    ].__version__  # the package itself is above this module, so it is not imported
-    return joblib.Memory(Path(folder).expanduser() / f"redundancy_pin-{version}", verbose=0)
+    # the package itself is above this module, so it is not imported
+    place = Path(folder).expanduser() / f"redundancy_pin-{sys.modules['redundancy_pin'].__version__}"
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        message = f"The cache {folder} cannot be made: {error.strerror}."
+        raise InputError(message, remedy="Name a folder that you may write to.", name="cache") from error
+    return joblib.Memory(place, verbose=0)
 
 
 def _call(function: Callable[..., Any], index: int, point: Mapping[str, Any]) -> tuple[int, Any]:
@@ -212,10 +241,10 @@ def require_jobs(jobs: int) -> int:
     """Return a number of processes; InputError if it is 0, below -1, or many times the cores of this machine."""
     cores = os.cpu_count() or 1
     most = max(64, _MOST_JOBS_PER_CORE * cores)
-    if jobs != -1 and not 1 <= jobs <= most:
+    if not isinstance(jobs, int) or (jobs != -1 and not 1 <= jobs <= most):
         raise InputError(
-            f"jobs is {jobs}; this machine has {cores} cores.",
+            f"jobs is {shown(jobs)}; this machine has {cores} cores.",
             remedy=f"Pass 1 to {most}, or -1 for one process per core.",
-            jobs=jobs,
+            name="jobs",
         )
     return jobs

@@ -108,7 +108,9 @@ def require_limit_on_power(session: dict[str, Any]) -> None:
     event = found.violated[0]
     assert event.quantity == "power"
     assert event.amount == pytest.approx(0.2 * most, rel=2e-3)
-    with pytest.raises(InfeasiblePlanError, match=r"the power of slide_\d, from [\d.]+ to [\d.]+ W"):
+    with pytest.raises(
+        InfeasiblePlanError, match=r"every power limit by .* needed by slide_\d, from [\d.]+ to [\d.]+ W"
+    ):
         rp.plan_whole_trajectory(robot, line, limits=rp.Limits(further={"power": 0.2 * most}), mesh=mesh)
     with pytest.raises(InputError, match="'powr', which is no quantity"):
         rp.plan_whole_trajectory(robot, line, limits=rp.Limits(further={"powr": 1.0}), mesh=mesh)

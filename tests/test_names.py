@@ -25,7 +25,7 @@ from scipy.io import loadmat
 
 import redundancy_pin as rp
 from redundancy_pin import codegen
-from redundancy_pin.cli.output import warning
+from redundancy_pin.cli.errors import print_line
 from redundancy_pin.io.csv_cells import escape_formula, unescape_formula
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.export import PlanTable
@@ -287,5 +287,5 @@ def test_a_robot_named_as_a_header_of_c(named: Callable[[str], Named], tmp_path:
 
 def test_a_warning_is_one_line_that_no_terminal_obeys(capsys: pytest.CaptureFixture[str]) -> None:
     """Names of closures come from YAML, which may hold any letter."""
-    warning("loop \x1b[31m of\nit is open")
+    print_line("warning", "loop \x1b[31m of\nit is open")
     assert capsys.readouterr().err == "warning: loop \N{REPLACEMENT CHARACTER}[31m of it is open\n"

@@ -103,6 +103,33 @@ def test_what_a_grid_lacks_is_named() -> None:
         rp.sweep(area, GRID, jobs=1).values("aera")
 
 
+def vector(a: int) -> dict[str, Any]:
+    return {"all": np.arange(3.0) + a, "ragged": np.zeros(a)}
+
+
+def test_entries_that_are_arrays() -> None:
+    result = rp.sweep(vector, {"a": [1, 2]}, jobs=1)
+    assert result.values("all").tolist() == [[1.0, 2.0, 3.0], [2.0, 3.0, 4.0]]
+    with pytest.raises(InputError, match="'ragged' have different shapes"):
+        result.values("ragged")
+
+
+def test_what_is_no_grid_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for grid, keywords, says in (
+        ({"a": "3rrr", "b": [1]}, {}, "a is '3rrr', not a list"),  # it would be three letters
+        ({"a": 3, "b": [1]}, {}, "a is 3, not a list"),
+        ([1, 2], {}, "mapping for each point"),
+        (GRID, {"jobs": "2"}, "jobs is '2'"),
+        (GRID, {"jobs": 1.5}, "jobs is 1.5"),
+        (GRID, {"jobs": 1, "cache": tmp_path / "file"}, "The cache .* cannot be made"),
+    ):
+        with pytest.raises(InputError, match=says):
+            rp.sweep(area, grid, **keywords)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="'area' is an argument, and an entry"):
+        rp.sweep(lambda **given: {"area": 1.0}, {"area": [1.0]}, jobs=1)
+
+
 def test_processes_have_one_thread_each_and_leave_the_environment_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(THREADS[0], "7")
     monkeypatch.delenv(THREADS[1], raising=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -53,7 +53,8 @@ class OneLineErrors(click.Group):
             hint = f" See `{context.command_path} --help`." if context is not None else ""
             _end(error.format_message() + hint, BAD_INPUT)
         except RedundancyPinError as error:
-            _end(str(error), FAILED_CHECK if isinstance(error, CrossCheckError) else BAD_INPUT)
+            flag = _flag_of(error, extra.get("args") or next(iter(args), None) or sys.argv[1:])
+            _end(f"{flag}{error}", FAILED_CHECK if isinstance(error, CrossCheckError) else BAD_INPUT)
         except (click.Abort, KeyboardInterrupt):
             _end("interrupted.", INTERRUPTED)
         except BrokenPipeError:
@@ -78,6 +79,14 @@ def print_line(kind: str, message: str) -> None:
     """Print an error or a warning on stderr in one line: scripts read stderr by lines."""
     with suppress(OSError):  # there is no other place to say that stderr is full
         click.echo(f"{kind}: {printable(' '.join(message.split()))}", err=True)
+
+
+def _flag_of(error: RedundancyPinError, given: Sequence[str]) -> str:
+    """Return the flag whose value an error is about, and a colon; empty if it names none of those given."""
+    name = str(next((error.details[key] for key in ("flag", "name", "argument") if key in error.details), ""))
+    flag = f"--{name.replace('_', '-')}"
+    is_given = any(one == flag or one.startswith(f"{flag}=") for one in given)
+    return f"{flag}: " if is_given and flag not in error.message else ""
 
 
 def _end(message: str, code: int) -> None:

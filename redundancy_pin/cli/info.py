@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import click
@@ -23,7 +22,7 @@ _ROUNDING = 1e-12
 @robot_options(required=False)
 @untrusted_option
 @json_option
-def info(robot: RobotOptions, untrusted: bool, as_json: bool) -> None:
+def info(robot: RobotOptions, as_json: bool) -> None:
     r"""Show a robot, or which there are.
 
     Masses of the moving bodies, joints and their roles, closures, degrees of freedom, parameters, limits, the efforts
@@ -34,7 +33,7 @@ def info(robot: RobotOptions, untrusted: bool, as_json: bool) -> None:
       redundancy-pin info --robot 3rrr --set carrier_mass=2.0
     """
     if robot.source:
-        facts = _facts(replace(robot, untrusted=untrusted))
+        facts = _facts(robot)
         report(as_json, facts, _general(facts), *_tables(facts), *facts["notes"])
         return
     if not robot.is_robot_only:

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import click
 import numpy as np
 
-from redundancy_pin.arrays import Array, each
 from redundancy_pin.cli import options, output
 from redundancy_pin.dynamics.arguments import require_matching_carriers
 from redundancy_pin.dynamics.backends import backend_of
 from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics as efforts_along
-from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot.loads import Load, Payload, Wrench
+from redundancy_pin.visualisation.figures.curves import curves
+from redundancy_pin.visualisation.figures.plots import efforts
+from redundancy_pin.visualisation.figures.style import save
 
 STEP = 1e-3
 """Default time between samples of a trajectory, s."""
@@ -49,6 +51,7 @@ def _wrench(link: str, given: list[float]) -> Wrench:
 @options.motion_options("to follow")
 @click.option("--dt", type=float, metavar="SECONDS", help=f"Between samples of the trajectory.  [default: {STEP:g}]")
 @click.option("--out", required=True, metavar="CSV", help="Where the efforts go.")
+@click.option("--plot", metavar="PICTURE", help="Draw the efforts over time (.png, .svg or .pdf).")
 @options.keyword_options(efforts_along, only=("unreachable", "upper", "lower", "preferred"))
 @click.option("--payload", multiple=True, metavar="LINK=MASS[,X,Y,Z]", callback=_loads(_payload, (1, 4)),
               help="Mass, kg, that a link carries, and where in its frame, m. May be repeated.")  # fmt: skip
@@ -61,6 +64,7 @@ def inverse_dynamics(
     motion: options.MotionOptions,
     dt: float | None,
     out: str,
+    plot: str | None,
     payload: tuple[Load, ...],
     wrench: tuple[Load, ...],
     as_json: bool,
@@ -77,7 +81,7 @@ def inverse_dynamics(
 
     The result has the columns of the motion, which --motion reads again, tau:JOINT for each actuator and carrier,
     status, margin, residual. Where no finite effort exists, or none within the bounds, tau is nan and the status says
-    why. --upper alone bounds both signs.
+    why. --upper 40 bounds no negative effort; --lower=-40 --upper 40 does.
 
     What the samples do not show is reported as well: singularities between them, and joints that leave their limits.
     The exit code is 3 where no such effort exists, at a sample or between two, 4 where the motion cannot
@@ -89,15 +93,13 @@ def inverse_dynamics(
           --motion motion.csv --out efforts.csv
       redundancy-pin inverse-dynamics --robot 2rpr --trajectory way.csv:speed=0.1 --out efforts.csv
       redundancy-pin inverse-dynamics --robot two_arms.yaml --motion motion.csv --payload bar=2 \
-          --preferred 0,0,0,5,0,0 --upper 40 --out efforts.csv
+          --preferred 0,0,0,5,0,0 --lower=-40 --upper 40 --out efforts.csv
     """
-    output.require_outputs(out, (".csv",), inputs=(motion.file,))
+    output.require_outputs(out, (".csv",), plot, (motion.file,))
     given = {name: value for name, value in keywords.items() if value is not None}
     with output.progress("inverse dynamics") as advance:
         loaded = robot.load()
         loaded = loaded.loaded(*payload, *wrench) if payload or wrench else loaded
-        if "upper" in given and "lower" not in given:
-            given["lower"] = -_size(given["upper"], loaded.m)
         dynamics = options.dynamics_of(loaded, backend)
         advance(0, 1, "reading")
         followed = motion.follow("Inverse dynamics", loaded, dt=dt)
@@ -106,12 +108,16 @@ def inverse_dynamics(
         advance(0, len(samples), "dynamics")
         result = efforts_along(dynamics, samples, carriers, **given)
         result.to_csv(out)
+
+        def draw(path: str) -> None:
+            drawn = curves(loaded, result.reduced, result.efforts, carriers)
+            save(efforts(replace(drawn, instants=tuple(one.t for one in result.instants))), path)
+
+        plot, failed = output.drawn(plot, draw)
         advance(len(samples), len(samples), "dynamics")
-    for text in result.warnings():
-        output.warning(text)
     used, (main, moved) = backend_of(dynamics), robot_record(loaded).effort_units
     facts = {"robot": loaded.name, "backend": used, "motion": motion.described, "out": out, **result.summary()}
-    facts["ends"] = getattr(followed, "ends", None)
+    facts |= {"ends": getattr(followed, "ends", None), "plot": plot}
     rows = [
         ("motion", motion.described),
         *((f"{name} samples", str(count)) for name, count in facts["statuses"].items()),
@@ -121,15 +127,8 @@ def inverse_dynamics(
         ("whole motion", result.status.value),
         *([("singular at t [s]", output.row(one.t for one in result.instants))] if result.instants else []),
         ("written to", out),
+        *output.written(facts, plot="picture"),
     ]
-    output.report(as_json, facts, output.TextTable(f"{loaded.name}, {used}: {len(samples)} samples", rows))
+    table = output.TextTable(f"{loaded.name}, {used}: {len(samples)} samples", rows)
+    output.report(as_json, facts, table, warnings=result.warnings(), failed=failed)
     return output.EXIT_CODES[result.status]
-
-
-def _size(upper: Any, motors: int) -> Array:
-    """Return (m,) an upper bound that counts for both signs."""
-    size = each(upper, "upper", (motors,))
-    if not (size >= 0.0).all():
-        message = f"upper is {np.min(size):g}, and bounds both signs."
-        raise InputError(message, remedy="Pass numbers that are not negative, or --lower as well.", name="upper")
-    return size

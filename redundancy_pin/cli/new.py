@@ -9,13 +9,19 @@ import click
 
 from redundancy_pin.cli import options
 from redundancy_pin.cli.errors import BAD_INPUT
-from redundancy_pin.cli.output import report, warning
-from redundancy_pin.errors import InputError
+from redundancy_pin.cli.output import report
+from redundancy_pin.errors import InputError, RedundancyPinError
 from redundancy_pin.io.files import require_writable, write_text
+from redundancy_pin.robot.propose import KINDS
 
 
 def _names(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[str, ...]:
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())
+
+
+def _platform(context: click.Context, option: click.Parameter, text: str | None) -> dict[str, Any]:
+    link, *axes = _names(context, option, text) or ("",)
+    return {"platform": link, "axes": axes or ["x", "y"]} if link else {}
 
 
 def _positions(context: click.Context, option: click.Parameter, text: str | None) -> dict[str, float]:
@@ -28,25 +34,29 @@ def _positions(context: click.Context, option: click.Parameter, text: str | None
 @click.command()
 @click.argument("path", metavar="FILE")
 @click.option("--close", multiple=True, metavar="A,B[,KIND]",
-              help="Links whose origins meet in a ball or KIND. May be repeated.")  # fmt: skip
+              help=f"Links whose origins meet: a ball, or KIND of {', '.join(KINDS)}. May be repeated.")  # fmt: skip
 @click.option("--open", "is_open", is_flag=True, help="Close no loops but those that are stated or named here.")
 @click.option("--actuate", metavar="A,B,...", callback=_names, help="Joints that are driven.")
 @click.option("--carrier", "carriers", metavar="A,B,...", callback=_names, help="Joints of masses that balance.")
 @click.option("--independent", metavar="A,B,...", callback=_names, help="Independent joints.  [default: chosen]")
+@click.option("--platform", metavar="LINK[,x,y]", callback=_platform,
+              help="Link, and which of x, y, z, rx, ry, rz, in place of joints.  [axes: x,y]")  # fmt: skip
 @click.option("--guess", metavar="A=VALUE,...", callback=_positions, help="Where joints are near the reference.")
 @options.settings_option("--set", "settings", "Argument of the file, such as base=free. May be repeated.")
 @click.option("--out", metavar="FILE", help="What to write.  [default: robot.yaml beside the model]")
 @options.trust_option
 @options.untrusted_option
 @options.json_option
-def new(path: str, out: str | None, settings: dict[str, Any], as_json: bool, **decided: Any) -> int:
+def new(
+    path: str, out: str | None, settings: dict[str, Any], platform: dict[str, Any], as_json: bool, **decided: Any
+) -> int:
     r"""Write a robot.yaml for a model file.
 
     The file may be a URDF, xacro, MJCF, SDF, or a robot.yaml of example-parallel-robots. The loops and motors that it
     states are listed, and those that names and places tell without doubt. Everything else is a question, with the flags
     that answer it; the robot.yaml does not load before they are answered, and the exit code is 2. Without KIND, --close
     is a ball where a hinge would be the same. Arguments of the file (--set) are not part of the robot.yaml, which says
-    so: they are given whenever it is loaded.
+    so: they are given whenever it is loaded. Motions are given in joints, or with --platform in coordinates of a link.
 
     \b
     Example:
@@ -66,11 +76,16 @@ def new(path: str, out: str | None, settings: dict[str, Any], as_json: bool, **d
     proposal, robot = propose_robot(source, settings, **decided)
     place = source.name if target.resolve().parent == source.resolve().parent else str(source.resolve())
     near = is_urdf(source) or bool(decided["guess"])
-    write_text(target, declaration_text(proposal, robot, place, settings, is_near_guess=near))
+    before = target.read_text(encoding="utf-8") if target.exists() else None
+    write_text(target, declaration_text(proposal, robot, place, settings, is_near_guess=near, platform=platform))
     mechanism, notes, outcome = proposal.mechanism, proposal.mechanism.notes, "it loads when all is decided"
     if robot and not proposal.questions:
         files = {name: decided[name] for name in ("trust", "untrusted")}
-        loaded = load_with(target, settings, **files)
+        try:
+            loaded = load_with(target, settings, **files)
+        except RedundancyPinError:  # such as a platform that does not move along its axes
+            target.unlink() if before is None else write_text(target, before)
+            raise
         notes = (*loaded.notes, *filter(None, [too_few_motors(loaded)]))
         outcome = f"n = {loaded.n}, m = {loaded.m}"
     facts = {
@@ -81,11 +96,10 @@ def new(path: str, out: str | None, settings: dict[str, Any], as_json: bool, **d
         "actuated": mechanism.actuated if proposal.motors else [],
         "motors": proposal.motors,
         "carriers": mechanism.carriers,
-        "independent": robot.independent_joints if robot else [],
+        "independent": platform or (robot.independent_joints if robot else []),
         "notes": notes,
         "undecided": proposal.questions,
     }
-    for question in proposal.questions:
-        warning(f"undecided: {question}")
-    report(as_json, facts, *proposal.listed(), *notes, f"{target}: {outcome}.")
+    asked = [f"undecided: {question}" for question in proposal.questions]
+    report(as_json, facts, *proposal.listed(), *notes, f"{target}: {outcome}.", warnings=asked)
     return BAD_INPUT if proposal.questions else 0

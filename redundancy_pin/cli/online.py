@@ -71,8 +71,7 @@ def online(
         advance(2, 3, "writing")
         if out:
             run.plan.save(out)
-        failed = output.drawn(html, lambda path: show(run.plan, robot=planner.robot).save(path))
-        html = None if failed else html
+        html, failed = output.drawn(html, lambda path: show(run.plan, robot=planner.robot).save(path))
     plan, seconds = run.plan, [command.seconds for command in run.commands]
     times = dict(zip(("p50", "p99"), 1e3 * np.percentile(seconds, [50.0, 99.0]), strict=True))
     facts = {**summary(plan), "backend": backend_of(dynamics), "ticks": run.counts, "milliseconds": times}
@@ -89,12 +88,10 @@ def online(
         (f"peak main effort [{plan.robot.effort_units[0]}]", output.row(facts["peak_effort"])),
         *output.written(facts, out="plan", html="page"),
     ]
-    output.report(as_json, facts, output.TextTable(f"{facts['robot']}, on line, {facts['backend']}", rows))
-    for text in warnings_of(plan):
-        output.warning(text)
     left = sum(count for status, count in run.counts.items() if status not in _PLANNED)
+    warnings = [*warnings_of(plan)]
     if left:
-        output.warning(f"{left} of {len(run.commands)} ticks had no plan within every limit.")
-    if failed:
-        raise failed
+        warnings.append(f"{left} of {len(run.commands)} ticks had no plan within every limit.")
+    table = output.TextTable(f"{facts['robot']}, on line, {facts['backend']}", rows)
+    output.report(as_json, facts, table, warnings=warnings, failed=failed)
     return output.EXIT_CODES[plan.status] or (4 if left else 0)

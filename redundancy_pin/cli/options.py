@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import click
 import numpy as np
+from click.shell_completion import CompletionItem
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import LARGEST, decimal, frozen
@@ -55,7 +56,9 @@ def number(name: str, value: object) -> float:
 
 
 def numbers(name: str, value: object) -> Any:
-    """Return a number, or an array of the numbers of nested lists or of text such as ``0.1,-0.1``."""
+    """Return a number, or an array of the numbers of nested lists or of text: ``0.1,-0.1``, or rows ``0,1;2,3``."""
+    if isinstance(value, str) and ";" in value:
+        value = value.split(";")
     if isinstance(value, str) and "," in value:
         value = [part.strip() for part in value.split(",")]
     if not isinstance(value, list):
@@ -94,6 +97,17 @@ def truth(name: str, value: object) -> bool:
     if not isinstance(value, bool):
         raise refusal(name, value, "neither true nor false", "true or false")
     return value
+
+
+def bounds(name: str, value: object) -> dict[str, float]:
+    """Return numbers by name: from a mapping, or from words such as ``peak=2``."""
+    for entry in value if isinstance(value, (list, tuple)) else ():
+        if isinstance(entry, str) and "=" not in entry:
+            raise refusal(name, entry, "without a number", f"{entry}=NUMBER")
+    result = weights(name, [value] if isinstance(value, str) else value)
+    if isinstance(result, str):
+        raise refusal(name, value, "without a number", f"{value}=NUMBER")
+    return result
 
 
 def weights(name: str, value: object) -> str | dict[str, float]:
@@ -143,6 +157,7 @@ class Keyword:
     metavar: str
     default: object
     text: str
+    words: Sequence[str] = ()
 
     def option(self, command: _Command) -> _Command:
         """Add its flag to a command, which gets None where the flag is left out."""
@@ -152,11 +167,13 @@ class Keyword:
             text = f"{self.text}  [default: {flag if self.default else off}]"
             return click.option(f"{flag}/{off}", default=None, help=text)(command)
         default = "" if self.default in (None, inspect.Parameter.empty) else f"  [default: {self.default}]"
+        is_repeated = self.read in (weights, bounds)
         return click.option(
             flag,
             metavar=self.metavar,
-            multiple=self.read is weights,
-            help=f"{self.text}{' May be repeated.' if self.read is weights else ''}{default}",
+            multiple=is_repeated,
+            shell_complete=completed(self.words),
+            help=f"{self.text}{' May be repeated.' if is_repeated else ''}{default}",
             callback=lambda _context, _option, value: None if value in (None, ()) else self.read(self.name, value),
         )(command)
 
@@ -190,23 +207,37 @@ def keywords_of(function: Callable[..., Any]) -> dict[str, Keyword]:
 def _keyword(name: str, hint: Any, default: object, texts: Mapping[str, str]) -> Keyword:
     kinds = {kind for kind in typing.get_args(hint) or (hint,) if kind is not type(None)}
     literals = [kind for kind in (hint, *kinds) if typing.get_origin(kind) is Literal]
-    words = "|".join(str(each) for literal in literals for each in typing.get_args(literal))
+    words = [str(each) for literal in literals for each in typing.get_args(literal)]
+    listed, text = "|".join(words), texts.get(name, "")
+    maps = any(typing.get_origin(kind) is Mapping for kind in (hint, *kinds))
+    row = f"NUMBER[,NUMBER...]{'[;...]' if re.search(r'[(]+[^,()]+, [^()]+[)]', text) else ''}"
     forms: tuple[tuple[bool, Reader, str], ...] = (
-        (any(typing.get_origin(kind) is Mapping for kind in (hint, *kinds)), weights, "NAME[=NUMBER]"),
-        (set(typing.get_args(ArrayLike)) <= kinds, numbers, "NUMBER[,NUMBER...]"),
-        (bool(words), number_or_word if float in kinds else word, f"{words}|NUMBER" if float in kinds else words),
+        (maps and str in kinds, weights, "NAME[=NUMBER]"),
+        (maps, bounds, "NAME=NUMBER"),
+        (set(typing.get_args(ArrayLike)) <= kinds, numbers, row),
+        (bool(words), number_or_word if float in kinds else word, f"{listed}|NUMBER" if float in kinds else listed),
         (kinds == {bool}, truth, ""),
         (kinds == {int}, whole, "N"),
         (kinds == {float}, number, "NUMBER"),
         (True, word, "WORD"),
     )
     read, metavar = next((read, metavar) for fits, read, metavar in forms if fits)
-    text = texts.get(name, "")
-    if read is weights:
+    if maps:
         from redundancy_pin.planners.optimal import OBJECTIVES
 
-        text = f"{text} Names: {', '.join(OBJECTIVES)}."
-    return Keyword(name, read, metavar, default, text)
+        words = list(OBJECTIVES)
+        text = f"{text} Names: {', '.join(words)}; rp.plan_whole_trajectory has their formulas."
+    return Keyword(name, read, metavar, default, text, words)
+
+
+def completed(words: Sequence[str] = (), *, files: bool = False) -> Callable[..., list[CompletionItem]]:
+    """Return what completes a value in a shell: words, and names of files."""
+
+    def items(_context: click.Context, _option: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        found = [CompletionItem(each) for each in words if each.startswith(incomplete)]
+        return [*found, CompletionItem(incomplete, type="file")] if files else found
+
+    return items
 
 
 def documented(function: Any) -> dict[str, str]:
@@ -214,7 +245,10 @@ def documented(function: Any) -> dict[str, str]:
     entries = re.findall(r"^    (\w+): (.+(?:\n {8}.+)*)", inspect.getdoc(function) or "", flags=re.MULTILINE)
     texts = {name: " ".join(text.replace("``", "").split()) for name, text in entries}
     sentences = {name: re.split(r"[.:](?: |$)", text)[0] for name, text in texts.items()}
-    return {name: f"{one[:1].upper() if one[:1].isascii() else one[:1]}{one[1:]}." for name, one in sentences.items()}
+    return {
+        name: f"{one}." if re.match(r"(s|m|rad|N)\b|[^\x00-\x7f]", one) else f"{one[:1].upper()}{one[1:]}."
+        for name, one in sentences.items()
+    }
 
 
 def keyword_options(*functions: Callable[..., Any], only: Sequence[str] = ()) -> Callable[[_Command], _Command]:
@@ -328,7 +362,15 @@ def by(read: Reader) -> Callable[..., Any]:
 
 def settings_option(flag: str, name: str, text: str) -> Callable[[_Command], _Command]:
     """Return an option of ``NAME=VALUE`` pairs, which the command gets as a mapping."""
-    parse = by(lambda _, texts: dict(map(parse_setting, texts)))
+
+    def parse(_context: click.Context, _option: click.Parameter, texts: Sequence[str]) -> dict[str, Any]:
+        given: dict[str, Any] = {}
+        for key, value in map(parse_setting, texts):
+            if key in given:
+                raise InputError(f"{flag} has {shown(key)} twice.", remedy="Leave one of them out.", key=key)
+            given[key] = value
+        return given
+
     return click.option(flag, name, multiple=True, metavar="NAME=VALUE", help=text, callback=parse)
 
 
@@ -348,33 +390,54 @@ def jobs_option(default: int) -> Callable[[_Command], _Command]:
     return click.option("--jobs", default=default, show_default=True, metavar="N", help="Processes; -1: one per core.")
 
 
-def robot_options(*, required: bool = True) -> Callable[[_Command], Callable[..., Any]]:
-    """Add the flags of the robot to a command that takes them as one ``RobotOptions``, its argument ``robot``."""
+def in_one(name: str, kind: Callable[..., Any], *own: Callable[..., Any]) -> Callable[[_Command], Callable[..., Any]]:
+    """Add options, in this order, to a command that takes them as one object of a dataclass, its argument ``name``.
+
+    The options have the names of its fields, as may further ones of the command (``untrusted_option``).
+    """
+    names = tuple(inspect.signature(kind).parameters)
 
     def decorate(command: _Command) -> Callable[..., Any]:
         @functools.wraps(command)
-        def called(robot: str | None, settings: Any, working_mode: Any, gravity: Any, trust: bool, **given: Any) -> Any:
-            return command(robot=RobotOptions(robot or "", settings, working_mode, gravity, trust), **given)
+        def called(**given: Any) -> Any:
+            values = {each: given.pop(each) for each in names if each in given}
+            return command(**{name: kind(**values)}, **given)
 
-        text = "Shipped robot (see `info`), robot.yaml, its folder, or a model file (URDF, xacro, MJCF, SDF)."
-        mode = "Working mode, one sign per leg, such as +-+."
-        for option in (
-            trust_option,
-            click.option("--gravity", metavar="X,Y,Z", callback=by(parse_vector), help="Gravity, m/s²."),
-            click.option("--working-mode", metavar="SIGNS", callback=by(parse_mode), help=mode),
-            settings_option("--set", "settings", "Parameter of the robot, such as carrier_mass=2.0. May be repeated."),
-            click.option("--robot", required=required, metavar="NAME|PATH", help=text),
-        ):
+        for option in reversed(own):  # the last one that is added is listed first
             called = option(called)
         return called
 
     return decorate
 
 
+def robot_options(*, required: bool = True) -> Callable[[_Command], Callable[..., Any]]:
+    """Add the flags of the robot to a command that takes them as one ``RobotOptions``, its argument ``robot``."""
+    text = "Shipped robot (see `info`), robot.yaml, its folder, or a model file (URDF, xacro, MJCF, SDF)."
+    mode = "Working mode, one sign per leg, such as +-+."
+    default = {"required": True} if required else {"default": ""}
+    return in_one(
+        "robot",
+        RobotOptions,
+        click.option("--robot", "source", metavar="NAME|PATH", help=text, shell_complete=robots(), **default),
+        settings_option("--set", "settings", "Parameter of the robot, such as carrier_mass=2.0. May be repeated."),
+        click.option("--working-mode", metavar="SIGNS", callback=by(parse_mode), help=mode),
+        click.option("--gravity", metavar="X,Y,Z", callback=by(parse_vector), help="Gravity, m/s²."),
+        trust_option,
+    )
+
+
+def robots() -> Callable[..., list[CompletionItem]]:
+    """Return what completes the name or path of a robot."""
+    from redundancy_pin.robot.shipped import shipped_robots
+
+    return completed(shipped_robots(), files=True)
+
+
 def recorded_robot_options(command: _Command) -> _Command:
     """Add ``--robot`` (argument ``source``) and ``--trust`` to a command that reads a saved plan."""
     text = "The plan's robot, where it is neither shipped nor in its folder."
-    return click.option("--robot", "source", metavar="NAME|PATH", help=text)(trust_option(command))
+    option = click.option("--robot", "source", metavar="NAME|PATH", help=text, shell_complete=robots())
+    return option(trust_option(command))
 
 
 def backend_option(text: str = "How to compute.") -> Callable[[_Command], _Command]:
@@ -469,8 +532,11 @@ class MotionOptions:
 
         name, values = self._parts
         if not self.is_sampled:
-            return trajectory_by_name(name, values, robot)
-
+            try:
+                return trajectory_by_name(name, values, robot)
+            except InputError as error:
+                flag = {"flag": "motion" if self.trajectory is None else "trajectory"}
+                raise type(error)(error.message, remedy=error.remedy, **{**error.details, **flag}) from error
         for key in (*values, *(key for key, value in settings.items() if value is not None)):
             message = f"{key} does not apply to a motion from a file that has rates."
             raise InputError(message, remedy="Leave it out, or the rates.", key=key)
@@ -495,19 +561,17 @@ def motion_options(what: str) -> Callable[[_Command], Callable[..., Any]]:
     """
     from redundancy_pin.trajectory.reference import TRAJECTORIES
 
-    def decorate(command: _Command) -> Callable[..., Any]:
-        @functools.wraps(command)
-        def called(*args: Any, motion_path: Any, check_rates: bool, trajectory: Any, **given: Any) -> Any:
-            return command(*args, motion=MotionOptions(motion_path, check_rates, trajectory), **given)
-
-        rates = "Refuse a motion whose rates are not those of its positions; poses to stand still in need --no-."
-        called = click.option("--check-rates/--no-check-rates", default=True, show_default=True, help=rates)(called)
-        called = click.option("--motion", "motion_path", metavar="CSV", help=f"Motion {what}: {MOTION_CSV}")(called)
-        words = (
-            f"Trajectory {what}: {', '.join(TRAJECTORIES)}, with keys as circle:speed=0.5 or "
-            "'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'; or a CSV or JSON file of points, such as "
-            "way.csv:speed=0.1 (columns t,x,y; ends=rest: at rest at both ends). A CSV with rates is a motion."
-        )
-        return click.option("--trajectory", metavar="NAME|FILE[:KEY=VALUE,...]", help=words)(called)
-
-    return decorate
+    rates = "Refuse a motion whose rates are not those of its positions; poses to stand still in need --no-."
+    words = (
+        f"Trajectory {what}: {', '.join(TRAJECTORIES)}, with keys (docs/problem.yaml lists them): circle:speed=0.5, "
+        "'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'; or a CSV or JSON file of points, such as "
+        "way.csv:speed=0.1 (columns t,x,y; ends=rest: at rest at both ends). A CSV with rates is a motion."
+    )
+    complete, metavar = completed(list(TRAJECTORIES), files=True), "NAME|FILE[:KEY=VALUE,...]"
+    return in_one(
+        "motion",
+        MotionOptions,
+        click.option("--trajectory", metavar=metavar, help=words, shell_complete=complete),
+        click.option("--motion", "path", metavar="CSV", help=f"Motion {what}: {MOTION_CSV}"),
+        click.option("--check-rates/--no-check-rates", default=True, show_default=True, help=rates),
+    )

@@ -93,27 +93,32 @@ def print_json(data: Mapping[str, Any]) -> None:
     click.echo(json.dumps(json_data(data), indent=2, allow_nan=False))
 
 
-def report(as_json: bool, facts: Mapping[str, Any], *shown: Any) -> None:
+def report(
+    as_json: bool,
+    facts: Mapping[str, Any],
+    *shown: Any,
+    warnings: Iterable[str] = (),
+    failed: RedundancyPinError | None = None,
+) -> None:
     """Print facts as one JSON document, or what is shown to people: lines, and tables with ``terminal``.
 
-    Facts with ``ends``, those of a motion through points, get a line.
+    Facts with ``ends``, those of a motion through points, get a line. Each warning is a line on stderr. ``failed``, of
+    a picture, is raised when all is printed.
     """
     if as_json:
         print_json(facts)
-        return
-    if facts.get("ends"):
+    elif facts.get("ends"):
         start, end = ("at rest" if one == "rest" else "with the rates of the samples" for one in facts["ends"])
         click.echo(f"The motion through the points starts {start} and ends {end} (set by `ends`).")
-    for each in shown:
+    for each in () if as_json else shown:
         if isinstance(each, str):
             click.echo(printable(each))  # names come from files of strangers
         else:
             console().print(each.terminal())
-
-
-def warning(text: str) -> None:
-    """Print a warning in one line on stderr."""
-    print_line("warning", text)
+    for text in warnings:
+        print_line("warning", text)
+    if failed:
+        raise failed
 
 
 def number(value: float) -> str:
@@ -176,21 +181,21 @@ def require_outputs(
             raise OutputError(f"{name} is the file {path} to read from.", remedy="Give it another name.", path=path)
 
 
-def drawn(path: str | None, draw: Callable[[str], object]) -> RedundancyPinError | None:
-    """Draw a picture, page or video into a file if there is to be one; return the error where that fails.
+def drawn(path: str | None, draw: Callable[[str], object]) -> tuple[str | None, RedundancyPinError | None]:
+    """Draw a picture, page or video into a file if there is to be one; return the file, or None and the error.
 
-    A command that computes calls this after its results are written, reports them, and raises what is returned.
+    A command that computes calls this after its results are written, and hands the error to ``report``.
     """
-    if path is None:
-        return None
     try:
-        draw(path)
+        if path is not None:
+            draw(path)
     except RedundancyPinError as error:
-        return error
+        return None, error
     except Exception as error:  # whatever a drawing library raises: the results are there
         message = f"{path} cannot be drawn: {type(error).__name__}: {error}"
-        return OutputError(message, remedy="The results are complete without it. Please report this error.", path=path)
-    return None
+        remedy = "The results are complete without it. Please report this error."
+        return None, OutputError(message, remedy=remedy, path=path)
+    return path, None
 
 
 @contextmanager
@@ -223,13 +228,7 @@ def progress(title: str) -> Iterator[Advance]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
+    columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
     with Progress(*columns, console=Console(stderr=True, emoji=False), transient=True) as bar:
         task = bar.add_task(title, total=None)
 

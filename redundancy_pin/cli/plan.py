@@ -133,8 +133,7 @@ def _run(read: Callable[[], PlanProblem], source: str | None, out: str | None, p
         advance(2, 3, "writing")
         if out:
             result.save(out)
-        failed = output.drawn(plot, lambda path: save(plot_plan(result), path))
-        plot = None if failed else plot
+        plot, failed = output.drawn(plot, lambda path: save(plot_plan(result), path))
     robot = task.dynamics.robot
     left = beyond_limits(robot, inverse_kinematics(robot, result.motion, mark_unreachable=True).q, result.t)
     point = task.parameters.get("base_point", (0.0, 0.0, 0.0))
@@ -151,11 +150,8 @@ def _run(read: Callable[[], PlanProblem], source: str | None, out: str | None, p
         "out": out,
         "plot": plot,
     }
-    output.report(as_json, facts, _table(result, facts))
-    for text in [*(f"{one}." for one in left), *warnings_of(result, ranges=not left)]:
-        output.warning(text)
-    if failed:
-        raise failed
+    warnings = [*(f"{one}." for one in left), *warnings_of(result, ranges=not left)]
+    output.report(as_json, facts, _table(result, facts), warnings=warnings, failed=failed)
     return output.EXIT_CODES[result.status]
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,7 +15,7 @@ from pydantic import AfterValidator, Field
 from redundancy_pin.cli import options
 from redundancy_pin.dynamics.backends import BACKENDS
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.errors import InputError, RedundancyPinError
+from redundancy_pin.errors import InfeasiblePlanError, InputError, RedundancyPinError
 from redundancy_pin.io.schema import Schema, validated
 from redundancy_pin.io.yaml_file import YamlFile, read_yaml
 from redundancy_pin.motion import PlatformMotion
@@ -30,7 +31,7 @@ from redundancy_pin.trajectory.trajectory import Ends
 class PlanProblem:
     """Everything a planner needs; ``parameters`` are its keywords, fields of its groups of options among them.
 
-    ``followed`` says what the motion is.
+    ``followed`` says what the motion is; ``placed`` lets errors begin with the place of their key in a problem file.
     """
 
     planner: str
@@ -38,6 +39,7 @@ class PlanProblem:
     motion: PlatformMotion | Trajectory
     parameters: Mapping[str, Any]
     followed: str
+    placed: Callable[[], AbstractContextManager[None]] = nullcontext
 
     @property
     def ends(self) -> Ends | None:
@@ -48,7 +50,8 @@ class PlanProblem:
         """Return the plan; planners that have stages call ``progress`` with a line of text at each."""
         make = PLANNERS[self.planner]
         extra = {"progress": progress} if progress and "solver" in inspect.signature(make).parameters else {}
-        return make(self.dynamics, self.motion, **in_groups(make, {**self.parameters, **extra}))
+        with self.placed():
+            return make(self.dynamics, self.motion, **in_groups(make, {**self.parameters, **extra}))
 
 
 def _setting(value: object) -> object:
@@ -121,12 +124,17 @@ def read_problem(path: str | Path, *, trust: bool = False) -> PlanProblem:
         chosen = _motion(data, folder)
         motion = chosen.follow("A plan", robot)
     with _placed(file, "parameters."):
+        for key in data.parameters.keys() & ProblemFile.model_fields.keys():
+            message = f"{key} is no keyword of a planner, but a key of the problem."
+            raise InputError(message, remedy="Write it beside `parameters`.", key=key)
         parameters = options.read_keywords(PLANNERS[planner], data.parameters, f"the planner {planner}")
     if data.baseline is not None:
         with _placed(file, "baseline.", "baseline.set.", "set.", ""):
             baseline = _baseline(data, data.baseline).chosen(folder, trust=trust)
             parameters["baseline"] = options.dynamics_of(baseline.load(), data.backend)
-    return PlanProblem(planner, options.dynamics_of(robot, data.backend), motion, parameters, chosen.described)
+    placed = partial(_placed, file, "", "parameters.")
+    dynamics = options.dynamics_of(robot, data.backend)
+    return PlanProblem(planner, dynamics, motion, parameters, chosen.described, placed)
 
 
 def _motion(data: ProblemFile, folder: Path) -> options.MotionOptions:
@@ -160,7 +168,8 @@ def _placed(file: YamlFile, *groups: str) -> Iterator[None]:
     try:
         yield
     except RedundancyPinError as error:
-        details = error.details if isinstance(error, InputError) else {}  # the robot's own files have keys of their own
+        # the robot's own files have keys of their own
+        details = error.details if isinstance(error, (InputError, InfeasiblePlanError)) else {}
         key = str(next((details[word] for word in ("key", "name", "argument") if word in details), ""))
         where = file.place(next((group + key for group in groups if group + key in file.lines), groups[0] + key))
         raise type(error)(f"{where}: {error.message}", remedy=error.remedy, **error.details) from error

@@ -32,7 +32,8 @@ def reproduce(out: str, quick: bool, jobs: int, as_json: bool) -> None:
     r"""Run the experiments of the thesis.
 
     Both backends compute every case; CSV, figures, summary.json, report.md and
-    report.html go into the folder.
+    report.html go into the folder, with results beyond the thesis. It takes about
+    three minutes on two cores.
 
     First the backends are checked against each other; if they disagree the job stops (exit code 1). The folder appears
     when everything is done. One of earlier results is replaced; one that holds anything else is left alone.

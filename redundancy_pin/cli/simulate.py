@@ -65,7 +65,7 @@ _LISTED = 8  # events that the table lists; the rest is counted
 @click.option("--encoders", is_flag=True, help="It sees the joints through encoders of 16 bits a turn and 1 µm.")
 @click.option("--noise", type=float, default=0.0, show_default=True, metavar="N",
               help="Standard deviation of every actuator's effort, one value a period, N or N·m.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, metavar="N", help="Of the noise.")
+@click.option("--seed", type=click.IntRange(0), metavar="N", help="Of the noise.  [default: 0]")
 @options.settings_option("--friction", "friction", f"Friction of the joints: {', '.join(FRICTION)}; N, N·m, s. "
                          "May be repeated.")  # fmt: skip
 @options.keyword_options(run_simulation, only=KEYWORDS)
@@ -126,29 +126,32 @@ def simulate(
         def film(path: str) -> None:
             save_video(view(run, robot=machine), path, progress=lambda done, all_: advance(done, all_, "video"))
 
-        undrawn = output.drawn(plot, lambda path: save(plot_simulation(run, plan, robot=machine, title=title), path))
-        unfilmed = output.drawn(video, film)
+        plot, undrawn = output.drawn(
+            plot, lambda path: save(plot_simulation(run, plan, robot=machine, title=title), path)
+        )
+        video, unfilmed = output.drawn(video, film)
     facts = {
         **summary(run, reference, machine),
         "motion": f"the plan {plan_path}" if plan_path else motion.described,
         "controller": given["controller"],
         "ends": ends,
         "out": out,
-        "plot": None if undrawn else plot,
-        "video": None if unfilmed else video,
+        "plot": plot,
+        "video": video,
     }
-    output.report(as_json, facts, _table(run, facts, machine))
+    warnings = []
     if run.status is ResultStatus.STOPPED:
         last = run.events[-1]
-        output.warning(f"stopped at t = {last.t:.6g} s: {last.kind.replace('_', ' ')} ({last.name})")
+        warnings.append(f"stopped at t = {last.t:.6g} s: {last.kind.replace('_', ' ')} ({last.name})")
     elif run.status is ResultStatus.NOT_CONVERGED:
-        output.warning(f"could not go on at t = {run.t[-1]:.6g} s: {run.reason}")
-    for error in filter(None, (undrawn, unfilmed)):
-        raise error
+        warnings.append(f"could not go on at t = {run.t[-1]:.6g} s: {run.reason}")
+    output.report(as_json, facts, _table(run, facts, machine), warnings=warnings, failed=undrawn or unfilmed)
     return output.EXIT_CODES[run.status]
 
 
 def _sampling(given: Mapping[str, Any]) -> Sampling | None:
+    if given["seed"] is not None and not given["noise"]:
+        raise InputError("--seed is that of the noise, and there is none.", remedy="Add --noise, or leave it out.")
     if given["period"] is not None:
         return Sampling(given["period"], given["delay"] or 0.0)
     for flag in ("delay", "noise", "encoders"):
@@ -188,7 +191,7 @@ def _run(machine: Robot, reference: MotionReference, sampling: Sampling | None, 
     if sampling is not None and given["encoders"]:
         controller = Encoders(controller, reference, period=sampling.period)
     if given["noise"]:
-        controller = NoisyAmplifier(controller, np.random.default_rng(given["seed"]), given["noise"])
+        controller = NoisyAmplifier(controller, np.random.default_rng(given["seed"] or 0), given["noise"])
     friction, events = given["friction"], set(given["stop_at"])
     options.require_known(friction, FRICTION, "--friction")
     if NEVER in events and len(events) > 1:

@@ -53,8 +53,7 @@ def singularities(robot: options.RobotOptions, motion: options.MotionOptions, pl
             save(draw_locus(locus, motion=_drawn(followed), crossings=crossings), path)
 
         locus: Any = singular_locus(loaded) if plot else None
-        failed = output.drawn(plot, draw)
-        plot = None if failed else plot
+        plot, failed = output.drawn(plot, draw)
     table = output.TextTable(
         f"{loaded.name}: {len(crossings)} singular instant(s)",
         [_row(crossing) for crossing in crossings],
@@ -68,9 +67,7 @@ def singularities(robot: options.RobotOptions, motion: options.MotionOptions, pl
     ]
     facts: dict[str, Any] = {"robot": loaded.name, "motion": motion.described if motion.given else None, "plot": plot}
     facts |= {"ends": getattr(followed, "ends", None), "crossings": None if followed is None else data}
-    output.report(as_json, facts, *shown)
-    if failed:
-        raise failed
+    output.report(as_json, facts, *shown, failed=failed)
 
 
 def _drawn(followed: PlatformMotion | Trajectory | None) -> Any:

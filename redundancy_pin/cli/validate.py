@@ -9,12 +9,14 @@ import click
 
 from redundancy_pin import crosscheck
 from redundancy_pin.cli.errors import FAILED_CHECK, print_line
-from redundancy_pin.cli.options import jobs_option, json_option, settings_option, trust_option
+from redundancy_pin.cli.options import jobs_option, json_option, robots, settings_option, trust_option
 from redundancy_pin.cli.output import console, print_json, progress
+from redundancy_pin.parallel import require_jobs
 
 
 @click.command()
-@click.option("--robot", "robots", multiple=True, metavar="NAME|PATH",
+@click.option("--robot", "chosen", multiple=True, metavar="NAME|PATH",
+              shell_complete=robots(),
               help="Robot to check. May be repeated.  [default: all shipped ones]")  # fmt: skip
 @settings_option("--set", "settings", "Parameter of the robots, such as base=fixed. May be repeated.")
 @click.option("--samples", default=2000, show_default=True, metavar="N", help="Random states for each robot.")
@@ -22,7 +24,7 @@ from redundancy_pin.cli.output import console, print_json, progress
 @jobs_option(1)
 @trust_option
 @json_option
-def validate(robots: tuple[str, ...], samples: int, seed: int, jobs: int, as_json: bool, **given: Any) -> int:
+def validate(chosen: tuple[str, ...], samples: int, seed: int, jobs: int, as_json: bool, **given: Any) -> int:
     r"""Check the dynamics on random states.
 
     Closures, balance of power, inverse against forward dynamics, and the backends against each other. The checks do
@@ -33,11 +35,10 @@ def validate(robots: tuple[str, ...], samples: int, seed: int, jobs: int, as_jso
       redundancy-pin validate --robot 3rrr --samples 10000 --seed 1 --jobs 4
       redundancy-pin validate --robot machine.xml --set base=fixed
     """
-    # as joblib counts them: −1 means all cores
-    processes = os.cpu_count() or 1 if jobs == -1 else jobs
+    processes = os.cpu_count() or 1 if require_jobs(jobs) == -1 else jobs
     with progress("validate") as advance:
         report = crosscheck.run(
-            robots or None, samples, seed, lambda done, total: advance(done, total, ""), processes, **given
+            chosen or None, samples, seed, lambda done, total: advance(done, total, ""), processes, **given
         )
     if as_json:
         print_json(report.as_dict())

@@ -8,8 +8,9 @@ import click
 
 from redundancy_pin.cli import options, output
 from redundancy_pin.errors import InputError
-from redundancy_pin.singularities.workspace import Workspace
 from redundancy_pin.singularities.workspace import workspace as reached
+from redundancy_pin.visualisation.figures.style import save
+from redundancy_pin.visualisation.figures.workspace_map import draw_workspace
 
 
 @click.command()
@@ -60,8 +61,7 @@ def workspace(
         advance(1, 2, "writing")
         if out:
             space.to_csv(out)
-        failed = output.drawn(plot, lambda path: _draw(space, path))
-        plot = None if failed else plot
+        plot, failed = output.drawn(plot, lambda path: save(draw_workspace(space), path))
     facts: dict[str, Any] = {**space.summary(), "out": out, "plot": plot}
     unit = "·".join(space.units)
     for kind in ("m", "rad"):
@@ -78,16 +78,8 @@ def workspace(
         counts = f"{one['reachable']} of {facts['nodes']} reachable, {one['in_range']} in range{islands}"
         rows.append((mode or "nodes", counts))
     rows += [("written to", path) for path in (out, plot) if path]
-    output.report(as_json, facts, output.TextTable(f"{loaded.name}: workspace over {', '.join(space.names)}", rows))
-    if failed:
-        raise failed
-
-
-def _draw(space: Workspace, path: str) -> None:
-    from redundancy_pin.visualisation.figures.style import save
-    from redundancy_pin.visualisation.figures.workspace_map import draw_workspace
-
-    save(draw_workspace(space), path)
+    table = output.TextTable(f"{loaded.name}: workspace over {', '.join(space.names)}", rows)
+    output.report(as_json, facts, table, failed=failed)
 
 
 def _pair(text: str) -> tuple[float, float]:

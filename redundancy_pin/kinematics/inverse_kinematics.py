@@ -434,7 +434,8 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int, start: ClosedState | 
         return UnreachablePoseError(
             f"The pose of {place} cannot be reached: the chains stay open by {end.residual:.3g} m{worst}."
             f"{millimetres(end.residual, robot.characteristic_length)}",
-            remedy='Keep the motion inside the workspace. Inverse dynamics can mark such samples: unreachable="mark".',
+            remedy='Keep the motion inside the workspace. Inverse dynamics can mark such samples: unreachable="mark", '
+            "on the command line --unreachable mark.",
             sample=k,
             residual=end.residual,
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from redundancy_pin.loading.reference import reference_positions
@@ -18,7 +19,13 @@ FIRST_LINE = "# Written by `redundancy-pin new`.\n"
 
 
 def declaration_text(
-    proposal: Proposal, robot: Robot | None, model: str, settings: Mapping[str, Any], *, is_near_guess: bool
+    proposal: Proposal,
+    robot: Robot | None,
+    model: str,
+    settings: Mapping[str, Any],
+    *,
+    is_near_guess: bool,
+    platform: Mapping[str, Any] = MappingProxyType({}),
 ) -> str:
     """Return the text of the declaration; what is not certain is left out, or a question under ``undecided``.
 
@@ -28,6 +35,7 @@ def declaration_text(
         model: path of the model file, as the declaration names it.
         settings: arguments of the model file, which are no part of the declaration.
         is_near_guess: the reference is near a guess, and not where the model file starts.
+        platform: the link and the axes that motions are given in, ``platform`` and ``axes``; joints if empty.
     """
     import jinja2
 
@@ -51,6 +59,7 @@ def declaration_text(
         is_urdf=is_urdf(Path(model)),
         positions=positions,
         independent=independent,
+        platform=platform if robot else {},
     )
     return text + "\n"
 

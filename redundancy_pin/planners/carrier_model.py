@@ -476,8 +476,9 @@ def target_effort(robot: Robot, motion: PlatformMotion, lam: float, baseline: Dy
         if lam > 0.0:
             raise InputError(
                 f"lam = {lam:g} asks for a fraction of the baseline effort, and there is no baseline.",
-                remedy='Pass Objective(lam=..., baseline=load_robot("3rrr", carriers=False)), or an array (N, m); '
-                "on the command line --baseline carriers=false.",
+                remedy=f'Pass Objective(lam=..., baseline=load_robot("{robot.name}", carriers=False)), or an array '
+                "(N, m); on the command line --baseline carriers=false.",
+                name="lam",
             )
         return np.zeros(shape)
     if is_dynamics(baseline):

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, positive, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, positive, read_only, require_few
 from redundancy_pin.errors import InputError, OutputError, optional
 from redundancy_pin.io.files import refusing, replacing_file, write_text
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
@@ -28,7 +28,7 @@ from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_unit, motion_columns, unit_of
-from redundancy_pin.trajectory.trajectory import sample_times
+from redundancy_pin.trajectory.trajectory import MOST_SAMPLES, sample_times
 
 if TYPE_CHECKING:
     from redundancy_pin.planners.plan import Plan
@@ -248,6 +248,9 @@ def _at_rate(plan: Plan, robot: Robot, rate: float, two_sided: bool) -> _States:
     """Return the states that the functions of time of a plan have at a rate, Hz."""
     reference, functions = plan_reference(plan, robot=robot), plan.functions
     start, end = float(plan.t[0]), float(plan.t[-1])
+    require_few(
+        (end - start) * rate, MOST_SAMPLES, f"rate = {rate:g} Hz makes {{}} rows", "Use a lower rate.", name="rate"
+    )
     slack = ROUNDED * (end - start)  # jumps of one instant, from different functions, differ by rounding
     breaks = [functions.platform.breaks, functions.carriers.derivative(2).jumps(), reference.jumps]
     inner = np.concatenate(breaks)

@@ -165,6 +165,7 @@ class ResolvedLimits(ByValue):
                     joint=carrier,
                     time=0.0,
                     amount=float(beyond),
+                    name=name,
                 )
         return places
 

@@ -80,7 +80,7 @@ _SIDES = frozenset(
 _PASSIVE = frozenset(("passive", "unactuated", "free", "idle"))
 """Words in names of joints that nothing drives."""
 
-_KINDS = ("ball", "hinge", "cylinder", "slider", "planar", "weld")
+KINDS = ("ball", "hinge", "cylinder", "slider", "planar", "weld")
 """Kinds of joints that the frames of two links determine."""
 
 _MOST_SUGGESTIONS = 100
@@ -236,8 +236,8 @@ def _given(model: pin.Model, text: str) -> LoopJoint:
     """Return the joint of "a,b" or "a,b,kind"."""
     names = [part.strip() for part in text.split(",")]
     kind = names.pop() if len(names) == 3 else "ball"
-    if len(names) != 2 or names[0] == names[1] or kind not in _KINDS:
-        remedy = f"Write --close A,B or --close A,B,KIND, with two links and one of {', '.join(_KINDS)}."
+    if len(names) != 2 or names[0] == names[1] or kind not in KINDS:
+        remedy = f"Write --close A,B or --close A,B,KIND, with two links and one of {', '.join(KINDS)}."
         raise InputError(f"close = {shown(text)} names no joint between two links.", remedy=remedy, close=text)
     for name in names:
         find_link(model, name)

@@ -21,12 +21,19 @@ does not state it; the times at which its circle reaches the singular line, at 0
 
 
 def circle(
-    speed: float = 0.5, ramp_time: float = 0.2, ramp_length: float | None = None, end_ramp_length: float | None = None
+    speed: float = 0.5,
+    ramp_time: float = 0.2,
+    ramp_length: float | None = None,
+    end_ramp_length: float | None = None,
+    *,
+    centre: ArrayLike = (0.25, 0.185),
+    radius: float = 0.2,
+    alpha: float | None = None,
 ) -> Trajectory:
-    """Return the circle of the 2-RPR, (x, y) (Parsa 2014, section 3.2).
+    """Return a circle, by default that of the 2-RPR, (x, y) (Parsa 2014, section 3.2).
 
-    Centre (0.25, 0.185) m, radius 0.2 m, once counter-clockwise from (0.05, 0.185). It crosses the singular line
-    y = 0 at x ≈ 0.174 and 0.326 m.
+    Once counter-clockwise from its leftmost point. That of the thesis has the centre (0.25, 0.185) m and the radius
+    0.2 m, begins at (0.05, 0.185) and crosses the singular line y = 0 at x ≈ 0.174 and 0.326 m.
 
     The ramp lengths are not stated, but the stated times imply both: those of the singular region a ramp up of
     0.765 v T (it overshoots v by 13 %), and the end at 2.68 s, with that, a ramp down of 0.4 v T (the
@@ -39,11 +46,19 @@ def circle(
         ramp_length: length of the ramp up, m; the implied one when left out.
         end_ramp_length: length of the ramp down, m; when left out, that of the ramp up if it was given, else
             the implied one.
+        centre: (2,) m.
+        radius: m.
+        alpha: constant orientation, rad, a third coordinate; none when left out.
 
     Raises:
-        InputError: as ``SpeedProfile``.
+        InputError: as ``SpeedProfile``; a radius that is not positive.
+
+    Example:
+        >>> circle(speed=0.2, centre=(0.5, 0.4), radius=0.1).path.length
+        0.628...
     """
-    path = circle_path((0.25, 0.185), 0.2, start_angle=np.pi)
+    path: Path = circle_path(centre, radius, start_angle=np.pi)
+    path = path if alpha is None else with_constant(path, alpha)
     if ramp_length is None:
         cruised = positive(speed, "speed", "m/s") * positive(ramp_time, "ramp_time", "s")
         ramp_length = CIRCLE_RAMP_FRACTION * cruised

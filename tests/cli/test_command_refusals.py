@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import shutil
 from pathlib import Path
 
 import pytest
+from click.shell_completion import ShellComplete
 from command_line import call, refused, write_motion
 
 import redundancy_pin as rp
+from redundancy_pin.cli import main
 from redundancy_pin.trajectory import reference
 
 BASES = {
@@ -37,7 +40,18 @@ info --set a=1 => --set
 info --robot 4rrr => There is no robot '4rrr'
 {FAST} --effort inf --actuator-speed inf => Nothing limits the time
 {FAST} --effort 3 --lap => The path ends 0.145 from where it begins
-{FAST} --effort 3 --begin somehow => begin is 'somehow'
+{FAST} --effort 3 --begin somehow => error: --begin: begin is 'somehow'
+{CORNER} --trajectory corner:speed=-1 --speed 2 => error: --trajectory: speed is -1
+{LINE} --return-time soon --ramp-down=0.1 => error: --return-time: return_time is 'soon'
+{LINE} --ramp-down=-1 => error: --ramp-down: ramp_down is -1
+{LINE} --set carrier_mass=2 --set carrier_mass=3 => --set has 'carrier_mass' twice
+{CORNER} --lam 0.5 --baseline carriers=false --baseline carriers=true => --baseline has 'carriers' twice
+{CIRCLE} --at-most peak => Write peak=NUMBER
+{CIRCLE} --at-most peak=3 --at-most effort => Write effort=NUMBER
+{CIRCLE} --track=-0.1,0.1;-0.2 => track is
+{RUN} --seed 3 => --seed is that of the noise
+validate --robot 3rrr --jobs 0 => or -1 for one process per core
+validate --robot 3rrr --jobs -2 => or -1 for one process per core
 {ONLINE} --horizon soon => horizon is 'soon'
 {ONLINE} --objective beauty => objective is 'beauty'
 {ONLINE} --html a.pdf => Cannot write a.pdf
@@ -117,9 +131,8 @@ inverse-dynamics --robot 3rrr --motion corner.csv --out e9.csv --wrench end_effe
 {EFFORTS} --wrench end_effector=1,2,x => wrench of end_effector is 'x'
 {EFFORTS} --payload end_efector=1 => The model has no link 'end_efector'
 {EFFORTS} --lower 3 --upper 1 => lower is above upper for actuator 0 (first at sample 0)
-{EFFORTS} --upper -1 => upper is -1
-{EFFORTS} --upper nan => upper is nan
-{EFFORTS} --upper 1,2,3 => upper is [1.0, 2.0, 3.0], expected 2 numbers or one
+{EFFORTS} --upper nan => upper has 2 value(s) that are not finite
+{EFFORTS} --upper 1,2,3 => error: --upper: upper has shape (3,), expected (2,)
 {EFFORTS} --preferred 1,2,3 => preferred has shape (3,)
 {OTHERS} --motion nowhere.csv => nowhere.csv cannot be read
 {OTHERS} --robot 4rrr => There is no robot '4rrr'
@@ -162,6 +175,8 @@ validate --robot 3rrr --samples -1 => samples is -1
 check nowhere.npz => nowhere.npz does not exist
 export plan.npz --to l.txt => --to l.txt does not end in .csv or .json or .mat or .yaml or
 export plan.npz --to l.csv --rate 0 => rate is 0 Hz
+export plan.npz --to l.csv --rate 1e12 => at most 10000000 are possible. Use a lower rate
+plan stepwise --robot 2rpr --trajectory circle --lam 0.5 => load_robot("2rpr", carriers=False)
 export plan.npz --to l.csv --ros => --ros does not go with .csv
 export plan.npz --to l.yaml --two-sided => A JointTrajectory has one point at a time
 export plan.npz --to nowhere/l.csv => Cannot write nowhere/l.csv
@@ -199,7 +214,7 @@ show --robot 3rrr --html x.png => Cannot write x.png
 show --robot 3rrr --force-scale 0 --html x.html => force_scale is 0
 codegen --robot four_bar => Missing option '--out'
 codegen --robot four_bar --out code --prefix 1a => prefix is '1a'
-{OTHERS} --upper 1,2 => upper is [1.0, 2.0], expected 3 numbers or one
+{OTHERS} --upper 1,2 => upper has shape (2,), expected (3,)
 {WALK} nowhere.csv => nowhere.csv
 {WALK} way.csv => Neither times nor speed
 {WALK} way.csv:times=soon => times of the trajectory way.csv is 'soon'
@@ -293,6 +308,38 @@ def test_what_a_remedy_says_works(
                            ("--stop-at never ", "")):  # fmt: skip
         line = line if done else line.replace(mistake, right)
     assert call(*shlex.split(f"{line} {done}")).exit_code in (0, 3, 4)
+
+
+def test_what_is_said_to_suffice_suffices() -> None:
+    """As it is read: every limit by that much more, not one alone; a free end is no advice where it is free."""
+    line = "plan whole-trajectory --robot 3rrr --working-mode +++ --trajectory corner --dt 0.02 --end"
+    efforts = [0.3, 0.4, 0.4]
+    said = refused(*line.split(), "free", "--effort", ",".join(map(str, efforts)))
+    found = re.search(r"every effort limit by (\S+) % \(most needed by base_(\d), from (\S+) to (\S+) N·m, at", said)
+    assert found is not None, said
+    share, joint, before, after = 0.01 * float(found[1]), int(found[2]) - 1, float(found[3]), float(found[4])
+    assert (before, after) == (efforts[joint], pytest.approx(before * (1.0 + share), rel=5e-3))
+    assert "the end free" not in said
+    wider = [limit * (1.0 + 1.04 * share) for limit in efforts]
+    done = call(*line.split(), "free", "--effort", ",".join(map(str, wider)))
+    assert done.exit_code == 0, done.stderr
+    alone = [*efforts[:joint], wider[joint], *efforts[joint + 1 :]]
+    assert "every effort limit" in refused(*line.split(), "free", "--effort", ",".join(map(str, alone)))
+    assert "or leave the end free" in refused(*line.split(), "datum", "--effort", "0.5")
+
+
+def test_values_are_completed() -> None:
+    def of(*given: str, begun: str) -> set[str]:
+        shell = ShellComplete(main, {}, "redundancy-pin", "_REDUNDANCY_PIN_COMPLETE")
+        return {item.value for item in shell.get_completions(list(given), begun) if item.type == "plain"}
+
+    whole = ("plan", "whole-trajectory")
+    assert of(*whole, "--end", begun="") == {"free", "rest", "datum", "periodic"}
+    assert of(*whole, "--objective", begun="base_") == {"base_force", "base_moment", "base_wrench"}
+    assert of(*whole, "--robot", begun="2") == {"2rpr"}
+    assert of("simulate", "--trajectory", begun="c") == {"circle", "corner"}
+    assert of("validate", "--robot", begun="g") == {"gough"}
+    assert of("inverse-dynamics", "--unreachable", begun="m") == {"mark"}
 
 
 @pytest.mark.parametrize("name", ["circle", "line", "corner", "square"])

@@ -201,3 +201,35 @@ def test_arguments_of_the_file_are_given_again_when_it_is_loaded(setting, freedo
     assert f"# Written for --set {setting}: pass the same" in (tmp_path / "robot.yaml").read_text()
     assert rp.load_robot(tmp_path, **{name: value}).n == freedoms
     assert "has no argument 'bas'" in refused("new", path, "--set", "bas=free", "--out", tmp_path / "other.yaml")
+
+
+TWO_CRANKS = (
+    J("left", "revolute", "base", "left"),
+    J("elbow_l", "revolute", "left", "upper_l", (0.3, 0, 0)),
+    J("right", "revolute", "base", "right", (0.4, 0, 0)),
+    J("elbow_r", "revolute", "right", "upper_r", (0.3, 0, 0)),
+    J("end_l", "fixed", "upper_l", "tip_l", (0.4, 0, 0)),
+    J("end_r", "fixed", "upper_r", "tip_r", (0.4, 0, 0)),
+)
+
+
+def test_motions_of_a_point_of_a_link(tmp_path):
+    (tmp_path / "bar.urdf").write_text(urdf_of(TWO_CRANKS))
+    decided = (
+        "--close",
+        "tip_l,tip_r",
+        "--actuate",
+        "left,right",
+        "--guess",
+        "left=2.2,elbow_l=-1.2,right=0.9,elbow_r=1.2",
+    )
+    for link, message in (("tip", "tip"), ("tip_l,x,q", "q"), ("tip_l,x,y,rz", "")):
+        assert message in refused("new", tmp_path / "bar.urdf", *decided, "--platform", link)
+        assert not (tmp_path / "robot.yaml").exists()
+    assert call("new", tmp_path / "bar.urdf", *decided, "--platform", "tip_l").exit_code == 0
+    robot = rp.load_robot(tmp_path)
+    assert (robot.n, robot.platform.axes) == (2, ("x", "y"))
+    circle, out = "circle:centre=0.2 0.45,radius=0.05,speed=0.2", tmp_path / "efforts.csv"
+    run = call("inverse-dynamics", "--robot", tmp_path, "--trajectory", circle, "--out", out)
+    assert run.exit_code == 0, run.stderr
+    assert out.read_text().startswith("t [s],x [m],y [m],")

@@ -86,7 +86,7 @@ def test_paths_are_seen_from_the_folder_of_the_file() -> None:
     [
         ("whole-trajectory", {"objective": {"effort": 1, "peak": 2e-1}, "track": [[-0.1, 0.1], [-0.15, 0.15]],
                               "dt": 0.08},
-         ("--objective", "effort", "--objective", "peak=0.2", "--track=-0.1,0.1", "--dt", "0.08")),
+         ("--objective", "effort", "--objective", "peak=0.2", "--track=-0.1,0.1;-0.15,0.15", "--dt", "0.08")),
         ("time-optimal", {"effort": 300, "steps": 20, "lap": False},
          ("--effort", "300", "--steps", "20", "--no-lap")),
     ],
@@ -101,17 +101,19 @@ def test_a_file_gives_the_plan_of_the_flags(planner: str, parameters: dict[str, 
     assert ours.t[-1] == theirs.t[-1]
     if planner == "whole-trajectory":
         assert ours.parameters["objective"] == theirs.parameters["objective"] == {"effort": 1.0, "peak": 0.2}
-        assert ours.limits.judged_by.track.tolist() == [[-0.1, 0.1], [-0.15, 0.15]]
+        for plan in (ours, theirs):
+            assert plan.limits.judged_by.track.tolist() == [[-0.1, 0.1], [-0.15, 0.15]]
 
 
 def test_values_as_users_write_them() -> None:
     assert numbers("x", "1e-3") == 1e-3
     assert numbers("x", "0.1, -0.2").tolist() == [0.1, -0.2]
     assert numbers("x", [[1, 2], ["3e0", 4]]).tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    assert numbers("x", "1,2; 3e0,4").tolist() == [[1.0, 2.0], [3.0, 4.0]]
     assert weights("objective", ("effort",)) == weights("objective", "effort") == "effort"
     assert weights("objective", ("effort", "peak=2")) == {"effort": 1.0, "peak": 2.0}
     assert weights("objective", {"peak": "1e-1"}) == {"peak": 0.1}
-    for value in ("", None, {}, True, [None], [1, [2]], 10**400):
+    for value in ("", None, {}, True, [None], [1, [2]], 10**400, "1,2;3", ";"):
         with pytest.raises(InputError, match="x is"):
             numbers("x", value)
     for value in (None, 1, [1], ("peak=", "effort")):
@@ -178,6 +180,12 @@ def test_mistakes_are_one_line(changes: dict[str, Any], says: str) -> None:
     assert [path.name for path in Path().iterdir()] == ["p.yaml"]
 
 
+def test_a_baseline_that_the_planner_does_not_take() -> None:
+    Path("p.yaml").write_text("planner: switch-off\nrobot: 2rpr\ntrajectory: {name: line}\nbaseline:\n  set: {}\n")
+    said = refused("plan", "--problem", "p.yaml")
+    assert "p.yaml, line 4: plan_switch_off has no keyword 'baseline'" in said
+
+
 @pytest.mark.parametrize(
     ("content", "says"),
     [(b"planner: [", "not readable YAML"), (b"", "no mapping"), (b"- 1\n", "no mapping"),
@@ -205,12 +213,16 @@ def test_files_that_are_no_problem(content: bytes, says: str) -> None:
         ("set: &two\n  carrier_mass: [1]\nbaseline: {set: {<<: *two}}\n", 6),
         ("parameters:\n  speed: fast\n", 6),  # a key of the trajectory, too
         ("  speed: fast\nparameters:\n  speed: 1.0\n", 5),
+        ("parameters:\n  dt: 0.05\n  active: sometimes\n", 7),  # refused by the planner
+        ("parameters:\n  dt: 0.05\n  start: 5\n", 7),
+        ("parameters:\n  dt: 0.05\n  effort: [1, 2]\n", 7),
+        ("parameters:\n  baseline: {carriers: false}\n", 6),
     ],
 )
 def test_each_mistake_has_its_line(text: str, line: int) -> None:
     head = "planner: stepwise\nrobot: 3rrr\ntrajectory:\n  name: corner\n"
     Path("p.yaml").write_text(head + text, encoding="utf-8")
-    assert f"p.yaml, line {line}" in refused("plan", "--problem", "p.yaml")
+    assert re.match(rf"error: p.yaml, line {line}(, column \d+)?: ", refused("plan", "--problem", "p.yaml"))
 
 
 def test_names_of_strangers() -> None:

@@ -232,8 +232,10 @@ def efforts_in(columns: dict[str, np.ndarray], robot: str) -> np.ndarray:
 def test_torques(name: str, backend: type) -> None:
     facts = facts_of(
         "inverse-dynamics --robot 3rrr --set carrier_mass=2.0 --working-mode +++ --gravity 0,-9.81,0 "
-        f"--backend {name} --motion corner.csv --out out.csv"
+        f"--backend {name} --motion corner.csv --out out.csv --plot efforts.png"
     )
+    assert facts["plot"] == "efforts.png"
+    assert Path("efforts.png").read_bytes().startswith(b"\x89PNG")
     robot = rp.load_robot("3rrr", carrier_mass=2.0, working_mode=(1, 1, 1), gravity=(0.0, -9.81, 0.0))
     reduced = backend(robot).reduce(from_csv("corner.csv"), carriers_from_csv("corner.csv"))
     expected, columns = rp.distribute(reduced), columns_of("out.csv")
@@ -285,9 +287,25 @@ def test_payload_wrench_squeeze_and_bounds() -> None:
     equal = {"A_eq": np.hstack([reduced.W[0], np.zeros((6, 1))]), "b_eq": reduced.f[0]}
     least = linprog([*np.zeros(12), 1.0], within, np.zeros(24), **equal, bounds=(None, None)).fun
     assert np.abs(free).max() > least * (1.0 + 2e-4)
-    assert np.abs(held(f"--upper {least * (1.0 + 1e-4)}")).max() <= least * (1.0 + 1.01e-4)
-    held(f"--upper {least * (1.0 - 1e-4)}", code=3)
+    wide, narrow = least * (1.0 + 1e-4), least * (1.0 - 1e-4)
+    assert np.abs(held(f"--lower={-wide} --upper {wide}")).max() <= least * (1.0 + 1.01e-4)
+    held(f"--lower={-narrow} --upper {narrow}", code=3)
     assert set(columns_of("out.csv")["status"]) == {"bound_infeasible"}
+    alone = rp.inverse_dynamics(rp.RneaDynamics("two_arms"), from_csv("hold.csv"), upper=0.3)
+    np.testing.assert_allclose(held("--upper 0.3"), alone.efforts.tau, atol=1e-6)
+    assert alone.efforts.tau.min() < -0.3  # it bounds one sign, in Python and here
+
+
+def test_a_circle_of_ones_own() -> None:
+    facts = facts_of("inverse-dynamics --robot 2rpr --trajectory 'circle:centre=0.3 0.4,radius=0.1' --out out.csv")
+    columns = columns_of("out.csv")
+    np.testing.assert_allclose(np.hypot(columns["x"] - 0.3, columns["y"] - 0.4), 0.1, rtol=1e-12)
+    speed = np.hypot(columns["xd"], columns["yd"])
+    assert (speed[0], speed[-1], np.median(speed)) == pytest.approx((0.0, 0.0, 0.5), abs=1e-9)
+    angle = np.unwrap(np.arctan2(columns["y"] - 0.4, columns["x"] - 0.3))
+    assert (angle[0], angle[-1] - angle[0]) == pytest.approx((np.pi, 2.0 * np.pi), rel=1e-9)
+    assert facts["status"] == "ok"
+    facts_of("singularities --robot 3rrr --trajectory 'circle:centre=0.9 0.5,radius=0.03,alpha=0.1'")
 
 
 def test_poses_are_position_and_quaternion() -> None:

@@ -231,7 +231,8 @@ def _refuse(legs: TwoRprLegs | ThreeRrrLegs, sample: int, robot: Robot, mechanis
         raise UnreachablePoseError(
             f"{robot.name} does not reach sample {sample}: leg {leg + 1} misses the platform by {residual[leg]:.3g} m."
             f"{millimetres(float(residual[leg]), robot.characteristic_length)}",
-            remedy='Move the motion into the workspace. Inverse dynamics can mark such samples: unreachable="mark".',
+            remedy='Move the motion into the workspace. Inverse dynamics can mark such samples: unreachable="mark", '
+            "on the command line --unreachable mark.",
             sample=sample,
             leg=leg,
             residual=float(residual[leg]),

@@ -110,7 +110,7 @@ def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str
     what = "motion of the carriers" if problem.timing is None else "timing"
     raise InfeasiblePlanError(
         f"No {what} keeps every limit. What would suffice: {text}.{rest}",
-        remedy=_REMEDY if problem.timing is None else _REMEDY_OF_TIMING,
+        remedy=_remedy(problem),
         relaxations=tuple(events),
         together=not alone and len(exceeded) > 1,
         untried=(*untried, *in_vain),
@@ -195,15 +195,18 @@ class _Search:
         return exact if exact.solution.feasible else found
 
 
-_REMEDY = (
-    "Widen these limits, by a few per cent more than that (the least leaves no room), slow the motion down, or leave "
-    "the end free."
-)
-
-_REMEDY_OF_TIMING = (
-    "Widen these limits, by a few per cent more than that (the least leaves no room), lead the path elsewhere, or "
-    "leave the ends free."
-)
+def _remedy(problem: Problem) -> str:
+    """Return what a user can do where limits have to be wider."""
+    settings, timed = problem.settings, problem.timing is not None
+    ways = [
+        "Widen these limits, by a few per cent more than that (the least leaves no room)",
+        "lead the path elsewhere" if timed else "slow the motion down",
+    ]
+    ends = {"start": settings.begin, "end": settings.end} if timed else {"end": settings.end}
+    bound = [place for place, how in ends.items() if how != "free"]
+    if bound and not settings.lap:
+        ways.append(f"leave the {' and the '.join(bound)} free")
+    return f"{', '.join(ways[:-1])}, or {ways[-1]}."
 
 
 def require_bounds(problem: Problem, guess: Mapping[str, Array], deadline: float) -> None:
@@ -226,7 +229,7 @@ def require_bounds(problem: Problem, guess: Mapping[str, Array], deadline: float
         known = "What would suffice" if len(settings.at_most) == 1 else "What is needed at least"
         raise InfeasiblePlanError(
             f"No motion of the carriers keeps every limit. {known}: {text}. Not tried: wider limits.",
-            remedy=_REMEDY,
+            remedy=_remedy(problem),
             relaxations=tuple(events),
             together=len(events) > 1,
             untried=tuple(name_of(kind) for kind in KINDS if kind != "at_most"),
@@ -320,7 +323,9 @@ def nothing_helps(outcome: Outcome, message: str) -> InfeasiblePlanError:
         text = f"No plan was found, nor one with relaxed limits ({ends})."
         remedy = "The actuators and carriers cannot balance this motion at all: lead the platform elsewhere."
         if problem.timing is not None:
-            remedy = "Raise the limits of efforts or carriers, or leave the end free."
+            remedy = "Raise the limits of efforts or carriers."
+            if problem.settings.end != "free":
+                remedy = "Raise the limits of efforts or carriers, or leave the end free."
     amount, start = elastic.violation, float(problem.grid.t[0])
     return InfeasiblePlanError(text, remedy=remedy, constraint=constraint, time=start, amount=amount)
 
@@ -357,7 +362,13 @@ def elastic_event(elastic: Outcome, robot: RobotRecord, kind: str) -> dict[str, 
     percent = f"{100.0 * fraction:.3g}" if fraction < 1.0 else f"{100.0 * fraction:.0f}"
     where = f"t = {t[i]:.6g} s" if problem.timing is None else f"{100.0 * problem.grid.t[i] / problem.grid.t[-1]:.3g} %"
     where += "" if problem.timing is None else " of the path"
-    text = f"the {name_of(kind)} of {names[j]}, from {limit:.6g} to {enough:.6g} {unit} ({percent} %), most at {where}"
+    needed = f"{names[j]}, from {limit:.6g} to {enough:.6g} {unit}"
+    if np.isfinite(high - low).sum() > 1:  # limits of one kind are wider together
+        every = "both ends of every track outwards" if kind == "track" else f"every {name_of(kind)} limit"
+        of = " of half its length" if kind == "track" else ""
+        text = f"{every} by {percent} %{of} (most needed by {needed}, at {where})"
+    else:
+        text = f"the {name_of(kind)} of {needed} ({percent} %), most at {where}"
     return {
         "constraint": name_of(kind),
         "joint": names[j],

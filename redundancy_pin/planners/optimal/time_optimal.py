@@ -83,7 +83,7 @@ def plan_time_optimal(
         begin: "datum" (at rest there), "rest" (at rest anywhere) or "free" (carriers in motion).
         end: "free", "rest", "datum", or "periodic": s, ṡ, s̈ as at the start.
         datum: scalar or (k,) where the carriers park, m.
-        lap: the platform goes on and on: ṗ and p̈ at the end are those at the start, and need not be zero. The path is
+        lap: whether the motion repeats: ṗ and p̈ at the end are those at the start, and need not be zero. The path is
             closed.
 
     Returns:

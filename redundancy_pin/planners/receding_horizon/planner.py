@@ -34,7 +34,8 @@ class RecedingHorizon:
         dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
         horizon: how far ahead it plans, s.
         step: between nodes, s; half of it around singular instants and where the platform turns.
-        objective: "peak" max |τ| over the horizon, beside the mean square, or "effort", that alone; or ``Weights``.
+        objective: "peak" max |τ| over the horizon, beside the mean square, or "effort", that alone.
+            In Python ``Weights``, too.
         limits: in place of the robot's own. ``actuator_speed`` is judged, by ``run_online``: the motion is given.
         slow_down: where no plan keeps every limit, lead the platform along its path more slowly: ``Command.scaling``
             then says which time of the preview it is at, and the status is ``TIME_SCALED``.

@@ -126,12 +126,12 @@ def plan_stepwise(
             none of the jerk, as accelerations jump from step to step.
         mesh: ``dt``, the time step of a trajectory, s, ``LARGEST_STEP`` when left out. Jumps of its acceleration are
             sampled from both sides.
-        active: "always", or "accelerating": while the reference acceleration is not zero.
+        active: carriers move "always", or only while the motion is "accelerating".
         start: scalar or (k,) positions at the start, at rest, m.
         datum: scalar or (k,) positions to return to, m.
         return_time: duration of a return, s, or "shortest": the least that keeps the limits of track, speed and
             acceleration.
-        stop: "after" or "within".
+        stop: whether the carriers brake "after" the end of the motion, or "within" it.
         brake_time: time in which the carriers are braked at the end, s; sooner where the track is too short.
         anticipate: keep every carrier able to stop before its track ends.
         least_margin: smallest margin of W along the motion.

@@ -252,7 +252,7 @@ def test_a_limit_below_rounding_is_one_like_others(effort: float) -> None:
         return rp.plan_whole_trajectory(zoo.robot_of("2rpr"), line, limits=limits, mesh=mesh, end="free")
 
     assert plan(effort, rp.Mesh(dt=0.04, refinements=0)).status is ResultStatus.LIMIT_VIOLATED
-    with pytest.raises(InfeasiblePlanError, match="What would suffice: the effort of"):
+    with pytest.raises(InfeasiblePlanError, match="What would suffice: every effort limit by"):
         plan(effort, rp.Mesh(dt=0.02))
 
 
@@ -274,7 +274,7 @@ def test_what_would_suffice_for_efforts_is_the_least_peak() -> None:
     assert enough.status is ResultStatus.LIMIT_VIOLATED
     assert {event.quantity for event in enough.limits.violated} == {"effort"}
     # finer nodes show that no plan keeps it there
-    with pytest.raises(InfeasiblePlanError, match="the effort of"):
+    with pytest.raises(InfeasiblePlanError, match="every effort limit by"):
         rp.plan_whole_trajectory(
             dynamics, circle, limits=rp.Limits(effort=1.05 * least), mesh=rp.Mesh(dt=0.05, refinements=1)
         )
@@ -486,7 +486,7 @@ def test_a_timing_under_efforts_that_do_not_hold_the_robot_names_those_that_woul
         planned(given)
     assert time.perf_counter() - began < 2.0 * SECONDS
     details = caught.value.details
-    assert "No timing keeps every limit. What would suffice: the effort of" in caught.value.message
+    assert "No timing keeps every limit. What would suffice: every effort limit by" in caught.value.message
     assert f"{details['limit']:.6g} {details['unit']}" in caught.value.message
     assert details["constraint"] == "effort"
     assert details["joint"] in robot.actuated
