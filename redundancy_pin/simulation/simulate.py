@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, frozen, one_of, positive, read_only
 from redundancy_pin.dynamics.default import DynamicsLike
-from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates
@@ -45,7 +44,7 @@ from redundancy_pin.simulation.integrator import (
 from redundancy_pin.simulation.rank_loss import NEAR, WIDEST, Sheet, sheet_ahead
 from redundancy_pin.simulation.result import Simulation, Statistics
 from redundancy_pin.simulation.state import State
-from redundancy_pin.simulation.system import External, Machine, Method
+from redundancy_pin.simulation.system import External, Machine
 from redundancy_pin.status import ResultStatus
 
 RTOL = 1e-11
@@ -82,7 +81,6 @@ def simulate(
     max_steps: int = 200_000,
     integrator: Literal["DOP853", "RK45", "Radau"] = "DOP853",
     restart_at: Literal["breaks", "jumps"] = "breaks",
-    method: Method = "projected",
     dynamics: DynamicsLike | None = None,
 ) -> Simulation:
     """Simulate a closed-chain robot under given efforts.
@@ -119,7 +117,6 @@ def simulate(
         restart_at: where integration starts anew: at all breaks of the controller, where its efforts jump or kink, so
             that the integrator keeps its order; or at the jumps only, so that steps may be longer than those of a plan,
             which pays where tolerances are loose. At tight ones the step control grinds at the kinks.
-        method: "projected" or "constraint_dynamics": Pinocchio's solver, for point closures and bodies with mass.
         dynamics: this robot again, or its name or path, for generated code (``as_dynamics``); or a backend of it.
             Generated code then takes the ordinary steps of explicit integrators: many times as fast, the same to the
             tolerances. Backends without forward dynamics make no difference.
@@ -134,7 +131,7 @@ def simulate(
             duration.
         IllPosedModelError: at the start, forces do not determine the acceleration: a free motion has no inertia.
         SingularPoseError: at the start, the closures have lost rank.
-        UnsupportedRobotError: see ``method`` and ``FeedForward``.
+        UnsupportedRobotError: see ``FeedForward``.
     """
     robot = as_robot(robot)
     controller = _controller(robot, drive, sampling)
@@ -154,8 +151,7 @@ def simulate(
             remedy='Leave it out, or pass carriers="force".',
         )
     limits = load_limits(robot, effort_limit, carrier_force_limit)
-    kernel = _kernel(robot, dynamics, method)
-    machine = Machine(robot, Amplifiers(controller, *limits), law, external, method, kernel)
+    machine = Machine(robot, Amplifiers(controller, *limits), law, external, kernel_of(robot, dynamics))
     first = machine.state(state.t, np.concatenate([state.q, state.v]))
     machine.chain.place(first.q)
     if machine.chain.dependent_rows_restore_rank():
@@ -204,7 +200,6 @@ def simulate(
         "max_step": max_step,
         "integrator": integrator,
         "restart_at": restart_at,
-        "method": method,
         "dt": dt,
     }
     return _simulation(machine, record, progress, parameters)
@@ -226,15 +221,6 @@ def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None, sampl
             remedy=f"Pass sampling={made_for} to simulate, or make the controller for what it has.",
         )
     return controller
-
-
-def _kernel(robot: Robot, dynamics: DynamicsLike | None, method: str) -> ForwardKernel | None:
-    kernel = kernel_of(robot, dynamics)
-    if kernel is not None and method != "projected":
-        raise InputError(
-            f'dynamics cannot be combined with method="{method}".', remedy="Leave one of them out; dynamics is faster."
-        )
-    return kernel
 
 
 def _start(robot: Robot, controller: Controller, start: State | None) -> State:

@@ -12,7 +12,7 @@ from spatial_chains import chain_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import IllPosedModelError, InputError, UnsupportedRobotError
+from redundancy_pin.errors import IllPosedModelError, InputError
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import Constant, Controller, Sampling
 from redundancy_pin.simulation.state import State, closed_state, tree_state
@@ -101,16 +101,15 @@ def test_resampled_platform_motion_is_that_of_a_finer_run() -> None:
         coarse.at([0.6])
 
 
-def test_both_methods_and_both_integrators_give_the_same_motion() -> None:
+def test_both_explicit_integrators_give_the_same_motion() -> None:
     robot = moving.massive("3rrr")
     start = closed_state(robot, xd=[0.2, -0.3, 0.4], sd=0.2)
-    runs = [
+    run, other = (
         rp.simulate(robot, Spring(home(robot)), start=start, duration=0.25, **options)
-        for options in ({}, {"method": "constraint_dynamics"}, {"integrator": "RK45", "rtol": 1e-12})
-    ]
-    for other in runs[1:]:
-        np.testing.assert_allclose(other.q, runs[0].q, atol=SAME)
-        np.testing.assert_allclose(other.closure_force, runs[0].closure_force, atol=100 * SAME)
+        for options in ({}, {"integrator": "RK45", "rtol": 1e-12})
+    )
+    np.testing.assert_allclose(other.q, run.q, atol=SAME)
+    np.testing.assert_allclose(other.closure_force, run.closure_force, atol=100 * SAME)
 
 
 def test_carriers_by_motion_and_by_the_forces_this_takes_give_the_same_motion() -> None:
@@ -241,7 +240,6 @@ REFUSED = {
     "max_steps": ({"duration": 1.0, "max_steps": 0}, "max_steps is 0"),
     "part of a step": ({"duration": 1.0, "max_steps": 0.5}, "max_steps is 0.5"),
     "max_step": ({"duration": 1.0, "max_step": np.nan}, "max_step is nan"),
-    "method": ({"duration": 1.0, "method": "sideways"}, "constraint_dynamics"),
     "carriers": ({"duration": 1.0, "carriers": "glued"}, "Use one of force, motion"),
     "no law": ({"duration": 1.0, "carriers": "motion"}, "carrier_motion"),
     "stop_at": ({"duration": 1.0, "stop_at": ["lunch"]}, "joint_limit"),
@@ -285,22 +283,6 @@ def test_bad_starts_are_refused_by_name() -> None:
     with pytest.raises(InputError, match=r"s is .0.1, 0.2., expected 3 numbers or one"):
         closed_state(robot, s=[0.1, 0.2])
     assert rp.simulate(robot, start=closed_state(robot, s=[0.0, 1.5, 0.0]), duration=0.01, stop_at=()).s[0, 1] == 1.5
-
-
-def test_what_a_method_cannot_do_is_refused() -> None:
-    robot = zoo.robot_of("3rrr")
-
-    class Parked(Controller):
-        def effort(self, t: float, state: State) -> tuple[Array, Array]:
-            return np.zeros(3), np.zeros(3)
-
-        def carrier_motion(self, t: float) -> tuple[Array, Array, Array]:
-            return np.zeros(3), np.zeros(3), np.zeros(3)
-
-    with pytest.raises(InputError, match="cannot drive carriers by motion"):
-        rp.simulate(robot, Parked(), duration=1.0, carriers="motion", method="constraint_dynamics")
-    with pytest.raises(UnsupportedRobotError, match="cannot take closure"):
-        rp.simulate(chain_of("hinge"), duration=1.0, method="constraint_dynamics")
 
 
 def test_an_object_with_the_attributes_of_a_controller_is_one() -> None:
