@@ -106,9 +106,6 @@ class EventFunctions:
         at: Sequence[int] = (),
         held: Sequence[int] = (),
     ) -> None:
-        unknown = [kind for kind in stop_at if kind not in KINDS]
-        if unknown:
-            raise InputError(f"stop_at names {unknown[0]!r}.", remedy=f"Known kinds: {', '.join(KINDS)}.")
         robot = chain.robot
         self.nq, self.stop_at, self.push_back = robot.model.nq, stop_at, push_back
         labels, stops, slack = _stops(robot)

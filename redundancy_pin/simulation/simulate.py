@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,7 +33,7 @@ from redundancy_pin.simulation.controllers.base import (
     kernel_of,
     load_limits,
 )
-from redundancy_pin.simulation.events import ONE_SIDED, EventFunctions
+from redundancy_pin.simulation.events import KINDS, ONE_SIDED, EventFunctions
 from redundancy_pin.simulation.integrator import (
     INTEGRATORS,
     InitialValueProblem,
@@ -134,29 +134,38 @@ def simulate(
         UnsupportedRobotError: see ``FeedForward``.
     """
     robot = as_robot(robot)
-    controller = _controller(robot, drive, sampling)
+    # before anything slow: the reference of a plan, generated code
     one_of(integrator, "integrator", INTEGRATORS)
+    one_of(carriers, "carriers", get_args(CarrierDrive))
+    one_of(joint_stops, "joint_stops", ("end", "inelastic"))
+    one_of(restart_at, "restart_at", ("breaks", "jumps"))
+    unknown = [kind for kind in stop_at if kind not in KINDS]
+    if unknown:
+        raise InputError(f"stop_at names {unknown[0]!r}.", remedy=f"Known kinds: {', '.join(KINDS)}.")
+    positive(dt, "dt", "s")
+    if duration is not None and not 0.0 < float(duration) < np.inf:
+        raise InputError(f"duration is {duration} s.", remedy="Pass a positive, finite duration.", name="duration")
     for name, value, fits in (("max_step", max_step, max_step > 0.0), ("max_steps", max_steps, max_steps >= 1)):
         if not fits:
             raise InputError(f"{name} is {value}.", remedy="Pass a positive number.")
     rtol, atol = positive(rtol, "rtol", ""), positive(atol, "atol", "")
     if rtol < LEAST_RTOL:
         raise InputError(f"rtol is {rtol}.", remedy=f"Pass at least {LEAST_RTOL}: below it is rounding.", name="rtol")
-    state = _start(robot, controller, start)
-    grid, breaks = _times(controller, state.t, duration, dt, restart_at)
-    law = _carrier_law(robot, controller, carriers)
-    if law is not None and carrier_force_limit is not None:
+    if carriers == "motion" and robot.k and carrier_force_limit is not None:
         raise InputError(
             "carrier_force_limit cannot hold for carriers that are driven by motion.",
             remedy='Leave it out, or pass carriers="force".',
         )
     limits = load_limits(robot, effort_limit, carrier_force_limit)
+    controller = _controller(robot, drive, sampling)
+    state = _start(robot, controller, start)
+    grid, breaks = _times(controller, state.t, duration, dt, restart_at)
+    law = _carrier_law(robot, controller, carriers)
     machine = Machine(robot, Amplifiers(controller, *limits), law, external, kernel_of(robot, dynamics))
     first = machine.state(state.t, np.concatenate([state.q, state.v]))
     machine.chain.place(first.q)
     if machine.chain.dependent_rows_restore_rank():
         machine = machine.with_all_rows(first.q) or machine
-    one_of(joint_stops, "joint_stops", ("end", "inelastic"))
     push_back = () if joint_stops == "end" else ONE_SIDED if law is None else ONE_SIDED[1:]
     functions = EventFunctions(machine.chain, tuple(stop_at), first.q, push_back)
     time = _time_scale(robot, first.v, float(grid[-1] - grid[0]))
@@ -238,7 +247,6 @@ def _times(
     controller: Controller, start: float, duration: float | None, dt: float, restart_at: str
 ) -> tuple[Array, Array]:
     """Return the times to record and the times at which the integration starts anew."""
-    one_of(restart_at, "restart_at", ("breaks", "jumps"))
     if duration is None and controller.end is None:
         raise InputError("Nothing says how long to simulate.", remedy="Pass duration=, in seconds.")
     last = float(controller.end) if duration is None and controller.end is not None else start + float(duration or 0.0)
@@ -246,14 +254,13 @@ def _times(
         raise InputError(
             f"The simulation would last from {start} to {last} s.", remedy="Pass a positive, finite duration."
         )
-    steps = int(np.ceil((last - start) / positive(dt, "dt", "s") - 1e-9))
+    steps = int(np.ceil((last - start) / dt - 1e-9))
     given = controller.breaks if restart_at == "breaks" or controller.jumps is None else controller.jumps
     breaks = np.unique(np.asarray(given, dtype=float))
     return np.append(start + dt * np.arange(steps), last), breaks[(breaks > start) & (breaks < last)]
 
 
 def _carrier_law(robot: Robot, controller: Controller, carriers: str) -> CarrierLaw | None:
-    one_of(carriers, "carriers", ("force", "motion"))
     if robot.k == 0:
         return None
     made_for = controller.carrier_drive

@@ -14,7 +14,9 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import IllPosedModelError, InputError
 from redundancy_pin.robot import Robot
+from redundancy_pin.simulation import Simulation
 from redundancy_pin.simulation.controllers.base import Constant, Controller, Sampling
+from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr
 from redundancy_pin.simulation.state import State, closed_state, tree_state
 from redundancy_pin.status import ResultStatus
 
@@ -301,6 +303,49 @@ def test_an_object_with_the_attributes_of_a_controller_is_one() -> None:
     assert [run.statistics.restarts for run in runs] == [2, 2]
     assert runs[0].statistics.steps < 10  # the last stage before a jump does not see the efforts after it
     assert runs[0].t[-1] == 0.05
+
+
+def test_wrong_words_are_refused_before_a_plan_is_read() -> None:
+    class Slow(Controller):
+        def effort(self, t: float, state: State) -> tuple[Array, Array]:
+            return np.zeros(3), np.zeros(3)
+
+        def start_state(self, robot: Robot) -> State:
+            raise AssertionError("asked for its start")
+
+    wrong = {
+        "carriers": "glued",
+        "duration": -1.0,
+        "dt": 0.0,
+        "stop_at": ("lunch",),
+        "joint_stops": "rubber",
+        "restart_at": "noon",
+        "effort_limit": -1.0,
+        "carrier_force_limit": -1.0,
+        "integrator": "Euler",
+    }
+    for name, value in wrong.items():
+        with pytest.raises(InputError, match=name):
+            rp.simulate(zoo.robot_of("3rrr"), Slow(), **{"duration": 1.0, name: value})  # type: ignore[arg-type]
+
+
+def test_a_plan_anew_for_the_robot_with_mass_is_what_a_massless_one_needs() -> None:
+    """The 2-RPR across the line of its legs, where nothing of a massless one has inertia along them."""
+    path = rp.trajectory.Line((0.17, 0.06), (0.2, -0.06))
+    motion = rp.trajectory.Trajectory(path, rp.trajectory.RestToRest(path.length, duration=1.0))
+
+    def controlled(**masses: float) -> Simulation:
+        robot = rp.load_robot("2rpr", **masses)
+        controller = TimeVaryingLqr(rp.plan_whole_trajectory(robot, motion), motion=motion)
+        return rp.simulate(robot, controller, rtol=1e-7, atol=1e-8)
+
+    with pytest.raises(IllPosedModelError, match=r"end_effector_mass=0\.1\), and make plans and controllers anew"):
+        controlled()
+    run = controlled(end_effector_mass=0.1)
+    assert (run.status, run.t[-1]) == (ResultStatus.OK, 1.0)
+    np.testing.assert_allclose(run.x[-1], (0.2, -0.06), atol=1e-5)
+    np.testing.assert_allclose(run.x @ (0.12, 0.03), 0.17 * 0.12 + 0.06 * 0.03, atol=1e-6)  # on its line
+    assert run.x[0, 1] > 0.0 > run.x[-1, 1]
 
 
 def test_an_ill_posed_start_is_an_error_and_an_ill_posed_pose_on_the_way_a_failure() -> None:
