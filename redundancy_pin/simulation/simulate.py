@@ -34,16 +34,12 @@ from redundancy_pin.simulation.controllers.base import (
     load_limits,
 )
 from redundancy_pin.simulation.events import KINDS, ONE_SIDED, EventFunctions
-from redundancy_pin.simulation.integrator import (
-    INTEGRATORS,
-    InitialValueProblem,
-    SimulationProgress,
-    SimulationRecord,
-    integrate,
-)
+from redundancy_pin.simulation.integrator import integrate
+from redundancy_pin.simulation.problem import InitialValueProblem, SimulationProgress, SimulationRecord
 from redundancy_pin.simulation.rank_loss import NEAR, WIDEST, Sheet, sheet_ahead
 from redundancy_pin.simulation.result import Simulation, Statistics
 from redundancy_pin.simulation.state import State
+from redundancy_pin.simulation.steppers import INTEGRATORS
 from redundancy_pin.simulation.system import External, Machine
 from redundancy_pin.status import ResultStatus
 
