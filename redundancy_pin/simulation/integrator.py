@@ -6,7 +6,7 @@ stabilisation. Integration starts anew where efforts jump, for no Runge-Kutta me
 step control would spend dozens of steps on finding it. And a digital controller is read between steps only, in order of
 time.
 
-What changes along the way is one value, ``SimulationProgress``. A step (``_step``) is four functions, one after another:
+What changes along the way is one value, ``SimulationProgress``. A step (``_step``) is four functions, in order:
 ``_advance`` takes it, ``_locate_events`` finds what happens in it, ``_project`` closes its end, ``_record`` notes it.
 The second and third may return ``Retry`` in place of a result: the step is then taken again.
 
