@@ -106,9 +106,6 @@ class EventFunctions:
         at: Sequence[int] = (),
         held: Sequence[int] = (),
     ) -> None:
-        unknown = [kind for kind in stop_at if kind not in KINDS]
-        if unknown:
-            raise InputError(f"stop_at names {unknown[0]!r}.", remedy=f"Known kinds: {', '.join(KINDS)}.")
         robot = chain.robot
         self.nq, self.stop_at, self.push_back = robot.model.nq, stop_at, push_back
         labels, stops, slack = _stops(robot)
@@ -116,7 +113,7 @@ class EventFunctions:
         """(4, l) index in q and in v, side and bound of each stop; they come first among the functions."""
         indices = stops[:2].astype(np.intp)
         self._position, self._rate, self._side, self._bound = indices[0], self.nq + indices[1], stops[2], stops[3]
-        self.slack = self._slack = slack
+        self.slack = slack
         self._limit = stops[3].copy()
         if start is not None:
             # a joint that starts at its limit is within it, however it was rounded, and may stay there
@@ -173,7 +170,7 @@ class EventFunctions:
         """
         values: Array = self(q[None])[0]
         rounding = np.full(len(values), _ROUNDING)
-        rounding[: len(self._slack)] = self._slack
+        rounding[: len(self.slack)] = self.slack
         for i in np.flatnonzero(self._one_sided & self._terminal & (values < -rounding)):
             raise InputError(
                 f"The simulation starts {-values[i]:.3g} beyond the limit {self.names[i]!r}.",
@@ -187,7 +184,7 @@ class EventFunctions:
 
     def touching(self, q: Array) -> BoolArray:
         """Return (l,) which stops joints are at, or beyond, at a configuration (nq,)."""
-        result: BoolArray = self._side * (self._limit - q.take(self._position)) <= self._slack
+        result: BoolArray = self._side * (self._limit - q.take(self._position)) <= self.slack
         return result
 
     def sign_changes(self, before: Array, after: Array) -> BoolArray:

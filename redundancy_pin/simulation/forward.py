@@ -307,14 +307,11 @@ class ForwardDynamics:
         masses = [name for name, value in robot.parameters.items() if name.endswith("_mass") and value == 0.0]
         masses.sort(key=lambda name: name != "end_effector_mass")  # what such a machine lacks most often
         example = f"for example load_robot({robot.name!r}, {masses[0]}=0.1)" if masses else "in its URDF"
-        drive = (
-            "" if self.prescribed or not robot.k else ' Carriers driven by motion (carriers="motion") need less of it.'
-        )
         return IllPosedModelError(
             f"A motion that the closures of {robot.name} leave free has no inertia: the mass matrix in independent "
             f"coordinates has condition number {condition:.3g}, so forces do not determine the acceleration of "
             f"{', '.join(moved)}.",
-            remedy=f"Give it mass, {example}.{drive}",
+            remedy=f"Give it mass, {example}, and make plans and controllers anew for that robot.",
             condition=condition,
             direction=direction.tolist(),
             joints=tuple(moved),

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, frozen, one_of, positive, read_only
 from redundancy_pin.dynamics.default import DynamicsLike
-from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates
@@ -34,18 +33,14 @@ from redundancy_pin.simulation.controllers.base import (
     kernel_of,
     load_limits,
 )
-from redundancy_pin.simulation.events import ONE_SIDED, EventFunctions
-from redundancy_pin.simulation.integrator import (
-    INTEGRATORS,
-    InitialValueProblem,
-    SimulationProgress,
-    SimulationRecord,
-    integrate,
-)
+from redundancy_pin.simulation.events import KINDS, ONE_SIDED, EventFunctions
+from redundancy_pin.simulation.integrator import integrate
+from redundancy_pin.simulation.problem import InitialValueProblem, SimulationProgress, SimulationRecord
 from redundancy_pin.simulation.rank_loss import NEAR, WIDEST, Sheet, sheet_ahead
 from redundancy_pin.simulation.result import Simulation, Statistics
 from redundancy_pin.simulation.state import State
-from redundancy_pin.simulation.system import External, Machine, Method
+from redundancy_pin.simulation.steppers import INTEGRATORS
+from redundancy_pin.simulation.system import External, Machine
 from redundancy_pin.status import ResultStatus
 
 RTOL = 1e-11
@@ -82,7 +77,6 @@ def simulate(
     max_steps: int = 200_000,
     integrator: Literal["DOP853", "RK45", "Radau"] = "DOP853",
     restart_at: Literal["breaks", "jumps"] = "breaks",
-    method: Method = "projected",
     dynamics: DynamicsLike | None = None,
 ) -> Simulation:
     """Simulate a closed-chain robot under given efforts.
@@ -119,7 +113,6 @@ def simulate(
         restart_at: where integration starts anew: at all breaks of the controller, where its efforts jump or kink, so
             that the integrator keeps its order; or at the jumps only, so that steps may be longer than those of a plan,
             which pays where tolerances are loose. At tight ones the step control grinds at the kinks.
-        method: "projected" or "constraint_dynamics": Pinocchio's solver, for point closures and bodies with mass.
         dynamics: this robot again, or its name or path, for generated code (``as_dynamics``); or a backend of it.
             Generated code then takes the ordinary steps of explicit integrators: many times as fast, the same to the
             tolerances. Backends without forward dynamics make no difference.
@@ -134,33 +127,41 @@ def simulate(
             duration.
         IllPosedModelError: at the start, forces do not determine the acceleration: a free motion has no inertia.
         SingularPoseError: at the start, the closures have lost rank.
-        UnsupportedRobotError: see ``method`` and ``FeedForward``.
+        UnsupportedRobotError: see ``FeedForward``.
     """
     robot = as_robot(robot)
-    controller = _controller(robot, drive, sampling)
+    # before anything slow: the reference of a plan, generated code
     one_of(integrator, "integrator", INTEGRATORS)
+    one_of(carriers, "carriers", get_args(CarrierDrive))
+    one_of(joint_stops, "joint_stops", ("end", "inelastic"))
+    one_of(restart_at, "restart_at", ("breaks", "jumps"))
+    unknown = [kind for kind in stop_at if kind not in KINDS]
+    if unknown:
+        raise InputError(f"stop_at names {unknown[0]!r}.", remedy=f"Known kinds: {', '.join(KINDS)}.")
+    positive(dt, "dt", "s")
+    if duration is not None and not 0.0 < float(duration) < np.inf:
+        raise InputError(f"duration is {duration} s.", remedy="Pass a positive, finite duration.", name="duration")
     for name, value, fits in (("max_step", max_step, max_step > 0.0), ("max_steps", max_steps, max_steps >= 1)):
         if not fits:
             raise InputError(f"{name} is {value}.", remedy="Pass a positive number.")
     rtol, atol = positive(rtol, "rtol", ""), positive(atol, "atol", "")
     if rtol < LEAST_RTOL:
         raise InputError(f"rtol is {rtol}.", remedy=f"Pass at least {LEAST_RTOL}: below it is rounding.", name="rtol")
-    state = _start(robot, controller, start)
-    grid, breaks = _times(controller, state.t, duration, dt, restart_at)
-    law = _carrier_law(robot, controller, carriers)
-    if law is not None and carrier_force_limit is not None:
+    if carriers == "motion" and robot.k and carrier_force_limit is not None:
         raise InputError(
             "carrier_force_limit cannot hold for carriers that are driven by motion.",
             remedy='Leave it out, or pass carriers="force".',
         )
     limits = load_limits(robot, effort_limit, carrier_force_limit)
-    kernel = _kernel(robot, dynamics, method)
-    machine = Machine(robot, Amplifiers(controller, *limits), law, external, method, kernel)
+    controller = _controller(robot, drive, sampling)
+    state = _start(robot, controller, start)
+    grid, breaks = _times(controller, state.t, duration, dt, restart_at)
+    law = _carrier_law(robot, controller, carriers)
+    machine = Machine(robot, Amplifiers(controller, *limits), law, external, kernel_of(robot, dynamics))
     first = machine.state(state.t, np.concatenate([state.q, state.v]))
     machine.chain.place(first.q)
     if machine.chain.dependent_rows_restore_rank():
         machine = machine.with_all_rows(first.q) or machine
-    one_of(joint_stops, "joint_stops", ("end", "inelastic"))
     push_back = () if joint_stops == "end" else ONE_SIDED if law is None else ONE_SIDED[1:]
     functions = EventFunctions(machine.chain, tuple(stop_at), first.q, push_back)
     time = _time_scale(robot, first.v, float(grid[-1] - grid[0]))
@@ -204,7 +205,6 @@ def simulate(
         "max_step": max_step,
         "integrator": integrator,
         "restart_at": restart_at,
-        "method": method,
         "dt": dt,
     }
     return _simulation(machine, record, progress, parameters)
@@ -228,15 +228,6 @@ def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None, sampl
     return controller
 
 
-def _kernel(robot: Robot, dynamics: DynamicsLike | None, method: str) -> ForwardKernel | None:
-    kernel = kernel_of(robot, dynamics)
-    if kernel is not None and method != "projected":
-        raise InputError(
-            f'dynamics cannot be combined with method="{method}".', remedy="Leave one of them out; dynamics is faster."
-        )
-    return kernel
-
-
 def _start(robot: Robot, controller: Controller, start: State | None) -> State:
     state = controller.start_state(robot) if start is None else start
     if state.q.shape != (robot.model.nq,) or state.v.shape != (robot.model.nv,):
@@ -252,7 +243,6 @@ def _times(
     controller: Controller, start: float, duration: float | None, dt: float, restart_at: str
 ) -> tuple[Array, Array]:
     """Return the times to record and the times at which the integration starts anew."""
-    one_of(restart_at, "restart_at", ("breaks", "jumps"))
     if duration is None and controller.end is None:
         raise InputError("Nothing says how long to simulate.", remedy="Pass duration=, in seconds.")
     last = float(controller.end) if duration is None and controller.end is not None else start + float(duration or 0.0)
@@ -260,14 +250,13 @@ def _times(
         raise InputError(
             f"The simulation would last from {start} to {last} s.", remedy="Pass a positive, finite duration."
         )
-    steps = int(np.ceil((last - start) / positive(dt, "dt", "s") - 1e-9))
+    steps = int(np.ceil((last - start) / dt - 1e-9))
     given = controller.breaks if restart_at == "breaks" or controller.jumps is None else controller.jumps
     breaks = np.unique(np.asarray(given, dtype=float))
     return np.append(start + dt * np.arange(steps), last), breaks[(breaks > start) & (breaks < last)]
 
 
 def _carrier_law(robot: Robot, controller: Controller, carriers: str) -> CarrierLaw | None:
-    one_of(carriers, "carriers", ("force", "motion"))
     if robot.k == 0:
         return None
     made_for = controller.carrier_drive

@@ -15,18 +15,21 @@ joints (``Machine.held``) until they would have to pull.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.optimize import nnls
+from scipy.optimize import brentq, nnls
 
 from redundancy_pin.arrays import Array, IntArray
-from redundancy_pin.errors import SingularPoseError
+from redundancy_pin.errors import IllPosedModelError, SingularPoseError
 from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.simulation.controllers.base import Command
-from redundancy_pin.simulation.events import Event, EventFunctions
+from redundancy_pin.simulation.events import RELEASE, Event, EventFunctions, Step
+from redundancy_pin.simulation.problem import InitialValueProblem, SimulationProgress, SimulationRecord
+from redundancy_pin.simulation.rank_loss import NEAR
 from redundancy_pin.simulation.system import Machine
+from redundancy_pin.status import ResultStatus
 
 _ROUNDING = 1e-12
 """Rates that are none: characteristic lengths or rad over the time scale, accelerations over its square."""
@@ -37,6 +40,12 @@ zero but for rounding."""
 
 _CONSISTENT = 1e-6
 """Contradiction between rates of stopped joints, relative to the largest, that is none."""
+
+_MOST_SWITCHES = 50
+"""Changes of what stops hold at one time, after which the integration is given up."""
+
+_RELEASE_LOOKS = (0.25, 0.5, 0.75, 1.0)
+"""Where in a step the forces of stops are looked at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +172,81 @@ def least_constraint(inertia: Array, moves: Array, rate: Array) -> tuple[Array, 
     return solve_triangular(lower, responses @ scaled, lower=True, trans=1), scaled / length
 
 
-def pushing(machine: Machine, t: float, y: Array, hold: Command | None, side: Array) -> Array:
+def past_stop(
+    problem: InitialValueProblem,
+    progress: SimulationProgress,
+    hold: Command | None,
+    record: SimulationRecord,
+    *,
+    at_start: bool = False,
+) -> tuple[InitialValueProblem, SimulationProgress] | None:
+    """Return how to go on at a stop that pushes back, or lets go; None elsewhere."""
+    functions, last = problem.functions, record.events[-1:]
+    stopped = bool(last) and progress.status is ResultStatus.STOPPED and last[0].kind in (*functions.push_back, RELEASE)
+    if not functions.push_back or not (stopped or at_start):
+        return None
+    met = functions.names.index(last[0].name) if stopped and last[0].name else None
+    released = met if stopped and last[0].kind == RELEASE else None
+    is_release = stopped and last[0].kind == RELEASE
+    reached = [*problem.held.tolist(), *(() if met is None else (met,))]
+    switches = progress.switches + 1 if progress.t <= progress.switched + problem.shortest else 1
+    if switches > _MOST_SWITCHES:
+        return problem, progress.failed("joints meet their stops and leave them again, without end")
+    try:
+        contact = resolve_contact(
+            problem.free, functions, progress.t, progress.y, hold, problem.time, reached, released
+        )
+    except (IllPosedModelError, SingularPoseError) as error:
+        return problem, progress.failed(str(error))
+    if contact is None:
+        return None
+    if stopped:
+        record.events.pop()
+    hit = {event.name for event in contact.events}
+    if stopped and not is_release and last[0].name not in hit:
+        record.events.append(replace(last[0], terminal=False))
+    record.events.extend(contact.events)
+    let_go = [functions.names[i] for i in problem.held.tolist() if i not in contact.held]
+    record.events.extend(Event(RELEASE, name, progress.t, terminal=False) for name in let_go)
+    q = contact.y[: functions.nq]
+    machine, at, held = contact.machine, contact.at.tolist(), contact.held.tolist()
+    functions = EventFunctions(machine.chain, functions.stop_at, q, functions.push_back, at, held)
+    going_on = replace(progress, y=contact.y, values=functions.at_start(q), status=None, reason="", next_step=None)
+    going_on = replace(going_on, short=0, switches=switches, switched=progress.t)
+    if held:  # the motion that the closures leave is another one
+        going_on = replace(going_on, sheet=None, near=NEAR)
+    return replace(problem, machine=machine, functions=functions, held=contact.held), going_on
+
+
+def first_release(problem: InitialValueProblem, step: Step, hold: Command | None) -> Event | None:
+    """Return the event at which a stop would first have to pull the joint that it holds in a step, if it does.
+
+    It names the stop where that comes to it in the step, not where it pulls from the start.
+    """
+    machine, functions = problem.machine, problem.functions
+    side = functions.stops[2, problem.held]
+
+    def push(fraction: float) -> Array:
+        return _pushing(machine, step.time(fraction), step.at(fraction), hold, side)
+
+    left, before = 0.0, push(0.0)
+    for right in _RELEASE_LOOKS:
+        after = push(right)
+        if (after < 0.0).any():
+            roots = [
+                float(brentq(lambda x, i=i: push(x)[i], left, right, xtol=1e-12)) if before[i] > 0.0 else left
+                for i in np.flatnonzero(after < 0.0)
+            ]
+            first = int(np.argmin(roots))
+            i = int(np.flatnonzero(after < 0.0)[first])
+            # where efforts have jumped, which of them lets go is not known from their signs alone
+            name = functions.names[problem.held[i]] if before[i] > 0.0 else ""
+            return Event(RELEASE, name, step.time(roots[first]), terminal=False)
+        left, before = right, after
+    return None
+
+
+def _pushing(machine: Machine, t: float, y: Array, hold: Command | None, side: Array) -> Array:
     """Return (h,) the forces with which stops push held joints inward, N or N·m; negative where they would pull."""
     state = machine.state(t, y)
     command = machine.amplifiers.command(state) if hold is None else hold

@@ -5,88 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Literal, get_args
 
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, IntArray, one_of
+from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_energy, tree_loads
-from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError, UnsupportedRobotError
-from redundancy_pin.robot import Closure, Payload, Robot, Wrench
+from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
+from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.loads import of_kind, wrench_values
-from redundancy_pin.robot.lookup import find_link
 from redundancy_pin.simulation.controllers.base import Amplifiers, CarrierLaw, Command
 from redundancy_pin.simulation.forward import Acceleration, ForwardDynamics
 from redundancy_pin.simulation.rank_loss import Sheet
 from redundancy_pin.simulation.state import Manifold, State
-
-DAMPING = 1e-8
-"""Proximal damping μ. The out-of-plane row of a planar closure is empty, and μ = 0 gives NaN there."""
-
-ACCURACY = 1e-14
-"""Absolute and relative accuracy asked of the proximal iteration."""
-
-MOST_ITERATIONS = 30
-
-
-def has_point_closures(robot: Robot) -> bool:
-    """Return whether all closures are points in a plane or in space, which is what ``ConstraintDynamics`` covers."""
-    return not _other_closures(robot) and not robot.couplings
-
-
-def _other_closures(robot: Robot) -> list[Closure]:
-    return [closure for closure in robot.closures if set(closure.axes) not in ({"x", "y"}, {"x", "y", "z"})]
-
-
-class ConstraintDynamics:
-    """Pinocchio's constrained forward dynamics of one robot, its point closures as 3D constraints.
-
-    It shares nothing with ``ForwardDynamics`` but the model. Bodies without mass make its factorisation singular.
-
-    Args:
-        robot: the robot.
-
-    Raises:
-        UnsupportedRobotError: a closure is not a point.
-    """
-
-    def __init__(self, robot: Robot) -> None:
-        for other in _other_closures(robot):
-            raise UnsupportedRobotError(
-                f"Pinocchio's constraintDynamics cannot take closure {other.name!r} along {', '.join(other.axes)}.",
-                remedy="Use the projected equations, which take every closure.",
-                closure=other.name,
-            )
-        for coupling in robot.couplings:
-            raise UnsupportedRobotError(
-                f"Pinocchio's constraintDynamics cannot take the coupling {coupling.name!r}.",
-                remedy="Use the projected equations, which take every constraint.",
-                coupling=coupling.name,
-            )
-        self._model = model = robot.model
-        self._constraints = pin.StdVec_RigidConstraintModel()
-        self._constraint_data = pin.StdVec_RigidConstraintData()
-        for closure in robot.closures:
-            ends = (find_link(model, name) for name in (closure.frame_a, closure.frame_b))
-            places = (part for end in ends for part in (end.parentJoint, end.placement))
-            constraint = pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, *places, pin.ReferenceFrame.LOCAL)
-            self._constraints.append(constraint)
-            self._constraint_data.append(constraint.createData())
-        self._data = model.createData()
-        pin.initConstraintDynamics(model, self._data, self._constraints, self._constraint_data)
-        self._settings = pin.ProximalSettings(ACCURACY, DAMPING, MOST_ITERATIONS)
-
-    def __call__(self, q: Array, v: Array, force: Array) -> Array:
-        """Return the accelerations (nv,) at q (nq,), v (nv,) under generalised forces (nv,)."""
-        constraints = self._constraints, self._constraint_data, self._settings
-        return np.array(pin.constraintDynamics(self._model, self._data, q, v, force, *constraints))
-
-
-Method = Literal["projected", "constraint_dynamics"]
-"""How accelerations are computed: by the equations of ``forward``, or by Pinocchio's ``constraintDynamics``."""
-
 
 External = Callable[[State], Array]
 """From a state to further generalised forces (nv,), N or N·m: friction, disturbances."""
@@ -100,13 +32,9 @@ class Machine:
         amplifiers: the controller behind its amplifiers.
         carrier_law: prescribed motion of the carriers, or None where forces drive them.
         external: further generalised forces.
-        method: how accelerations are computed.
         kernel: machine code for it, and for the projection; what it refuses is computed here.
         held: (h,) tree velocities of joints that stops hold; ``q`` (nq,) is where they do, and ``basis`` that of the
             closure rows in use there.
-
-    Raises:
-        InputError, UnsupportedRobotError: ``method`` is unknown, or cannot take prescribed carriers, or not the robot.
     """
 
     def __init__(
@@ -115,7 +43,6 @@ class Machine:
         amplifiers: Amplifiers,
         carrier_law: CarrierLaw | None,
         external: External | None,
-        method: Method,
         kernel: ForwardKernel | None = None,
         held: Sequence[int] = (),
         q: Array | None = None,
@@ -128,19 +55,16 @@ class Machine:
         self.manifold = Manifold(self.chain, held)
         self.amplifiers, self._law, self._external = amplifiers, carrier_law, external
         self._tree_loads = tree_loads(robot)
-        self._method: Method = method
-        self._constraint_dynamics = _constraint_dynamics(robot, method, carrier_law is not None)
         self._split = robot.model.nq
 
     def with_all_rows(self, q: Array) -> Machine | None:
-        """Return the machine with the combinations of all closure rows that suit q (nq,), by the projected equations.
+        """Return the machine with the combinations of all closure rows that suit q (nq,), without machine code.
 
-        None where the rows in use keep their rank. Machine code, and Pinocchio's ``constraintDynamics``, have the
-        independent rows alone.
+        None where the rows in use keep their rank. Machine code has the independent rows alone.
         """
         if not self.chain.system.has_dependent_rows:
             return None
-        machine = Machine(self.robot, self.amplifiers, self._law, self._external, "projected")
+        machine = Machine(self.robot, self.amplifiers, self._law, self._external)
         machine.chain.use_basis(self.chain.basis)
         machine.chain.place(q)
         if not machine.chain.renew_basis():
@@ -153,9 +77,7 @@ class Machine:
         if not len(held):
             return self
         basis = self.chain.basis
-        return Machine(
-            self.robot, self.amplifiers, self._law, self._external, "projected", None, held.tolist(), q, basis
-        )
+        return Machine(self.robot, self.amplifiers, self._law, self._external, None, held.tolist(), q, basis)
 
     def state(self, t: float, y: Array) -> State:
         """Return the state of y = (q, v) at time t, carriers where the law wants them."""
@@ -263,9 +185,6 @@ class Machine:
         return tree_energy(self.robot, self.chain.data, state.q, state.v)
 
     def _acceleration(self, state: State, force: Array, sheet: Sheet | None) -> Array:
-        # beside a rank loss Pinocchio's solver, damped, gives an acceleration that belongs to no sheet
-        if self._constraint_dynamics is not None and sheet is None:
-            return self._constraint_dynamics(state.q, state.v, force)
         given = self._given(state.t)
         if self.kernel is not None and sheet is None:
             solved = self.kernel.accelerations(state.q, state.v, force, given)
@@ -280,20 +199,3 @@ class Machine:
 def _tree_state(state: State) -> TreeState:
     values = wrench_values(state.robot.loads, np.array([state.t]), state.x[None], state.xd[None])
     return TreeState(state.q, state.v, 0.0 * state.v, [value[0] for value in values])
-
-
-def _constraint_dynamics(robot: Robot, method: str, prescribed: bool) -> ConstraintDynamics | None:
-    one_of(method, "method", get_args(Method))
-    if method == "projected":
-        return None
-    if prescribed:
-        raise InputError(
-            "Pinocchio's constraintDynamics cannot drive carriers by motion.",
-            remedy='Use method="projected", or drive the carriers by force.',
-        )
-    if any(not isinstance(load, (Payload, Wrench)) for load in robot.loads):
-        raise UnsupportedRobotError(
-            "Pinocchio's constraintDynamics knows no friction, springs and rotors that turn with their links.",
-            remedy='Use method="projected".',
-        )
-    return ConstraintDynamics(robot)

@@ -109,12 +109,11 @@ def test_a_stepwise_plan_too_whose_carriers_jump_in_acceleration_at_every_sample
     assert np.abs(drive.carriers(plan.t).s - plan.carriers.s).max() > 1e-3
 
 
-@pytest.mark.long_for("3rrr-projected", "3rrr-constraint_dynamics")
-@pytest.mark.parametrize("method", ["projected", "constraint_dynamics"])
+@pytest.mark.long_for("3rrr")
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
-def test_a_plan_is_followed_by_the_efforts_that_engines_get(planned, name, method):
+def test_a_plan_is_followed_by_the_efforts_that_engines_get(planned, name):
     drive = planned(name)
-    run = run_own(drive.task, method=method)
+    run = run_own(drive.task)
     assert run.status is ResultStatus.OK
     assert run.engine == "redundancy_pin"
     assert run.t[-1] == drive.task.end

@@ -16,11 +16,10 @@ from written import J, urdf_of, write_robot
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.compiled.parameters import topology_of
-from redundancy_pin.errors import DeclarationError, InputError, UnsupportedRobotError
+from redundancy_pin.errors import DeclarationError, InputError
 from redundancy_pin.robot import Coupling, Robot
 from redundancy_pin.simulation import inverse_derivatives
 from redundancy_pin.simulation.forward import ForwardDynamics
-from redundancy_pin.simulation.system import ConstraintDynamics, has_point_closures
 
 JOINTS = [
     J("arm", "revolute", "base", "arm", axis=(0, 1, 0)),
@@ -143,10 +142,6 @@ def test_forward_dynamics_and_derivatives(robot: Robot) -> None:
     by_xd = np.array([force(x, xd + h, xdd) - force(x, xd - h, xdd) for h in steps]).T / 2e-5
     np.testing.assert_allclose(derivatives.force_y, by_x, atol=1e-6 * np.abs(by_x).max())
     np.testing.assert_allclose(derivatives.force_z, by_xd, atol=1e-6 * np.abs(by_xd).max())
-    # Pinocchio's constraints have no couplings: refused by name
-    assert not has_point_closures(robot)
-    with pytest.raises(UnsupportedRobotError, match="'slide of arm'"):
-        ConstraintDynamics(robot)
 
 
 def test_from_a_model_and_held_joints(robot: Robot) -> None:

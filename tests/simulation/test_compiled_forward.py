@@ -438,7 +438,7 @@ def test_controllers_make_their_models_by_machine_code() -> None:
     require_same(run, rp.simulate(robot, drives[1], sampling=sampling, duration=0.1))
 
 
-def test_dynamics_of_another_robot_or_method_are_refused_and_those_without_code_ignored() -> None:
+def test_dynamics_of_another_robot_are_refused_and_those_without_code_ignored() -> None:
     robot = moving.massive("2rpr")
     with pytest.raises(InputError, match="another 2rpr"):
         rp.simulate(robot, duration=0.1, dynamics=compiled(zoo.robot_of("2rpr")))
@@ -446,8 +446,6 @@ def test_dynamics_of_another_robot_or_method_are_refused_and_those_without_code_
         rp.simulate(robot, duration=0.1, dynamics=rp.RneaDynamics("five_bar"))
     with pytest.raises(InputError, match="another 2rpr"):
         ComputedTorque(motion_reference(robot, slow()), dynamics=compiled(zoo.robot_of("2rpr")))
-    with pytest.raises(InputError, match="constraint_dynamics"):
-        rp.simulate(robot, duration=0.1, dynamics=compiled(robot), method="constraint_dynamics")
     start = closed_state(robot, [0.15, 0.2])
     own = rp.simulate(robot, start=start, duration=0.02)
     for other in (rp.RneaDynamics(robot), rp.VirtualWork(robot)):

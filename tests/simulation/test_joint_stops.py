@@ -204,6 +204,51 @@ def test_a_carrier_at_the_end_of_its_track() -> None:
     assert not ended.stop_force.any()
 
 
+class Sliding:
+    """No efforts; every carrier goes outward at a constant speed, m/s, from where it starts, m."""
+
+    def __init__(self, start: Array, speed: float) -> None:
+        self._start, self._speed = start, speed
+
+    def effort(self, t: float, state: State) -> tuple[Array, Array]:
+        return np.zeros(state.robot.m), np.zeros(state.robot.k)
+
+    def carrier_motion(self, t: float) -> tuple[Array, Array, Array]:
+        still = 0.0 * self._start
+        return self._start + self._speed * t, still + self._speed, still
+
+
+def test_carriers_driven_by_motion_have_no_stops_and_the_joints_keep_theirs() -> None:
+    """The five-bar with carriers, its first elbow limited to the angle that it starts at."""
+    shipped = rp.load_robot("five_bar", carriers=True, gravity=(0, -G, 0))
+    speed = 0.5
+    begin = np.array([one.upper for one in shipped.carrier_limits]) - 0.02
+    start, drive = closed_state(shipped, [0.25, 0.7], [0.8, 0.3], begin, speed), Sliding(begin, speed)
+    model = pin.Model(shipped.model)
+    elbow = model.joints[model.getJointId("elbow_1")].idx_q
+    limits = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    limits[0][elbow], limits[1][elbow] = start.q[elbow] - 0.2, start.q[elbow] + 0.2
+    model.lowerPositionLimit, model.upperPositionLimit = limits
+    robot = replace(shipped, model=model)
+    start = tree_state(robot, start.q, start.v)
+    run = inelastic(robot, drive, start=start, duration=0.6, carriers="motion", stop_at=())
+    assert run.status is ResultStatus.OK
+    np.testing.assert_allclose(run.s, begin + speed * run.t[:, None], rtol=0.0, atol=1e-12)
+    assert not run.stop_force[:, robot.carrier_velocity].any()
+    passed = of_kind(run, "track")
+    assert {event.name for event in passed} == {f"{name} upper" for name in robot.carriers}
+    for event in passed:
+        assert (event.terminal, event.impulse) == (False, 0.0)
+        assert event.t == pytest.approx(0.02 / speed, abs=1e-8)
+    hits = of_kind(run, "joint_limit")
+    assert hits
+    assert min(event.impulse for event in hits) > 0.0
+    assert np.abs(run.q[:, elbow] - start.q[elbow]).max() <= 0.2 + 1e-8
+    ended = inelastic(robot, drive, start=start, duration=0.6, carriers="motion")
+    assert (ended.status, ended.events[-1].kind) == (ResultStatus.STOPPED, "track")
+    assert ended.t[-1] == pytest.approx(0.02 / speed, abs=1e-8)
+
+
 def test_a_start_that_moves_into_its_stop_loses_its_speed_at_once(tmp_path: Path) -> None:
     robot = pendulum(tmp_path, (-0.5, 2.0))
     run = inelastic(robot, start=tree_state(robot, [-0.5], [-3.0]), duration=0.1)

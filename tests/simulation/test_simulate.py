@@ -12,9 +12,11 @@ from spatial_chains import chain_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import IllPosedModelError, InputError, UnsupportedRobotError
+from redundancy_pin.errors import IllPosedModelError, InputError
 from redundancy_pin.robot import Robot
+from redundancy_pin.simulation import Simulation
 from redundancy_pin.simulation.controllers.base import Constant, Controller, Sampling
+from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr
 from redundancy_pin.simulation.state import State, closed_state, tree_state
 from redundancy_pin.status import ResultStatus
 
@@ -101,16 +103,15 @@ def test_resampled_platform_motion_is_that_of_a_finer_run() -> None:
         coarse.at([0.6])
 
 
-def test_both_methods_and_both_integrators_give_the_same_motion() -> None:
+def test_both_explicit_integrators_give_the_same_motion() -> None:
     robot = moving.massive("3rrr")
     start = closed_state(robot, xd=[0.2, -0.3, 0.4], sd=0.2)
-    runs = [
+    run, other = (
         rp.simulate(robot, Spring(home(robot)), start=start, duration=0.25, **options)
-        for options in ({}, {"method": "constraint_dynamics"}, {"integrator": "RK45", "rtol": 1e-12})
-    ]
-    for other in runs[1:]:
-        np.testing.assert_allclose(other.q, runs[0].q, atol=SAME)
-        np.testing.assert_allclose(other.closure_force, runs[0].closure_force, atol=100 * SAME)
+        for options in ({}, {"integrator": "RK45", "rtol": 1e-12})
+    )
+    np.testing.assert_allclose(other.q, run.q, atol=SAME)
+    np.testing.assert_allclose(other.closure_force, run.closure_force, atol=100 * SAME)
 
 
 def test_carriers_by_motion_and_by_the_forces_this_takes_give_the_same_motion() -> None:
@@ -241,7 +242,6 @@ REFUSED = {
     "max_steps": ({"duration": 1.0, "max_steps": 0}, "max_steps is 0"),
     "part of a step": ({"duration": 1.0, "max_steps": 0.5}, "max_steps is 0.5"),
     "max_step": ({"duration": 1.0, "max_step": np.nan}, "max_step is nan"),
-    "method": ({"duration": 1.0, "method": "sideways"}, "constraint_dynamics"),
     "carriers": ({"duration": 1.0, "carriers": "glued"}, "Use one of force, motion"),
     "no law": ({"duration": 1.0, "carriers": "motion"}, "carrier_motion"),
     "stop_at": ({"duration": 1.0, "stop_at": ["lunch"]}, "joint_limit"),
@@ -287,22 +287,6 @@ def test_bad_starts_are_refused_by_name() -> None:
     assert rp.simulate(robot, start=closed_state(robot, s=[0.0, 1.5, 0.0]), duration=0.01, stop_at=()).s[0, 1] == 1.5
 
 
-def test_what_a_method_cannot_do_is_refused() -> None:
-    robot = zoo.robot_of("3rrr")
-
-    class Parked(Controller):
-        def effort(self, t: float, state: State) -> tuple[Array, Array]:
-            return np.zeros(3), np.zeros(3)
-
-        def carrier_motion(self, t: float) -> tuple[Array, Array, Array]:
-            return np.zeros(3), np.zeros(3), np.zeros(3)
-
-    with pytest.raises(InputError, match="cannot drive carriers by motion"):
-        rp.simulate(robot, Parked(), duration=1.0, carriers="motion", method="constraint_dynamics")
-    with pytest.raises(UnsupportedRobotError, match="cannot take closure"):
-        rp.simulate(chain_of("hinge"), duration=1.0, method="constraint_dynamics")
-
-
 def test_an_object_with_the_attributes_of_a_controller_is_one() -> None:
     robot = moving.massive("3rrr")
 
@@ -319,6 +303,49 @@ def test_an_object_with_the_attributes_of_a_controller_is_one() -> None:
     assert [run.statistics.restarts for run in runs] == [2, 2]
     assert runs[0].statistics.steps < 10  # the last stage before a jump does not see the efforts after it
     assert runs[0].t[-1] == 0.05
+
+
+def test_wrong_words_are_refused_before_a_plan_is_read() -> None:
+    class Slow(Controller):
+        def effort(self, t: float, state: State) -> tuple[Array, Array]:
+            return np.zeros(3), np.zeros(3)
+
+        def start_state(self, robot: Robot) -> State:
+            raise AssertionError("asked for its start")
+
+    wrong = {
+        "carriers": "glued",
+        "duration": -1.0,
+        "dt": 0.0,
+        "stop_at": ("lunch",),
+        "joint_stops": "rubber",
+        "restart_at": "noon",
+        "effort_limit": -1.0,
+        "carrier_force_limit": -1.0,
+        "integrator": "Euler",
+    }
+    for name, value in wrong.items():
+        with pytest.raises(InputError, match=name):
+            rp.simulate(zoo.robot_of("3rrr"), Slow(), **{"duration": 1.0, name: value})  # type: ignore[arg-type]
+
+
+def test_a_plan_anew_for_the_robot_with_mass_is_what_a_massless_one_needs() -> None:
+    """The 2-RPR across the line of its legs, where nothing of a massless one has inertia along them."""
+    path = rp.trajectory.Line((0.17, 0.06), (0.2, -0.06))
+    motion = rp.trajectory.Trajectory(path, rp.trajectory.RestToRest(path.length, duration=1.0))
+
+    def controlled(**masses: float) -> Simulation:
+        robot = rp.load_robot("2rpr", **masses)
+        controller = TimeVaryingLqr(rp.plan_whole_trajectory(robot, motion), motion=motion)
+        return rp.simulate(robot, controller, rtol=1e-7, atol=1e-8)
+
+    with pytest.raises(IllPosedModelError, match=r"end_effector_mass=0\.1\), and make plans and controllers anew"):
+        controlled()
+    run = controlled(end_effector_mass=0.1)
+    assert (run.status, run.t[-1]) == (ResultStatus.OK, 1.0)
+    np.testing.assert_allclose(run.x[-1], (0.2, -0.06), atol=1e-5)
+    np.testing.assert_allclose(run.x @ (0.12, 0.03), 0.17 * 0.12 + 0.06 * 0.03, atol=1e-6)  # on its line
+    assert run.x[0, 1] > 0.0 > run.x[-1, 1]
 
 
 def test_an_ill_posed_start_is_an_error_and_an_ill_posed_pose_on_the_way_a_failure() -> None:

@@ -14,7 +14,6 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.simulate import ATOL, RTOL, simulate
 from redundancy_pin.simulation.state import State, tree_state
-from redundancy_pin.simulation.system import Method
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -64,7 +63,6 @@ def run_own(
     atol: float = ATOL,
     integrator: Literal["DOP853", "RK45"] = "DOP853",
     restart_at: Literal["breaks", "jumps"] = "breaks",
-    method: Method = "projected",
     dt: float = 0.01,
     dynamics: Dynamics | None = None,
 ) -> EngineRun:
@@ -76,7 +74,6 @@ def run_own(
         atol: absolute tolerance of a step, m, rad, m/s and rad/s.
         integrator: "DOP853" or "RK45".
         restart_at: "breaks" or "jumps", see ``simulate``.
-        method: "projected" or "constraint_dynamics", see ``simulate``.
         dt: interval between the instants of the result, s.
         dynamics: a backend with forward dynamics in machine code, see ``simulate``.
 
@@ -84,11 +81,11 @@ def run_own(
         The motion; ``steps`` are those of the integrator. Where it failed the status is ``STOPPED``.
 
     Raises:
-        UnsupportedRobotError: see ``method``.
+        UnsupportedRobotError: see ``simulate``.
         InputError: a setting out of its domain.
         IllPosedModelError, SingularPoseError: at the start, forces do not determine the acceleration.
     """
-    options = {"rtol": rtol, "atol": atol, "integrator": integrator, "restart_at": restart_at, "method": method}
+    options = {"rtol": rtol, "atol": atol, "integrator": integrator, "restart_at": restart_at}
     run = simulate(task.robot, TaskEfforts(task), stop_at=(), dt=dt, dynamics=dynamics, **options)  # type: ignore[arg-type]
     return EngineRun(
         engine="redundancy_pin",
