@@ -136,7 +136,7 @@ def _sizes(planner: RecedingHorizon) -> dict[str, int]:
 
 
 def _near(robot: Robot) -> int:
-    return NEIGHBOURS * (robot.model.nq + (16 if is_pose(robot) else robot.n))
+    return NEIGHBOURS * (int(robot.model.nq) + (16 if is_pose(robot) else robot.n))
 
 
 def plan_facts(planner: RecedingHorizon, recorded: RecordedPlan) -> dict[str, Any]:
