@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import click
@@ -104,6 +104,9 @@ def simulate(
     if video:
         require_video(video)
     output.require_outputs(out, (".npz", ".csv"), plot, (plan_path, motion.file))
+    options.require_known(given["friction"], FRICTION, "--friction")
+    if NEVER in given["stop_at"] and len(set(given["stop_at"])) > 1:
+        raise InputError(f"--stop-at is {' and '.join(sorted(given['stop_at']))}.", remedy="Give one or the other.")
     sampling = _sampling(given)
     with output.progress("simulate") as advance:
         advance(0, 3, "reading")
@@ -115,7 +118,7 @@ def simulate(
             mode, gravity = nominal.working_mode or None, nominal.gravity.tolist()
             machine = load_with(nominal.source, changed, gravity=gravity, working_mode=mode, trust=robot.trust)
         advance(1, 3, "simulation")
-        run = _run(machine, reference, sampling, given)
+        run = _run(machine, reference, sampling, given, lambda t, end: advance(0, 0, f"at {t:.3g} of {end:.3g} s"))
         advance(2, 3, "writing")
         if out and out.lower().endswith(".csv"):
             run.table(machine).to_csv(out)
@@ -181,7 +184,13 @@ def _planned(
     return nominal, reference, getattr(followed, "ends", None)
 
 
-def _run(machine: Robot, reference: MotionReference, sampling: Sampling | None, given: Mapping[str, Any]) -> Simulation:
+def _run(
+    machine: Robot,
+    reference: MotionReference,
+    sampling: Sampling | None,
+    given: Mapping[str, Any],
+    progress: Callable[[float, float], None],
+) -> Simulation:
     limits = {name: given[name] for name in ("effort_limit", "carrier_force_limit")}
     controller: Any = controller_by_name(CONTROLLERS[given["controller"]], reference, sampling=sampling, **limits)
     point = reference.at(reference.start)
@@ -193,9 +202,6 @@ def _run(machine: Robot, reference: MotionReference, sampling: Sampling | None, 
     if given["noise"]:
         controller = NoisyAmplifier(controller, np.random.default_rng(given["seed"] or 0), given["noise"])
     friction, events = given["friction"], set(given["stop_at"])
-    options.require_known(friction, FRICTION, "--friction")
-    if NEVER in events and len(events) > 1:
-        raise InputError(f"--stop-at is {NEVER} and {max(events - {NEVER})}.", remedy="Give one or the other.")
     digital: dict[str, Any] = {"rtol": CONTROLLED_RTOL, "atol": CONTROLLED_ATOL, "integrator": "RK45"}
     return run_simulation(
         machine,
@@ -208,6 +214,7 @@ def _run(machine: Robot, reference: MotionReference, sampling: Sampling | None, 
         external=joint_friction(machine, **friction) if friction else None,
         stop_at=sorted(events - {NEVER}),
         joint_stops=given["joint_stops"] or "end",
+        progress=progress,
         **limits,
         **({} if sampling is None else digital),
     )

@@ -157,6 +157,7 @@ def _integrate_interval(
     while progress.status is None and progress.t < interval.end:
         if ordinary is not None and progress.sheet is None:
             progress = ordinary.take(progress, interval, hold, record)
+            _report(problem, progress)
             if progress.t >= interval.end:
                 break
         rate = Rate(problem, hold, interval.end, progress.sheet)
@@ -169,12 +170,18 @@ def _integrate_interval(
                 again = result
             else:
                 progress = result
+                _report(problem, progress)
             if ordinary is not None and progress.sheet is None:
                 break  # the next one may be ordinary
         progress = replace(progress, next_step=stepper.h_abs, evaluations=progress.evaluations + rate.evaluations)
         if again is not None:
             progress = _retried(problem, progress, again)
     return progress
+
+
+def _report(problem: InitialValueProblem, progress: SimulationProgress) -> None:
+    if problem.report is not None:
+        problem.report(progress.t, float(problem.grid[-1]))
 
 
 def _retried(problem: InitialValueProblem, progress: SimulationProgress, again: Retry) -> SimulationProgress:

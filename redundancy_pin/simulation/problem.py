@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -81,6 +81,7 @@ class InitialValueProblem:
         grid: (G,) times at which to record, s, first and last included.
         breaks: inner times at which efforts jump, s.
         sampling: of a digital controller, or None.
+        report: called with the time that is reached and the last one, s; None where nobody asks.
     """
 
     machine: Machine
@@ -95,6 +96,7 @@ class InitialValueProblem:
     grid: Array
     breaks: Array
     sampling: Sampling | None
+    report: Callable[[float, float], None] | None = None
 
     @property
     def shortest(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import Literal, get_args
 
@@ -78,6 +78,7 @@ def simulate(
     integrator: Literal["DOP853", "RK45", "Radau"] = "DOP853",
     restart_at: Literal["breaks", "jumps"] = "breaks",
     dynamics: DynamicsLike | None = None,
+    progress: Callable[[float, float], None] | None = None,
 ) -> Simulation:
     """Simulate a closed-chain robot under given efforts.
 
@@ -116,6 +117,7 @@ def simulate(
         dynamics: this robot again, or its name or path, for generated code (``as_dynamics``); or a backend of it.
             Generated code then takes the ordinary steps of explicit integrators: many times as fast, the same to the
             tolerances. Backends without forward dynamics make no difference.
+        progress: called with the time that is reached and the last one, s, after steps of the integrator.
 
     Returns:
         A ``Simulation``. Its status tells what went wrong on the way: an event at which it stopped, or a failure
@@ -189,8 +191,9 @@ def simulate(
         grid=grid,
         breaks=breaks,
         sampling=sampling,
+        report=progress,
     )
-    record, progress = integrate(problem, y, values, command, sheet)
+    record, reached = integrate(problem, y, values, command, sheet)
     parameters = {
         "drive": drive.planner if isinstance(drive, Plan) else controller.class_name(),
         "carriers": carriers,
@@ -207,7 +210,7 @@ def simulate(
         "restart_at": restart_at,
         "dt": dt,
     }
-    return _simulation(machine, record, progress, parameters)
+    return _simulation(machine, record, reached, parameters)
 
 
 def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None, sampling: Sampling | None) -> Controller:

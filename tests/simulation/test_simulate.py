@@ -457,3 +457,18 @@ def test_a_controller_without_an_answer_to_a_trial_step_alone_does_no_harm() -> 
     constant = rp.simulate(robot, Constant(drive.tau, drive.carrier_force), duration=0.1)
     assert run.status is ResultStatus.OK
     np.testing.assert_allclose(run.q, constant.q, atol=SAME)
+
+
+def test_it_tells_how_far_it_is() -> None:
+    """With generated code and without: times that never fall, to the end."""
+    robot = rp.load_robot("five_bar", carriers=True)
+    for dynamics in (None, rp.CompiledDynamics(robot)):
+        told: list[tuple[float, ...]] = []
+        run = rp.simulate(
+            robot, duration=0.3, dynamics=dynamics, progress=lambda t, end, told=told: told.append((t, end))
+        )
+        times = np.array(told)
+        assert run.status.value == "ok"
+        assert (np.diff(times[:, 0]) >= 0.0).all()
+        assert times[-1, 0] == pytest.approx(0.3)
+        assert (times[:, 1] == times[-1, 0]).all()
