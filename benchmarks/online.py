@@ -137,14 +137,14 @@ def judged(name, dynamics, number, trajectory, least):
     """Plan one path; return a record of it, with the peak over the least known off line where that is asked for."""
     planner, began = RecedingHorizon(dynamics), time.thread_time()
     record = {"machine": name, "path": number, "duration": trajectory.duration, "ratio": None}
-    spent, solver = [], []
+    spent, iterations = [], []
     update = planner.update
 
     def timed(*given):
         before = time.thread_time()
         command = update(*given)
         spent.append(1e3 * (time.thread_time() - before))
-        solver.append(1e3 * command.solver_seconds)
+        iterations.append(planner.updates.last.iterations)
         return command
 
     planner.update = timed
@@ -167,6 +167,7 @@ def judged(name, dynamics, number, trajectory, least):
         "outside": outside(plan, dynamics.robot),
         "slowed": slowed(dynamics, trajectory) if failed else None,
         "milliseconds": [round(x, 3) for x in spent[1:]],
+        "iterations": iterations[1:],
         "cpu": time.thread_time() - began,
     }
 
@@ -331,17 +332,32 @@ def without_end(times):
 
 
 def endless(ticks=100000):
-    """Print the statuses of so many ticks of one planner, and the largest memory so far at every tenth of them."""
-    planner, counts = RecedingHorizon(machine("2rpr")), Counter()
+    """Print, at every tenth of so many ticks of one planner: statuses, memory, iterations and times so far."""
+    planner, counts, tenth = RecedingHorizon(machine("2rpr")), Counter(), max(int(ticks) // 10, 1)
     path, crossings, sign = Preview(without_end, 0.0, 1e9), 0, 0.0
+    iterations, spent = Counter(), Counter()  # how often each, so that what is measured takes no memory
     for i in range(int(ticks)):
+        before = time.thread_time()
         command = planner.update(planner.step * i, path)
+        if i:
+            spent[round(1e3 * (time.thread_time() - before), 2)] += 1
+            iterations[planner.updates.last.iterations] += 1
         counts[command.status.value] += 1
         y = np.sign(without_end(np.array([planner.step * i])).x[0, 1])
         crossings, sign = crossings + (y != sign), y
-        if (i + 1) % (int(ticks) // 10) == 0:
+        if (i + 1) % tenth == 0:
             size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-            print(f"{i + 1} ticks: {dict(counts)}, {crossings - 1} times over y = 0, {size:.0f} MiB", flush=True)
+            told = f"{i + 1} ticks: {dict(counts)}, {crossings - 1} times over y = 0, {size:.0f} MiB"
+            print(f"{told}; iterations {spread(iterations)}; ms {spread(spent)}", flush=True)
+
+
+def spread(counts):
+    """Return the median, some percentiles and the largest of counted numbers, and how many times the median that is."""
+    numbers = np.array(sorted(counts))
+    up_to = np.cumsum([counts[number] for number in numbers.tolist()])
+    median, *more = numbers[np.searchsorted(up_to, np.array([0.5, 0.99, 0.999, 1.0]) * up_to[-1])]
+    told = ", ".join(f"{number:.3g}" for number in (median, *more))
+    return f"(median, 99 %, 99.9 %, largest) {told}: {more[-1] / median:.2g} times"
 
 
 def imperfect(number, times, **settings):
@@ -400,7 +416,7 @@ def main(name="2rpr", count=10, least=10, file="build/online.jsonl"):
         records.append(judged(name, dynamics, number, trajectory, number < int(least)))
         with file.open("a") as out:
             out.write(json.dumps(records[-1]) + "\n")
-        shown = {key: value for key, value in records[-1].items() if key != "milliseconds"}
+        shown = {key: value for key, value in records[-1].items() if key not in ("milliseconds", "iterations")}
         print(shown, flush=True)
     planned = [record for record in records if "ticks" in record]
     whole = sum(record["ticks"]["ok"] == sum(record["ticks"].values()) for record in planned)
