@@ -220,6 +220,12 @@ static void rates_of(const Scaling *z, double *least, double *most) {
     }
 }
 
+/* The preview's time at a time of the clock, not before its start: an update may be earlier by rounding. */
+static void seen_at(const Sight *v, double t, double *sigma, double *rate, double *bend) {
+    sigma_at(v->scaling, t, sigma, rate, bend);
+    *sigma = larger(*sigma, v->preview->start);
+}
+
 /* --- instants ------------------------------------------------------------------------------------------------------ */
 
 /* Forget all but the instants before a time around which the nodes stay. */
@@ -274,7 +280,7 @@ static int add_instants(const Sight *v, const double *t, long count) {
         double sigma[BATCH], rate[BATCH], bend[BATCH];
         long can = 0, there = 0;
         part = count < BATCH ? count : BATCH;
-        for (; can < part && t[can] <= w->blocked; can++) sigma_at(v->scaling, t[can], sigma + can, rate + can, bend + can);
+        for (; can < part && t[can] <= w->blocked; can++) seen_at(v, t[can], sigma + can, rate + can, bend + can);
         if (can) there = v->preview->evaluate(v->preview->context, can, t, sigma, rate, bend, w->some);
         if (there < 0 || w->frees < part) return 0;
         if (there < part) w->blocked = smaller(w->blocked, t[there]);
@@ -390,7 +396,7 @@ static int zeros_within(const Sight *v, double start, double end, double *zero) 
     double least = INFINITY, most = 0.0, low = INFINITY, high = -INFINITY;
     for (int i = 0; i < POINTS; i++) {
         x[i] = -cos(PI * (i + 0.5) / POINTS), t[i] = middle + half * x[i];
-        sigma_at(v->scaling, t[i], sigma + i, rate + i, bend + i);
+        seen_at(v, t[i], sigma + i, rate + i, bend + i);
     }
     long there = v->preview->evaluate(v->preview->context, POINTS, t, sigma, rate, bend, w->some);
     if (there < POINTS) return there < 0 ? -1 : 0;
@@ -499,7 +505,6 @@ static int look(const Sight *v, double start, double end) {
     Window *w = v->window;
     double spacing = v->step / PARTS, times[GRID], crossed[MOST_ROOTS], beside[3 * MOST_ROOTS];
     double ends = clock_at(v->scaling, v->preview->end);
-    start = larger(start, clock_at(v->scaling, v->preview->start));
     end = smaller(smaller(end, ends), start + v->step * (STEPS + 0.5));
     int in_sight = !w->looked || (w->begin <= start && start <= smaller(w->last, w->blocked) + SAME);
     if (v->preview->changing || !in_sight) clear(w, v->preview->changing ? start : -INFINITY, v->step);

@@ -413,3 +413,27 @@ def test_a_start_beyond_a_limit_leaves_a_planner_that_goes_on(s: float, sd: floa
     assert first.status is UpdateStatus.RELAXED
     later = [planner.update(0.02 * i, CIRCLE, [0.1, 0.1], [0.0, 0.0]) for i in range(1, 6)]
     assert all(command.status in (UpdateStatus.OK, UpdateStatus.TIME_SCALED) for command in later)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.5e-9])
+def test_a_platform_that_stands_goes_on_with_a_preview_that_begins_there(late: float) -> None:
+    """Where its time is (``Command.scaling``), or within rounding later; the first one leads out of reach."""
+    motion, planner = out_of_reach(), RecedingHorizon(machine("five_bar")[0], slow_down=True)
+    t, command = 0.0, planner.update(0.0, motion)
+    while final_rate(command) > 0.0 or t < command.scaling.settled + 0.1:
+        t += 0.02
+        command = planner.update(t, motion)
+        assert t < 5.0
+    own = float(command.scaling.at([t])[0][0])
+    place = motion.sample_at([own]).x[0]
+
+    def back(times):
+        u = np.maximum(times - own, 0.0)
+        x = np.stack([place[0] - 0.1 * (1.0 - np.cos(u)), np.full(len(u), place[1])], axis=1)
+        xd, xdd = (np.stack([-0.1 * part, 0.0 * u], axis=1) for part in (np.sin(u), np.cos(u)))
+        return rp.PlatformMotion(times, x, xd, xdd, check_rates=False)
+
+    ahead = Preview(back, own + late, own + 100.0)
+    commands = [planner.update(t + 0.02 * i, ahead) for i in range(1, 60)]
+    assert {c.status for c in commands} <= {UpdateStatus.OK, UpdateStatus.TIME_SCALED}
+    assert final_rate(commands[-1]) > 0.0
