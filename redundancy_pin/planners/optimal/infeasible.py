@@ -30,6 +30,9 @@ from redundancy_pin.planners.robot_record import RobotRecord
 NOTHING = 1e-5
 """A relaxation below this fraction of a limit is none: the objective and the reserve leave as much."""
 
+NOISE = 1e-4
+"""Relaxations below this fraction beside larger ones are what the barrier of a rough solution leaves: at most 2e-5."""
+
 SPARED = 15_000
 """Iterations, times nodes, for finding out whether one limit does by itself: a second of the processor."""
 
@@ -48,8 +51,8 @@ SAME = 1e-3
 ENOUGH = 150
 """Nodes, beside those of events, that tell which limits are in the way."""
 
-TOUCHED = 1e-4
-"""Fraction of its range within which a limit counts as reached."""
+TOUCHED = 2e-3
+"""Fraction of its range within which a limit counts as reached: the barrier of a rough solution keeps off by 2e-4."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,19 +103,22 @@ def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str
         exact = found if problem.timing is not None else search.exactly(problem, found, kinds)
         if exact.problem is problem and exact.solution.optimal and not _exceeded(exact.solution):
             return exact  # with a price on several limits the solver ended elsewhere
-        relaxed |= dict.fromkeys(kinds, exact)
+        needed = [kind for kind in kinds if slack(exact.solution, kind) > NOTHING] or kinds
+        relaxed |= dict.fromkeys(needed, exact)
     order = sorted(relaxed, key=lambda kind: slack(relaxed[kind].solution, kind))
     events = [elastic_event(relaxed[kind], robot, kind) for kind in order]
     text = ("; or " if alone else "; and ").join(str(event.pop("text")) for event in events)
     untried, in_vain = ([name_of(kind) for kind in kinds] for kinds in (search.untried, search.in_vain))
     rest = f" Not tried to the end: {', '.join(untried)} alone." if untried else ""
     rest += f" Tried without a motion, which is no proof: {', '.join(in_vain)} alone." if in_vain else ""
+    if problem.timing is None and any(found.problem is not problem for found in relaxed.values()):
+        rest += " The numbers are of a coarser mesh: all nodes may need a little more."
     what = "motion of the carriers" if problem.timing is None else "timing"
     raise InfeasiblePlanError(
         f"No {what} keeps every limit. What would suffice: {text}.{rest}",
         remedy=_remedy(problem),
         relaxations=tuple(events),
-        together=not alone and len(exceeded) > 1,
+        together=not alone and len(events) > 1,
         untried=(*untried, *in_vain),
         **events[0],
     )
@@ -262,7 +268,8 @@ def slack(solution: Solution, kind: str) -> float:
 
 def _exceeded(elastic: Solution) -> list[str]:
     """Return the kinds of limits that gave way."""
-    return [kind for kind in elastic.rows["elastic"] if slack(elastic, kind) > NOTHING]
+    found = [kind for kind in elastic.rows["elastic"] if slack(elastic, kind) > NOTHING]
+    return [kind for kind in found if slack(elastic, kind) > NOISE] or found
 
 
 def coarser(problem: Problem) -> Problem:
@@ -315,7 +322,7 @@ def nothing_helps(outcome: Outcome, message: str) -> InfeasiblePlanError:
     if elastic.message == OUT_OF_TIME:
         constraint = "seconds"
         text = "The time ran out before any plan was found, and before any limit was shown to be in the way."
-        remedy = "Allow more seconds, or a longer dt."
+        remedy = "Allow more seconds, or a longer dt." if problem.timing is None else "Allow more seconds."
     else:
         constraint = "balance"
         said = ", then ".join(filter(None, (message, elastic.message)))
@@ -358,7 +365,8 @@ def elastic_event(elastic: Outcome, robot: RobotRecord, kind: str) -> dict[str, 
     if kind != "track" and low[j] == -high[j]:
         # a limit of the size, as users write it; the ends of a track are places
         limit, enough = abs(limit), abs(enough)
-    fraction = amount / (0.5 * float(high[j] - low[j]))  # of the limit, however small that is
+    half = 0.5 * float(high[j] - low[j])
+    fraction = amount / half if np.isfinite(half) else fraction  # of the limit, however small that is
     percent = f"{100.0 * fraction:.3g}" if fraction < 1.0 else f"{100.0 * fraction:.0f}"
     where = f"t = {t[i]:.6g} s" if problem.timing is None else f"{100.0 * problem.grid.t[i] / problem.grid.t[-1]:.3g} %"
     where += "" if problem.timing is None else " of the path"

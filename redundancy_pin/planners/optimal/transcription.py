@@ -154,7 +154,7 @@ class Transcription(Quantities):
         """
         copies = self.nlp.variable(name, (-(-nodes // SHARED), 1), 0.0)
         self.nlp.within(copies[1:] - copies[:-1])
-        return copies[(np.arange(nodes) // SHARED).tolist()], ca.sum1(copies) / copies.shape[0]
+        return copies[(np.arange(nodes) // SHARED).tolist(), 0], ca.sum1(copies) / copies.shape[0]
 
     @cached_property
     def force(self) -> Expression:

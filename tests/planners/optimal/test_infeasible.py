@@ -495,3 +495,33 @@ def test_a_timing_under_efforts_that_do_not_hold_the_robot_names_those_that_woul
     assert planned(WIDER * details["limit"]).status is ResultStatus.OK
     with pytest.raises(InfeasiblePlanError):
         planned(NARROWER * details["limit"])
+
+
+@pytest.mark.parametrize("dt", [0.2, 10.0])
+def test_a_handful_of_nodes_is_planned_and_refused_as_many_are(dt: float) -> None:
+    motion, mesh = straight((0.15, 0.4), (0.25, 0.3), 0.2), rp.Mesh(dt=dt)
+    robot = rp.load_robot("2rpr")
+    assert rp.plan_whole_trajectory(robot, motion, mesh=mesh, objective="peak").status.value in ("ok", "unresolved")
+    with pytest.raises(InfeasiblePlanError, match="What would suffice"):
+        rp.plan_whole_trajectory(robot, motion, mesh=mesh, limits=rp.Limits(effort=1e-3))
+
+
+def test_limits_that_give_way_by_the_rounding_of_a_rough_solution_are_not_named() -> None:
+    """The track and the end state take 1.4e-8 % there, beside a force that has to be four times as large."""
+    motion = straight((0.186, 0.401), (0.333, -0.321), 0.4746)
+    limits = rp.Limits(track=(-0.027, 0.027), carrier_force=0.05)
+    with pytest.raises(InfeasiblePlanError) as refused:
+        rp.plan_whole_trajectory("2rpr", motion, end="rest", limits=limits, mesh=rp.Mesh(refinements=0))
+    assert [event["constraint"] for event in refused.value.details["relaxations"]] == ["force"]
+    enough = rp.Limits(track=(-0.027, 0.027), carrier_force=1.02 * refused.value.details["limit"])
+    plan = rp.plan_whole_trajectory("2rpr", motion, end="rest", limits=enough, mesh=rp.Mesh(refinements=0))
+    assert np.abs(plan.carrier_force).max() <= 1.03 * refused.value.details["limit"]
+
+
+def test_a_limit_that_is_reached_is_named_beside_others_and_one_end_of_a_track_has_its_share() -> None:
+    limits = rp.Limits(track=(-1e-4, np.inf), effort=0.05)
+    with pytest.raises(InfeasiblePlanError) as refused:
+        rp.plan_whole_trajectory("2rpr", straight((0.15, 0.4), (0.25, 0.3), 0.2), mesh=rp.Mesh(dt=0.02), limits=limits)
+    events = {event["constraint"]: event for event in refused.value.details["relaxations"]}
+    assert set(events) == {"end", "track", "effort"}
+    assert events["track"]["fraction"] > 0.0
