@@ -81,11 +81,10 @@ def objects() -> dict[str, Any]:
         "design task": DesignTask(dynamics, motion),
         "co-design": CoDesign({"length": 1.0}, (), np.ones(1), np.ones(1), np.ones((1, 1)), (), True, (), 0),
         "preview": Preview.of(motion),
-        "slower preview": Preview.of(motion).scaled(slower := TimeScaling.none(0.0).changed(0.1, 0.5, 0.2)),
-        "slower motion": ScaledMotion(as_motion(motion), slower),
+        "slower motion": ScaledMotion(as_motion(motion), TimeScaling.none(0.0).changed(0.1, 0.5, 0.2)),
         "on-line run": OnLineRun(
             (stepwise := rp.plan_stepwise(dynamics, trajectory)),
-            (Command(0.0, UpdateStatus.OK, "", *[polynomial] * 3, 0.0, 0.0, three, 0.1, 0.0, 0.0),),
+            (Command(0.0, UpdateStatus.OK, "", *[polynomial] * 3, 0.0, 0.0, three, 0.1, 0.0),),
         ),
         "symbolic": rp.symbolic(small),
         "legs": three_rrr.inverse_displacement(three_rrr.ThreeRrrGeometry.from_parameters(robot.parameters), motion.x),

@@ -193,7 +193,7 @@ export plan.npz --to plan.npz => --to plan.npz does not end in .csv or .json or 
 {RUN} --friction revolute_coulomb=-1 => revolute_coulomb is -1.0
 {RUN} --stop-at never --stop-at track => --stop-at is never and track
 {RUN} --effort-limit 1,2 => effort_limit is [1.0
-{RUN} --duration -1 => The simulation would last from 0.0 to -1.0 s
+{RUN} --duration -1 => duration is -1.0 s
 {RUN} --dt -1 => dt is -1 s
 {RUN} --noise 1 --period 0.01 --seed -3 => Invalid value for '--seed'
 {RUN} --out run.txt => --out run.txt does not end in .npz or .csv

@@ -76,7 +76,7 @@ def test_simulate(flag: str, function: str, fails: Fails, motion_file: Path, tmp
 
 def test_workspace(fails: Fails, tmp_path: Path) -> None:
     out = tmp_path / "nodes.csv"
-    fails("visualisation.figures.workspace_map", "draw_workspace", out)
+    fails("cli.workspace", "draw_workspace", out)
     small = ("--bounds", "0.1:0.4,0.2:0.5", "--resolution", "5")
     facts = lost_nothing("workspace", "--robot", "five_bar", *small, "--out", out, "--plot", tmp_path / "map.svg")
     assert facts["nodes"] == 25
