@@ -79,6 +79,13 @@ BORDER_GIVES = _line(
     "BORDER_GIVES", 1e-13, "1", "by which their rows, which may depend on each other, give", "accuracy"
 )
 SAME_ROW = _line("SAME_ROW", 1e-8, "1", "share of the jerk in such a row below which it has none", "accuracy")
+SLOWEST = _line(
+    "SLOWEST",
+    0.1,
+    "1/horizon",
+    "of the largest entry of W: rate of W that the size of such a row counts at least",
+    "trial",
+)
 REGULAR = _line(
     "REGULAR", 1e-3, "1", "smallest over largest singular value of W from which W⁻¹ f is the effort", "trial"
 )
@@ -129,7 +136,17 @@ SMALLEST = _line(
 )
 SMALLEST_FORCE = _line("SMALLEST_FORCE", 1e-6, "N, N·m", "unit of f at least", "accuracy")
 
+DEPENDENT = _line(
+    "DEPENDENT",
+    1e-9,
+    "1",
+    "of a row of W τ = f that the others leave, over the largest: a row without rank",
+    "accuracy",
+)
+CONVEX = _line("CONVEX", 1e-8, "1", "least weight of s, ṡ and the peak: the cost has one minimum", "accuracy")
+
 # limits
+NO_LIMIT = _line("NO_LIMIT", 1e20, "1", "limit, in units, from which there is none", "convention")
 CLOSER = _line(
     "CLOSER", 1e-5, "1", "by which limits are closer at the end of the horizon", "accuracy: the next plan has rounding"
 )
@@ -139,6 +156,8 @@ SHORTEST_STOP = _line("SHORTEST_STOP", 1e-9, "s", "a carrier that stops sooner s
 MOST_ACCELERATION = _line(
     "MOST_ACCELERATION", 1e3, "m/s²", "counted on for coming back from beyond a limit", "convention"
 )
+TURNING = _line("TURNING", 1.5, "steps", "in which carriers that begin beyond a limit have room to turn", "trial")
+GO_BACK = _line("GO_BACK", 0.5, "1", "of the acceleration, by which the room for their way back shrinks", "trial")
 AT_LIMIT = _line("AT_LIMIT", 1e-12, "1", "below a limit at which an effort counts as cut off", "accuracy")
 LIMIT_TOLERANCE = _line("LIMIT_TOLERANCE", LIMIT_TOLERANCE, "1", "of limits between nodes", "accuracy: as of all plans")
 CUT_OFF = _line("CUT_OFF", 1e-3, "1", "of f that limits of effort may cut off between nodes", "trial")
@@ -154,6 +173,9 @@ BARRIER = _line("BARRIER", 1e-9, "1", "mean of slacks times duals, of a cost of 
 STATIONARY = _line(
     "STATIONARY", 1e-5, "1", "gradient over the largest in it: multipliers are large, and rounded", "accuracy"
 )
+CENTRED = _line("CENTRED", 0.1, "1", "of BARRIER, that steps aim at least at", "accuracy: to end below it")
+DIVERGED = _line("DIVERGED", 1e12, "1", "mean of slacks times duals of a programme without a solution", "convention")
+SHORTEST_WAY = _line("SHORTEST_WAY", 1e-8, "1", "of a step that can be gone: the method is stuck below it", "accuracy")
 CLOSE = _line("CLOSE", 0.995, "1", "of the way to the nearest bound", "Mehrotra (1992)")
 LEAST_SLACK = _line("LEAST_SLACK", 0.05, "1", "of a first point, in units", "trial: half the iterations of PIQP")
 FIRST_BARRIER = _line("FIRST_BARRIER", 1e-2, "1", "slack times dual there", "trial")

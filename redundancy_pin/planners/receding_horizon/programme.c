@@ -66,7 +66,7 @@ static void linearise(const Given *g, Work *w) {
             size = larger(size, fabs(W_rate[c]));
         }
         for (int i = 0; i < N * M; i++) largest = larger(largest, fabs(w->W[q][i]));
-        size = ut * larger(size, 0.1 * largest / g->horizon);
+        size = ut * larger(size, SLOWEST * largest / g->horizon);
         memset(by, 0, sizeof by);
         for (int i = 0; i < N; i++) {
             f_rate += u[i] * (rates[1][i] - rates[0][i]) / (2.0 * DIFFERENCE);
@@ -228,7 +228,7 @@ static int condense(const Given *g, Work *w) {
                 for (int c = 0; c < NF; c++) norm += rest[r][c] * rest[r][c];
                 if (norm > most) most = norm, best = r;
             }
-            if (!(sqrt(most) > 1e-9 * scale)) break;
+            if (!(sqrt(most) > DEPENDENT * scale)) break;
             done[best] = 1 + rank;
             L[best][rank] = sqrt(most);
             for (int c = 0; c < NF; c++) Q[rank][c] = rest[best][c] / L[best][rank];
@@ -277,7 +277,7 @@ static int condense(const Given *g, Work *w) {
 }
 
 static void set_bound(Work *w, int place, double bound) {
-    w->active[place] = isfinite(bound) && bound < 1e20;
+    w->active[place] = isfinite(bound) && bound < NO_LIMIT;
     w->bound[place] = w->active[place] > 0.0 ? bound : 0.0;
 }
 
@@ -287,18 +287,18 @@ static void set_row(Work *w, int block, int lane, double a, double b, double c, 
     set_bound(w, block_at(block) + LANES + lane, -low);
 }
 
-/* Limits of a carrier that starts beyond one, of a relaxed programme: with room for going back by half the acceleration;
+/* Limits of a carrier that starts beyond one, of a relaxed programme: with room for turning and going back by a part of the acceleration;
    no other has any. */
 static void give_room(const Given *g, const Work *w, int j, double *low, double *high, double *speed) {
     double s = w->given[0][j], sd = w->given[1][j], h = w->node[1] - w->node[0];
-    double most = smaller(g->acceleration[j], MOST_ACCELERATION), turn = 1.5 * most * h;
+    double most = smaller(g->acceleration[j], MOST_ACCELERATION), turn = TURNING * most * h;
     double moved = h * fabs(sd) + h * h / 6.0 * most + 0.5 * sd * sd / most;
     int above = s + moved > high[j], below = s - moved < low[j], fast = fabs(sd) > g->speed[j];
     for (int i = 0; i < COUNT; i++) {
-        double after = w->node[i] - w->node[0], back = turn * after - 0.25 * most * after * after + BEYOND;
+        double after = w->node[i] - w->node[0], back = turn * after - 0.5 * GO_BACK * most * after * after + BEYOND;
         if (above) high[i * K + j] = larger(high[i * K + j], s + sd * after + back);
         if (below) low[i * K + j] = smaller(low[i * K + j], s + sd * after - back);
-        if (fast) speed[i * K + j] = larger(speed[i * K + j], fabs(sd) + turn - 0.5 * most * after);
+        if (fast) speed[i * K + j] = larger(speed[i * K + j], fabs(sd) + turn - GO_BACK * most * after);
     }
 }
 
@@ -334,18 +334,18 @@ static int set_programme(const Given *g, Work *w) {
         for (int j = 0; j < K; j++) {
             int lane = i * K + j;
             double h = w->h[i], before = i ? w->h[i - 1] : 0.0;
-            w->cost[0][0][lane] += 1e-8 + weight[CENTRE] * share + (i == end ? 2.0 * weight[END] : 0.0);
-            w->cost[1][1][lane] += 1e-8 + (i == end ? 2.0 * weight[END_SPEED] : 0.0);
+            w->cost[0][0][lane] += CONVEX + weight[CENTRE] * share + (i == end ? 2.0 * weight[END] : 0.0);
+            w->cost[1][1][lane] += CONVEX + (i == end ? 2.0 * weight[END_SPEED] : 0.0);
             w->cost[2][2][lane] += weight[ACCELERATED] * share;
             double by = weight[JERKED] * g->step / g->horizon * g->step;
             if (i) w->cost[2][2][lane] += 2.0 * by / before;
             if (!last) w->cost[2][2][lane] += 2.0 * by / h, w->cross[lane] = -2.0 * by / h;
             if (!i && !w->free) {
                 if (w->known[0] && isfinite(g->carrier_force[j]) && !w->relaxed) {   /* all is given */
-                    double most = FORCE_KEPT, now = w->force[0][j] / g->carrier_force[j];
+                    double now = w->force[0][j] / g->carrier_force[j];
                     for (int d = 0; d < 3; d++)
                         now += w->by_force[0][d][j] * (w->given[d][j] - w->at[d][j]) / g->carrier_force[j];
-                    if (fabs(now) > most + 1e-9) return 0;
+                    if (fabs(now) > FORCE_KEPT + PRECISION) return 0;
                 }
             } else {
                 double most = g->acceleration[j] * (1.0 - closer * (IN_HAND / CLOSER)) / ua[j];
@@ -391,6 +391,6 @@ static int set_programme(const Given *g, Work *w) {
         }
     }
     set_bound(w, LEAST_AT, -weight[MEMORY] * g->largest / ut);
-    w->peak_cost = 1e-8 + 2.0 * weight[PEAK];
+    w->peak_cost = CONVEX + 2.0 * weight[PEAK];
     return 1;
 }

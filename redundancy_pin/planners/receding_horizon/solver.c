@@ -538,7 +538,7 @@ static int interior_point(const Given *g, Work *w, int warm) {
     for (int iteration = 0; iteration < last; iteration++, w->iterations++) {
         apply(w, w->x, w->tau, w->peak, w->g);
         double barrier = weigh(w, count, &most), rows = set_row_missing(w, give);
-        if (!(barrier < 1e12)) return 0;
+        if (!(barrier < DIVERGED)) return 0;
         double base_peak = set_gradient(g, w, w->gradient[0]);
         memcpy(w->base, w->gradient[0], sizeof w->base);
         if (barrier < BARRIER && most < PRECISION && rows < PRECISION && is_stationary(w, base_peak)) {
@@ -553,14 +553,14 @@ static int interior_point(const Given *g, Work *w, int warm) {
         set_border(w, w->relaxed ? give : BORDER_GIVES, peak_H);
         if (!direct(w, peak_gradient, &dpeak, dnu)) return 0;
         double alpha = predict(w, barrier, count, &after);
-        set_centre(w, larger(pow(after / barrier, 3.0) * barrier, 0.1 * BARRIER), alpha);
+        set_centre(w, larger(pow(after / barrier, 3.0) * barrier, CENTRED * BARRIER), alpha);
         memcpy(w->gradient[0], w->base, sizeof w->base);
         peak_gradient = base_peak + add_transposed(w, w->push, w->gradient[0]);
         step_against(w, 1);
         if (!direct(w, peak_gradient, &dpeak, dnu)) return 0;
         alpha = correct(w);
         alpha = alpha >= 1.0 ? 1.0 : alpha * CLOSE;
-        if (!(alpha >= 1e-8)) return 0;
+        if (!(alpha >= SHORTEST_WAY)) return 0;
         go(w, alpha, dpeak, dnu);
     }
     return 0;
