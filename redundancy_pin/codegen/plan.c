@@ -27,7 +27,7 @@ static void command_at(const Memory *m, double t, robot_command *command) {
 
 static int is_preview(const robot_preview *preview) {
     return preview->pieces > 0 && preview->order > 0 && preview->edges && preview->coefficients && preview->breaks >= 0 &&
-           (!preview->breaks || preview->break_times) && preview->end >= preview->edges[0];
+           (!preview->breaks || preview->break_times) && preview->end >= preview->edges[0] && !isnan(preview->moves_until);
 }
 
 int robot_plan_reset(robot_plan *plan) {
