@@ -1,0 +1,1 @@
+"""Identification of closed chains: masses, inertias and friction from measured motions."""
