@@ -158,7 +158,7 @@ def with_values(robot: Robot, parameters: Sequence[Parameter], values: Array) ->
     """Return a robot whose parameters have other values (p,); the others stay.
 
     Raises:
-        InputError: a negative damping, friction, stiffness or rotor inertia.
+        InputError: a negative damping, friction, stiffness or rotor inertia; a preload without stiffness.
     """
     model, rest, of_joints = robot.model.copy(), list(robot.loads), dict[str, dict[str, float]]()
     inertias = {p.joint: model.inertias[p.joint].toDynamicParameters() for p in parameters if p.kind in INERTIAL}
@@ -174,6 +174,12 @@ def with_values(robot: Robot, parameters: Sequence[Parameter], values: Array) ->
         load = joint_forces(robot, name)
         stiffness = changes.get("stiffness", load.stiffness)
         preload = changes.pop("preload", -load.stiffness * load.rest)
+        if preload and not stiffness:
+            raise InputError(
+                f"The spring in {name!r} has a preload of {preload:g} and no stiffness.",
+                remedy="Identify its stiffness too, or declare it.",
+                joint=name,
+            )
         rest = [other for other in rest if other is not load]
         rest.append(replace(_changed(load, changes), rest=-preload / stiffness if stiffness else 0.0))
     return replace(robot, model=model, loads=tuple(rest), closed_form=None)

@@ -34,9 +34,9 @@ from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot
 
 _SEED = 0
-_STATES, _SPREAD = 150, 0.5
-"""Random closed states that say which parameters a machine can show, and how far they are from the reference, rad or
-characteristic lengths."""
+_STATES, _SPREADS = 12, np.linspace(0.05, 0.6, 13)
+"""Random closed states that say which parameters a machine can show: how many at each distance from the reference, of
+the joint that moves farthest, rad or characteristic lengths. Of a machine with one freedom a distance has two."""
 
 
 class TreeRegressor:
@@ -120,7 +120,8 @@ def random_regressor(robot: Robot, parameters: Sequence[Parameter]) -> Array:
     """
     own, tree, rng = follower(robot), TreeRegressor(robot, parameters), np.random.default_rng(_SEED)
     rows, unit = [], own.unit
-    for q in closed_neighbours(constraint_system(robot), np.array(robot.q_reference), _STATES, _SPREAD):
+    system, reference = constraint_system(robot), np.array(robot.q_reference)
+    for q in np.concatenate([closed_neighbours(system, reference, _STATES, spread) for spread in _SPREADS]):
         state = own.state_at(q)
         if state is None or state.margin < own.near:
             continue
