@@ -12,14 +12,14 @@ noise of the efforts in it. The variances, diagonal, are those of largest likeli
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from redundancy_pin.arrays import Array, Frozen, checked, read_only
 from redundancy_pin.dynamics.rnea import RneaDynamics
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.identification.base import BaseParameters, base_parameters
 from redundancy_pin.identification.parameters import parameters_of, standard_values, with_values
 from redundancy_pin.identification.physical import nearest_physical
@@ -35,8 +35,8 @@ _FLOOR = 1e-6
 _TOO_LITTLE = 1e-6
 """Singular value of the weighted, scaled regressor, relative to the largest, below which a motion shows nothing."""
 
-_BETTER = 0.25
-"""Part of the sum of squares that is left if efforts are named otherwise, below which they are taken for swapped."""
+_BETTER = 0.7
+"""Part of the residual variance that is left if efforts are named otherwise, below which they are taken for that."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -155,8 +155,8 @@ def identify(
     equations = _Equations.of(robot, listed, smooth, base, carried)
     solution = equations.solve()
     equations.require_motion(solution, base)
-    equations.require_named_efforts(solution, robot)
-    _require_in_time(robot, listed, smooth, equations, solution)
+    equations.require_named_efforts(robot)
+    _require_in_time(listed, smooth, equations)
     values = base.values + solution.change
     standard = standard_values(base.parameters) + base.spread(solution.change)
     if physical:
@@ -204,7 +204,13 @@ class _Equations:
         chosen, rows = [base.parameters[k] for k in base.independent], robot.n + (robot.k if carried else 0)
         parts = []
         for one, part in zip(records, smooth, strict=True):
-            along = RneaDynamics(robot).along(part.motion)
+            try:
+                along = RneaDynamics(robot).along(part.motion)
+            except (UnreachablePoseError, SingularPoseError, WorkingModeError) as error:
+                raise InputError(
+                    f"The positions of {one!r} are no motion of {robot.name}: {error.message}",
+                    remedy="Check order, sign, zero and unit of the encoders.",
+                ) from error
             f, force = along.forces(part.carriers)
             E = np.zeros((len(f), rows, robot.m + rows - robot.n))
             E[:, : robot.n, : robot.m] = along.tree.W
@@ -229,14 +235,14 @@ class _Equations:
         result: Array = np.linalg.inv(np.linalg.cholesky(covariance))
         return result
 
-    def solve(self) -> _Solution:
+    def solve(self, rounds: int = _ROUNDS) -> _Solution:
         """Return the estimates of largest likelihood, by weighted least squares and variances in turns."""
         size = np.sqrt((self.driven**2 + self.prior**2).mean(axis=0)) + 1e-300
         floor = _FLOOR * size
         level = np.sqrt((self.effort**2).mean(axis=0))
         effort_noise = 0.05 * np.where(level > 0.0, level, level.max(initial=1e-300))
         model_noise = floor
-        for _ in range(_ROUNDS):
+        for _ in range(rounds):
             change, information, _ = self._least_squares(effort_noise, model_noise)
             rest = self.driven - self.prior - self.Y @ change
             freedom = max(rest.size - len(change), 1) / rest.size
@@ -301,53 +307,55 @@ class _Equations:
                 condition=float(values[0] / values[-1]) if values[-1] else np.inf,
             )
 
-    def require_named_efforts(self, solution: _Solution, robot: Robot) -> None:
-        """Raise InputError where a motor of the other sign, or two that are swapped, explain the efforts far better."""
+    def require_named_efforts(self, robot: Robot) -> None:
+        """Raise InputError where other signs of the efforts, or another order, explain them far better.
+
+        Opposite efforts leave the same residuals, with all parameters of the other sign: which is meant says the robot
+        as declared.
+        """
         drives = [*robot.actuated, *robot.carriers][: self.effort.shape[1]]
-        if float((self.driven * self.prior).sum()) < -0.5 * float(
-            np.linalg.norm(self.driven) * np.linalg.norm(self.prior)
-        ):
-            raise InputError(
-                "All efforts have the wrong sign: they are nearly the opposite of what the robot as declared takes.",
-                remedy="Change the sign of the efforts, or that of the positions.",
-            )
-        best, what, remedy = self._misfit(solution, self.effort), "", ""
-        allowed = _BETTER * best
-        for k, name in enumerate(drives):
-            other = self.effort.copy()
-            other[:, k] *= -1.0
-            if len(drives) > 1 and (left := self._misfit(solution, other)) < allowed:
-                allowed, what = left, f"The effort of {name} has the wrong sign"
-                remedy = "Change its sign."
+        same, keep = np.ones(len(drives)), np.arange(len(drives))
+        candidates = [(same, keep)]
+        for k in range(len(drives) if len(drives) > 1 else 0):
+            candidates.append((np.where(keep == k, -1.0, 1.0), keep))
         for j, k in combinations(range(len(drives)), 2):
-            other = self.effort.copy()
-            other[:, [j, k]] = other[:, [k, j]]
-            if (left := self._misfit(solution, other)) < allowed:
-                allowed, what = left, f"The efforts of {drives[j]} and {drives[k]} are swapped"
-                remedy = "Exchange their columns."
-        if what:
+            candidates.append((same, np.where(keep == j, k, np.where(keep == k, j, keep))))
+        left = [self.misfit(signs * self.effort[:, order]) for signs, order in candidates]
+        best = int(np.argmin(left))
+        signs, order = candidates[best] if left[best] < _BETTER * left[0] else candidates[0]
+        driven = replace(self, effort=signs * self.effort[:, order]).driven
+        if (driven * self.prior).sum() < -0.5 * np.linalg.norm(driven) * np.linalg.norm(self.prior):
+            signs = -signs
+        wrong, said = [name for name, sign in zip(drives, signs, strict=True) if sign < 0.0], []
+        if (order != keep).any():
+            said.append(f"The efforts of {' and '.join(drives[k] for k in np.flatnonzero(order != keep))} are swapped")
+        if wrong:
+            said.append(f"{'The effort' if len(wrong) == 1 else 'Efforts'} of {', '.join(wrong)}: the sign is wrong")
+        if said:
             raise InputError(
-                f"{what}: with it, {allowed / best:.2g} of the sum of squared residuals is left.",
-                remedy=remedy,
-                left=allowed / best,
+                f"{'. '.join(said)}. Put right, {left[best] / left[0]:.2g} of the residual variance is left.",
+                remedy="Exchange the columns, or change the signs, of the records.",
+                left=left[best] / left[0],
             )
 
-    def _misfit(self, solution: _Solution, effort: Array) -> float:
-        """Return the sum of squares that a fit leaves of other efforts, with the same weights, of equal noise."""
-        noise = np.full(effort.shape[1], float(solution.effort_noise.mean()))
-        model = 1e-3 * np.sqrt((self.prior**2).mean(axis=0)) + 1e-300
-        other = _Equations(self.E, effort, self.prior, self.Y)
-        residual = other._least_squares(noise, model)[2]
-        return float((residual**2).sum())
+    def misfit(self, effort: Array) -> float:
+        """Return the variance that a fit leaves of other efforts: the geometric mean, by likelihood; relative to any.
+
+        Whoever compares variances of several drives with weights must estimate them again, for a drive that is wrong
+        has a large one.
+        """
+        other = replace(self, effort=effort)
+        solved = other.solve(rounds=3)
+        L = other.whitening(solved.effort_noise, solved.model_noise)
+        logs = -2.0 * np.log(np.einsum("Nrr->Nr", L)) + solved.residual**2
+        return float(np.exp(logs.mean()))
 
 
-def _require_in_time(
-    robot: Robot, records: list[Records], smooth: list[SmoothMotion], equations: _Equations, solution: _Solution
-) -> None:
+def _require_in_time(records: list[Records], smooth: list[SmoothMotion], equations: _Equations) -> None:
     """Raise InputError where efforts that are shifted by some samples fit far better."""
-    best = equations._misfit(solution, equations.effort)
+    best = equations.misfit(equations.effort)
     drives = equations.effort.shape[1]
-    shifts = [1, 2, 3, 5, 8, 13, 21]
+    shifts = [2, 5, 12, 25]
     left = dict[int, float]()
     for shift in [*(-k for k in shifts), *shifts]:
         parts = []
@@ -355,13 +363,13 @@ def _require_in_time(
             both = np.concatenate([one.effort, one.carrier_force], axis=1)[:, :drives]
             first, last = part.kept.start + shift, part.kept.stop + shift
             parts.append(both[np.arange(first, last).clip(0, len(one) - 1)])
-        left[shift] = equations._misfit(solution, np.concatenate(parts))
+        left[shift] = equations.misfit(np.concatenate(parts))
     shift = min(left, key=lambda k: left[k])
     if left[shift] < _BETTER * best:
         seconds = float(np.median(np.diff(records[0].t)) * shift)
         raise InputError(
             f"The efforts are shifted in time against the positions, by about {seconds:.3g} s: shifted back, "
-            f"{left[shift] / best:.2g} of the sum of squared residuals is left.",
+            f"{left[shift] / best:.2g} of the residual variance is left.",
             remedy="Correct the times of the efforts.",
             shift=seconds,
         )

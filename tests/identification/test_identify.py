@@ -52,12 +52,10 @@ def test_virtual_work_of_other_masses_is_found(name: str) -> None:
     """Efforts come from closed forms that share nothing with the regressor, carriers included."""
     arguments = {"2rpr": {"end_effector_mass": 0.9, "carrier_mass": 1.7}, "3rrr": {"carrier_mass": 1.7}}[name]
     given, true = zoo.robot_of(name), zoo.robot_of(name, **arguments)
-    fit = identify(given, measured(rp.VirtualWork(true)), cut_off=25.0)
-    size = np.abs(fit.base.combination) @ fit.base.sizes
-    inertial = np.array([not name.startswith(("damping", "friction")) for name in fit.base.names])
-    error = np.abs(fit.values - true_values(fit, true)) / size
-    assert error[inertial].max() < 1e-3
-    assert prediction(fit, true, seed=9) < 1e-3
+    fit = identify(given, measured(rp.VirtualWork(true)), cut_off=25.0, parameters=["mass *", "moment *", "inertia *"])
+    true_ones = true_values(fit, true)
+    assert np.abs(fit.values - true_ones).max() < 1e-5 * np.abs(true_ones).max()
+    assert prediction(fit, true, seed=9) < 1e-6
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "exudyn"])
@@ -120,13 +118,13 @@ def test_bodies_are_real_ones_where_asked() -> None:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda r: Records(r.t, r.effort * [1.0, -1.0], r.position), "effort of base_2 has the wrong sign"),
+        (lambda r: Records(r.t, r.effort * [1.0, -1.0], r.position), "The effort of base_2: the sign is wrong"),
         (lambda r: Records(r.t, r.effort[:, ::-1], r.position), "efforts of base_1 and base_2 are swapped"),
-        (lambda r: Records(r.t, -r.effort, r.position), "All efforts have the wrong sign"),
-        (lambda r: Records(r.t, np.roll(r.effort, 8, axis=0), r.position), "shifted in time .* 0.032 s"),
-        (lambda r: Records(r.t, r.effort, 0.0 * r.position + r.position[0]), "too little: 11 of 11"),
+        (lambda r: Records(r.t, -r.effort, r.position), "Efforts of base_1, base_2: the sign is wrong"),
+        (lambda r: Records(r.t, np.roll(r.effort, 8, axis=0), r.position), "shifted in time"),
+        (lambda r: Records(r.t, r.effort, 0.0 * r.position + r.position[0]), "too little: 1. of 11"),
         (lambda r: Records(r.t[:30], r.effort[:30], r.position[:30]), "30 samples in 0.116 s"),
-        (lambda r: Records(r.t, r.effort, r.position + 3.0), "unreachable|branch_lost|type_ii"),
+        (lambda r: Records(r.t, r.effort, r.position + 3.0), "leaves the working mode"),
         (lambda r: Records(r.t, r.effort[:, :1], r.position), "effort has 1 columns"),
     ],
 )

@@ -16,9 +16,10 @@ from redundancy_pin.robot import Robot
 
 
 def declared(name: str) -> Robot:
-    """Return a shipped robot whose motors are declared to have friction of unknown size."""
+    """Return a shipped robot whose motors and carriers are declared to have friction of unknown size."""
     robot = zoo.robot_of(name)
-    return robot.loaded(*(rp.JointForces(joint, friction_speed=0.02) for joint in robot.actuated))
+    driven = (*robot.actuated, *robot.carriers)
+    return robot.loaded(*(rp.JointForces(joint, friction_speed=0.02) for joint in driven))
 
 
 def built(robot: Robot, seed: int = 0) -> Robot:
