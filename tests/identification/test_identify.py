@@ -142,3 +142,40 @@ def test_records_say_what_they_do_not_hold() -> None:
         Records([0.0, 1.0], np.zeros((2, 2)))
     with pytest.raises(rp.errors.InputError, match="cut_off"):
         identify("five_bar", [], cut_off=10.0)
+
+
+def test_a_singular_stretch_adds_to_what_is_known() -> None:
+    """The carriers of the thesis take the 2-RPR through its singular line: efforts are finite, W loses rank."""
+    given, true = zoo.robot_of("2rpr"), zoo.robot_of("2rpr", carrier_mass=1.7)
+    circle = rp.trajectory.reference.circle(speed=0.5)
+    plan = rp.plan_switch_off(rp.VirtualWork(true), circle, threshold=20.0, mesh=rp.Mesh(dt=0.01))
+    table = plan.table(500.0, two_sided=False)
+    x = np.stack([values for _, values in table.platform.values()], axis=1)[:, :2]
+    rng = np.random.default_rng(3)
+    efforts = table.effort + 0.05 * table.effort.std(axis=0) * rng.standard_normal(table.effort.shape)
+    singular = (
+        np.linalg.cond(rp.inverse_kinematics(given, circle.sample_at(table.t.clip(0.0, circle.duration))).W) > 20.0
+    )
+    assert 10 < singular.sum() < 0.5 * len(singular)
+
+    def between(first: int, last: int) -> Records:
+        part = slice(first, last)
+        return Records(
+            table.t[part],
+            efforts[part, : given.m],
+            platform=x[part],
+            carriers=table.position[part, given.m :],
+            carrier_force=efforts[part, given.m :],
+        )
+
+    first, last = np.flatnonzero(singular)[[0, -1]]
+    pieces = [between(0, first), between(last, len(table.t))]
+    patterns = ["mass of mass*", "moment [xy] of mass*"]
+    whole, without = (
+        identify(given, records, cut_off=40.0, parameters=patterns) for records in (between(0, len(table.t)), pieces)
+    )
+    for fit in (whole, without):
+        off = (fit.values - true_values(fit, true)) / fit.standard_deviation
+        assert np.abs(off).max() < 4.0
+    assert (whole.standard_deviation < 1.001 * without.standard_deviation).all()
+    assert (whole.standard_deviation / without.standard_deviation).min() < 0.9
