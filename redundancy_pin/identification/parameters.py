@@ -20,6 +20,7 @@ from redundancy_pin.errors import InputError, UnsupportedRobotError, one_of
 from redundancy_pin.robot import JointForces, Robot
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.lookup import find_joint_index
+from redundancy_pin.robot.types import slides
 
 INERTIAL = (
     "mass",
@@ -121,7 +122,7 @@ def _of_joints(robot: Robot) -> list[Parameter]:
         if robot.model.joints[index].nv != 1:
             continue
         name = str(robot.model.names[index])
-        load, turns = joint_forces(robot, name), not _slides(robot, index)
+        load, turns = joint_forces(robot, name), not slides(robot.model.joints[index])
         effort = "N·m" if turns else "N"
         units = (f"{effort}·s" if turns else "N·s/m", effort, "N·m/rad" if turns else "N/m", effort, "kg·m²")
         values = (load.damping, load.friction, load.stiffness, -load.stiffness * load.rest, load.rotor_inertia)
@@ -132,10 +133,6 @@ def _of_joints(robot: Robot) -> list[Parameter]:
             if springs or kind not in ("stiffness", "preload")
         ]
     return listed
-
-
-def _slides(robot: Robot, index: int) -> bool:
-    return str(robot.model.joints[index].shortname()).startswith("JointModelP")
 
 
 def joint_forces(robot: Robot, joint: str) -> JointForces:
