@@ -14,7 +14,7 @@ static void set_pieces(const Given *g, const Work *w, Plan *plan) {
         duration[j] = fabs(plan->at[LANES + last * K + j]) / g->acceleration[j];
         if (duration[j] < SHORTEST_STOP) duration[j] = 0.0;
         int i = stops, same = 0;
-        for (int o = 0; o < stops; o++) same |= after[o] == duration[j];
+        for (int o = 0; o < stops; o++) same |= w->node[last] + after[o] == w->node[last] + duration[j];   /* but for rounding */
         if (same) continue;
         for (; after[i - 1] > duration[j]; i--) after[i] = after[i - 1];
         after[i] = duration[j];
