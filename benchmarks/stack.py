@@ -10,7 +10,7 @@ from pathlib import Path
 
 import redundancy_pin as rp
 from redundancy_pin.codegen import write_c
-from redundancy_pin.codegen.pages import stack_bytes
+from redundancy_pin.codegen.stack import stack_bytes
 from redundancy_pin.robot.shipped import shipped_robots
 
 PROGRAM = Path(__file__).with_name("stack.c")

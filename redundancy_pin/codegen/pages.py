@@ -15,7 +15,8 @@ from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
 from redundancy_pin.codegen.names import add_prefix, as_initialiser
 from redundancy_pin.codegen.plan import RecordedPlan, plan_facts, plan_source
 from redundancy_pin.codegen.recorded import Recorded
-from redundancy_pin.dynamics.compiled.build import Definition, define, driver_source, text_of
+from redundancy_pin.codegen.stack import stack_bytes, written_functions
+from redundancy_pin.dynamics.compiled.build import driver_source, text_of
 from redundancy_pin.dynamics.compiled.parameters import parameter_vector, turning_rows
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.coordinates import mode_name
@@ -33,9 +34,6 @@ from redundancy_pin.robot.scales import (
     velocity_unit,
 )
 from redundancy_pin.status import SampleStatus
-
-_FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project")
-"""Generated functions that ``driver.c`` and ``controller.c`` call; a static one without a caller is a warning."""
 
 
 def pages(
@@ -63,7 +61,7 @@ def pages(
 
 def source(robot: Robot, prefix: str, *, plan: bool = False) -> str:
     """Return the C source without the prefix: expressions, driver, what a controller calls; ``plan``: a planner too."""
-    definition, functions = _written(robot)
+    definition, functions = written_functions(robot)
     controller, for_plan = (
         importlib.resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
         for name in ("controller.c", "plan_terms.c")
@@ -83,35 +81,6 @@ def source(robot: Robot, prefix: str, *, plan: bool = False) -> str:
             *(["#define SHARED static", text_of("terms.c"), for_plan] if plan else []),
         ]
     )
-
-
-def _written(robot: Robot) -> tuple[Definition, list[Any]]:
-    definition = define(robot)
-    names = [*_FUNCTIONS, "drives"] if robot.m >= robot.n else _FUNCTIONS
-    return definition, [definition.functions[f"rp_{name}"] for name in names]
-
-
-_FRAMES = 2048
-"""Bytes of stack for what is not counted by name: registers, pointers and indices of eight functions that call one
-another (1 kB), and functions of math.h."""
-
-
-def stack_bytes(robot: Robot) -> int:
-    """Return how much stack, bytes, the deepest call takes at most: whatever is optimised, and all of it inlined.
-
-    It counts the arrays of all functions of the deepest call, forward kinematics or going to a pose, as if none shared
-    its place, and a place for each value of the largest expression, as unoptimised code has it.
-    """
-    definition, functions = _written(robot)
-    chain, n, m = definition.chain, robot.n, robot.m
-    nq, nv, rows = chain.model.nq, chain.model.nv, len(chain.pose_columns) + 1
-    short, long, state = min(n, m), max(n, m), nq + 2 * len(chain.turning)
-    matrices = 4 * rows**2  # of closures and platform: factors of two states, an inverse, what is factorised
-    tree = nv * (n + 4) + 3 * state + 8 * rows
-    spectra = 2 * (short * long + short**2 + 2 * short + 4)
-    arguments = 3 * int(chain.x.numel() + n * m + 2 * n + 2 * m + 3 * robot.k + chain.alignment.numel())
-    values = max(int(function.n_instructions()) for function in functions)
-    return int(8 * (matrices + tree + spectra + arguments + values)) + _FRAMES
 
 
 def _rendered(template: str, facts: dict[str, Any]) -> str:

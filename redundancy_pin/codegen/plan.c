@@ -26,8 +26,14 @@ static void command_at(const Memory *m, double t, robot_command *command) {
 }
 
 static int is_preview(const robot_preview *preview) {
-    return preview->pieces > 0 && preview->order > 0 && preview->edges && preview->coefficients && preview->breaks >= 0 &&
-           (!preview->breaks || preview->break_times) && preview->end >= preview->edges[0] && !isnan(preview->moves_until);
+    if (preview->pieces < 1 || preview->order < 1 || !preview->edges || !preview->coefficients) return 0;
+    if (preview->breaks < 0 || (preview->breaks && !preview->break_times)) return 0;
+    for (int i = 0; i < preview->pieces; i++)
+        if (!(preview->edges[i] < preview->edges[i + 1])) return 0;
+    double last = preview->edges[preview->pieces];
+    int rests = preview->moves_until <= last;
+    return isfinite(preview->edges[0]) && isfinite(last) && preview->end >= preview->edges[0] && !isnan(preview->moves_until) &&
+           (rests || preview->end <= last + SAME); /* nothing says how a motion goes on behind its polynomials */
 }
 
 int robot_plan_reset(robot_plan *plan) {
@@ -64,6 +70,7 @@ int robot_plan_update(robot_plan *plan, double t, const robot_carriers *measured
         finite = finite && (!measured || (isfinite(s[j]) && isfinite(sd[j])));
     }
     if (!finite || (m->planner.started && t < last_of(&m->planner)->t) || sigma < preview->edges[0] - SAME) return ROBOT_PLAN_BAD_INPUT;
+    if (sigma > preview->end + SAME) return ROBOT_PLAN_BAD_INPUT;
     m->motion.terms = robot_plan_terms, m->motion.near = m->near;
     m->motion.edge = preview->edges, m->motion.piece = preview->coefficients;
     m->motion.pieces = preview->pieces, m->motion.order = preview->order, m->motion.moves_until = preview->moves_until;

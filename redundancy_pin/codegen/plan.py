@@ -10,6 +10,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.codegen.names import as_initialiser
+from redundancy_pin.codegen.stack import stack_bytes
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.compiled.build import NEIGHBOURS
 from redundancy_pin.errors import InputError, UnreachablePoseError, UnsupportedRobotError
@@ -27,7 +28,16 @@ from redundancy_pin.planners.receding_horizon.compiled import (
     settings_of,
     sizes_of,
 )
-from redundancy_pin.planners.receding_horizon.constants import ITERATIONS, MOST_ROUNDS, RELAXED_ITERATIONS
+from redundancy_pin.planners.receding_horizon.constants import (
+    BATCH,
+    INSTANTS,
+    ITERATIONS,
+    MOST_ROOTS,
+    MOST_ROUNDS,
+    MOST_SINGULAR,
+    PARTS,
+    RELAXED_ITERATIONS,
+)
 from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.checks import is_pose
@@ -139,6 +149,23 @@ def _near(robot: Robot) -> int:
     return NEIGHBOURS * (int(robot.model.nq) + (16 if is_pose(robot) else robot.n))
 
 
+def plan_stack_bytes(planner: RecedingHorizon) -> int:
+    """Return how much stack, bytes, the deepest call of the planner takes at most, as ``pages.stack_bytes`` counts.
+
+    All arrays of the functions that call one another count, as if all were in one frame, and the dynamics behind them.
+    """
+    sizes, robot = _sizes(planner), planner.robot
+    n, m, k, count = (sizes[name] for name in ("N", "M", "K", "COUNT"))
+    grid = PARTS * (sizes["STEPS"] + 1) + 4
+    wanted = grid + count + 2 * MOST_SINGULAR + INSTANTS + 3 * MOST_ROOTS
+    free, moves = k + m, 3 * k
+    wide, sides = moves + free + 8, 2 * MOST_SINGULAR + 3
+    of_window = 6 * grid + 2 * wanted + BATCH * (sizes["PLACES"] + 2 * n + 6) + 7 * MOST_ROOTS
+    of_plan = INSTANTS * (n + 2 * k + m + 6) + 8 * count + 8 * (2 * MOST_SINGULAR + 2)
+    of_solver = (2 * moves + free + moves + free) * wide + sides * (2 * wide + sides + 4) + 8 * count * k
+    return int(8 * (of_window + of_plan + of_solver)) + stack_bytes(robot)
+
+
 def plan_facts(planner: RecedingHorizon, recorded: RecordedPlan) -> dict[str, Any]:
     """Return what the templates need of the planner and its updates."""
     robot, preview = planner.robot, recorded.preview
@@ -162,6 +189,7 @@ def plan_facts(planner: RecedingHorizon, recorded: RecordedPlan) -> dict[str, An
         "iterations": 2 * MOST_ROUNDS * (2 * ITERATIONS + RELAXED_ITERATIONS),
         # of structures whose places a compiler may pad, with room for what stands beside the planner
         "doubles": int(planner_library(_sizes(planner)).rp_planner_size()) // 8 + _near(robot) + 64,
+        "stack": plan_stack_bytes(planner),
         "updates": len(commands),
         "edges": as_initialiser(polynomials.edges),
         "coefficients": as_initialiser(polynomials.coefficients.ravel()),

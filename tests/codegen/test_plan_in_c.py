@@ -37,6 +37,9 @@ ROBOTS: dict[str, dict[str, Any]] = {
 }
 NAMES = ["2rpr", *(pytest.param(name, marks=pytest.mark.long) for name in ("3rrr", "five_bar", "gough"))]
 LEVELS = [("-O1",), ("-O0", "-DUNIT_SCALAR"), pytest.param(("-O3", "-march=native"), marks=pytest.mark.long)]
+SYSTEM = 16 << 10
+"""Bytes of a thread's stack that glibc takes for itself, at most (PTHREAD_STACK_MIN)."""
+
 STATUSES = {0: UpdateStatus.OK, 2: UpdateStatus.RELAXED, 3: UpdateStatus.REFUSED, 5: UpdateStatus.TIME_SCALED}
 
 
@@ -146,6 +149,23 @@ def test_it_allocates_nothing_and_its_names_begin_with_the_prefix(folders: Any, 
     assert not writable
 
 
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("level", ["-O0", pytest.param("-O2", marks=pytest.mark.long)])
+def test_a_call_takes_no_more_stack_than_the_header_says(folders: Any, name: str, level: str, tmp_path: Path) -> None:
+    folder = folders(name)
+    header = (folder / "unit.h").read_text(encoding="utf-8")
+    promised = int(re.findall(r"UNIT_PLAN_STACK_BYTES (\d+)", header)[0])
+    sources = [Path(__file__).with_name("plan_stack.c"), folder / "unit.c", folder / "unit_plan.c"]
+    tested = f'-DTESTED="{folder / "test_unit_plan.c"}"'
+    command = ["gcc", "-std=gnu99", "-w", level, tested, f"-I{folder}", *map(str, sources)]
+    command += ["-o", str(tmp_path / "stack")]
+    subprocess.run([*command, "-lm", "-lpthread"], check=True)
+    used = int(run(tmp_path / "stack").stdout)
+    assert promised / 8 < used <= promised + SYSTEM
+    done = run(tmp_path / "stack", str(promised + 2 * SYSTEM))
+    assert done.returncode == 0
+
+
 class Plan:
     """The planner's C called with numpy arrays."""
 
@@ -158,8 +178,8 @@ class Plan:
         pieces = preview.polynomials
         assert pieces is not None
         self._kept = (
-            np.ascontiguousarray(pieces.edges),
-            np.ascontiguousarray(pieces.coefficients),
+            np.array(pieces.edges, order="C"),
+            np.array(pieces.coefficients, order="C"),
             np.array(preview.breaks),
         )
         edges, coefficients, breaks = self._kept
@@ -252,6 +272,25 @@ def test_a_preview_that_leads_out_of_reach_is_refused_and_one_that_begins_there_
     plan.reset()
     assert plan.update(float(away.duration))[0] == 8
     assert plan.command_at(0.0)[0] == 1
+
+
+def test_previews_that_say_nothing_of_what_comes_are_none(folders: Any, tmp_path: Path) -> None:
+    """Past the end of one that is known no further, polynomials that end moving, edges that do not increase."""
+    samples = CIRCLE.sample_at(np.linspace(0.0, 0.4, 81))
+    plan = Plan(folders("2rpr"), tmp_path / "plan.so", Preview.of(samples))
+    assert plan.update(0.39)[0] == 0
+    assert plan.update(0.4 + 1e-6)[0] == 7
+    assert plan.command_at(0.41)[0] == 0  # the last plan goes on
+    plan.reset()
+    plan.ahead.end = np.inf
+    assert plan.update(0.1)[0] == 7
+    plan.ahead.moves_until = np.nan
+    assert plan.update(0.1)[0] == 7
+    plan.ahead.end, plan.ahead.moves_until = 0.4, np.inf
+    assert plan.update(0.1)[0] == 0
+    edges = plan._kept[0]
+    edges[3] = edges[2]
+    assert plan.update(0.11)[0] == 7
 
 
 def test_robots_and_planners_that_do_not_fit_are_refused(tmp_path: Path) -> None:

@@ -111,7 +111,8 @@ class RecedingHorizon:
             sd: the same for their speeds, m/s.
 
         Raises:
-            InputError: values that are not finite, a preview that is none, a time before the last one.
+            InputError: values that are not finite, a preview that is none, a time before the last one, before the
+                preview or after its end.
             InfeasiblePlanError: no plan at the first tick, with none before it to go on with.
         """
         began = time.perf_counter()
@@ -123,6 +124,11 @@ class RecedingHorizon:
             raise InputError(
                 f"The update is at t = {t:.6g} s{where}, and the preview begins at {known.start:.6g} s.",
                 remedy="Pass what is known of the motion from the update on.",
+            )
+        if own > known.end + SAME:
+            raise InputError(
+                f"The update is at t = {t:.6g} s, and the preview ends at {known.end:.6g} s.",
+                remedy="Pass what is known of the motion from the update on, or go on with the last plan by skip(t).",
             )
         self._source, self._preview = preview, known
         given = tuple(

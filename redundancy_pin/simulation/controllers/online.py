@@ -54,11 +54,11 @@ class OnlineReference(MotionReference):
 
     def platform(self, t: float) -> tuple[Array, Array, Array]:
         """Return x, (n,) or a pose (4, 4), ẋ and ẍ (n,) at time t: where the latest plan leads it along its path."""
-        sigma, rate, bend = self._path_time(t)
+        sigma, rate, bend = self.path_time(t)
         x, along, curved = super().platform(sigma)
         return x, along * rate, curved * rate**2 + along * bend
 
-    def _path_time(self, t: float) -> tuple[float, float, float]:
+    def path_time(self, t: float) -> tuple[float, float, float]:
         """Return σ, σ̇ and σ̈ of the latest plan, s and 1/s."""
         if self.plan is None or self.plan.scaling is None:
             return t, 1.0, 0.0
@@ -68,7 +68,7 @@ class OnlineReference(MotionReference):
     def tree(self, t: float) -> tuple[Array, Array, Array]:
         """Return q (nq,), v and a (nv,) at time t."""
         robot, (s, sd, sdd) = self.robot, self.carriers(t)
-        sigma, rate, bend = self._path_time(t)
+        sigma, rate, bend = self.path_time(t)
         q, v, a = (np.array(part) for part in super().tree(sigma))
         v, a = v * rate, a * rate**2 + v * bend
         q[robot.carrier_position], v[robot.carrier_velocity], a[robot.carrier_velocity] = s, sd, sdd
@@ -123,6 +123,7 @@ class OnlinePlanning(ComputedTorque):
         if planner.started:
             raise InputError("The planner has plans of another run.", remedy="Pass a new RecedingHorizon.")
         self._live = OnlineReference(planner.robot, motion)
+        self._known_until = planning.Preview.of(motion).end
         settings: dict[str, object] = {"effort_scale": effort_scale, "carrier_scale": carrier_scale, **others}
         super().__init__(self._live, sampling=sampling, dynamics=dynamics, **settings)  # type: ignore[arg-type]
         self.planner, self._motion = planner, motion
@@ -155,7 +156,7 @@ class OnlinePlanning(ComputedTorque):
         if self._live.plan is None:  # the machine stands, and has time
             self._live.plan = self._plan(t, state.s, state.sd)
             self._next = t + self.tick
-        elif t >= self._next - 1e-9:
+        elif t >= self._next - 1e-9 and self._live.path_time(t + self.planning_delay)[0] <= self._known_until:
             self._next += self.tick
             starts = t + self.planning_delay
             (s, sd, _), (s_then, sd_then, _) = self._live.carriers(t), self._live.carriers(starts)

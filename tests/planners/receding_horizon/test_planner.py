@@ -103,10 +103,10 @@ def test_ticks_say_how_long_they_took() -> None:
 
 def test_one_instant_that_is_known_has_efforts_for_a_step() -> None:
     planner = planner_of()
-    efforts = planner.update(0.1, ACROSS.sample_at(np.linspace(0.0, 0.05, 20))).efforts
-    assert efforts.start == 0.1
-    assert efforts.end == pytest.approx(0.1 + STEP)
-    np.testing.assert_array_equal(efforts.at(0.1), efforts.at(0.11))
+    efforts = planner.update(0.05, ACROSS.sample_at(np.linspace(0.0, 0.05, 20))).efforts
+    assert efforts.start == 0.05
+    assert efforts.end == pytest.approx(0.05 + STEP)
+    np.testing.assert_array_equal(efforts.at(0.05), efforts.at(0.06))
 
 
 def test_a_pose_out_of_reach_at_the_very_end_of_the_horizon_is_refused() -> None:

@@ -437,6 +437,7 @@ def test_ticks_do_not_go_back_in_time():
         ("soon", ACROSS, "t is 'soon'"),
         (np.nan, ACROSS, "t is nan"),
         (-0.01, ACROSS, "the preview begins at 0 s"),
+        (0.1, ACROSS.sample_at(np.linspace(0.0, 0.05, 20)), r"ends at 0\.05 s.*skip"),
         (0.0, lambda t: ACROSS.sample_at(t[:1]), "answers for 1"),
         (0.0, lambda t: ACROSS.sample_at(t + 0.1), r"from 0\.1 s on"),
         (0.0, lambda t: None, "not NoneType"),
@@ -449,8 +450,8 @@ def test_previews_and_times_that_make_no_sense_are_refused(t, preview, message):
 
 def test_what_is_not_known_is_not_called_known_and_missed_ticks_go_forward():
     planner = RecedingHorizon(machine()[0])
-    command = planner.update(0.1, ACROSS.sample_at(np.linspace(0.0, 0.05, 20)))
-    assert command.known_until == 0.1
+    command = planner.update(0.05, ACROSS.sample_at(np.linspace(0.0, 0.05, 20)))
+    assert command.known_until == 0.05
     for t in (0.0, np.nan):
         with pytest.raises(InputError):
             planner.skip(t)
