@@ -99,8 +99,7 @@ class Planning(ABC):
             problem, first = within_limits("")
         solutions = multistart(problem, first, deadline, stop)
         # neither relaxed above, nor an attempt with lower limits
-        in_time = time.perf_counter() < deadline
-        if not solutions.feasible and first is guess and problem.shares is None and in_time:
+        if not solutions.feasible and first is guess and problem.shares is None:
             if problem.settings.at_most:
                 require_bounds(problem, first_guess(problem), deadline)
             problem, first = within_limits(solutions.outcomes[0].solution.message)
