@@ -203,8 +203,11 @@ _NOTHING = 1e-9
 """Rounding of a rate, relative to the largest rate of any coordinate."""
 
 _FEW_STEPS = 8
-"""Number of steps: motions with fewer are not compared, because the trapezoidal rule is too coarse. In at most as many
-a coordinate may change that is at rest at both ends of the step."""
+"""Fewer steps must all contradict the rates. In so many a coordinate may change that is at rest at both ends."""
+
+_TOO_SLOW = 0.25
+"""Mean rate of the positions, relative to that of the rates, below which few steps contradict them: a factor of ten
+is found although the trapezoidal rule may be wrong by a factor of 2.5 in a coarse step."""
 
 _TURN = 2.0
 """Turn of a pose in a step, rad, from which rates are not compared: at half a turn its sense is not determined."""
@@ -227,7 +230,12 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
 
     From 9 samples and one period on this finds a wrong sign, milli and kilo, degrees for radians, a factor of 2 (10
     samples per shortest period; of ẍ against ẋ 15) or of 1.1 (20 samples; of ẍ against ẋ 40), and positions that move
-    while their rate is zero in more than eight steps. Motions with fewer samples are not compared.
+    while their rate is zero in more than eight steps.
+
+    Fewer samples are refused if the positions move less than a quarter of what ẋ says, or backwards, in every step in
+    which ẋ exceeds the sum above, where h |ẍ| counts in full in a single step, half in two, and a third in three. A
+    wrong sign and a factor of ten are found where steps are not coarse; rates that are too small, and ẍ, are not
+    compared.
 
     Right motions pass from 2.2 samples in the shortest period on. Not found: smaller factors; a bias of up to 3 %;
     errors below the noise; one wrong ẋ or ẍ among right ones.
@@ -249,7 +257,8 @@ def _require_rates(name: str, t: Array, values: Array, rates: Array, seconds: Ar
     """Compare steps of values (N, n), or of poses, with their rates (N, n), whose own rates are (N, n) or None."""
     later = np.diff(t) > 0.0
     h, steps = np.diff(t)[later], _steps(values)[:, later]
-    if not steps.size or len(h) < _FEW_STEPS:
+    few = len(h) < _FEW_STEPS
+    if not steps.size or not len(h) or (few and seconds is None):
         return
     rows = np.ascontiguousarray(rates.T)  # reductions along long rows take a tenth of the time
     first, last = rows[:, :-1][:, later], rows[:, 1:][:, later]
@@ -268,11 +277,13 @@ def _require_rates(name: str, t: Array, values: Array, rates: Array, seconds: Ar
         allowed = RATE_TOLERANCE * top + change + np.maximum(jumps[:, 1:], jumps[:, :-1])
     else:
         second = np.maximum(np.abs(seconds[:-1]), np.abs(seconds[1:]))[later].T
-        allowed = RATE_TOLERANCE * top + 0.5 * change + 0.25 * h * second
+        allowed = RATE_TOLERANCE * top + 0.5 * change + max(0.25, 1.0 / len(h)) * h * second
     bends = np.diff(found - given, 4)
-    allowed += _NOISE * np.sqrt((bends**2).mean(axis=1, keepdims=True) / 70.0)  # 70: of noise of size 1
-    if values.ndim == 3 and seconds is not None:
-        # the rotation vector of a step differs from the mean of h ω by h³ ω̇ × ω/12
+    if bends.shape[1] >= 4:
+        allowed += _NOISE * np.sqrt((bends**2).mean(axis=1, keepdims=True) / 70.0)  # 70: of noise of size 1
+    if (
+        values.ndim == 3 and seconds is not None
+    ):  # the rotation vector of a step differs from the mean of h ω by h³ ω̇ × ω/12
         omega, alpha = (np.linalg.norm(part[:, 3:], axis=1) for part in (rates, seconds))
         turn = h * np.maximum(omega[1:], omega[:-1])[later]
         tilt = turn * h * np.maximum(alpha[1:], alpha[:-1])[later] / 6.0
@@ -285,6 +296,10 @@ def _require_rates(name: str, t: Array, values: Array, rates: Array, seconds: Ar
     wrong = apart > allowed
     rests = np.maximum(np.abs(first), np.abs(last)) <= nothing
     wrong &= ~(rests & ((wrong & rests).sum(axis=1, keepdims=True) <= _FEW_STEPS))
+    if few:  # a motion may hurry, or turn back once, between two of few samples
+        fast = np.abs(given) > allowed
+        wrong = fast & (found * np.sign(given) < _TOO_SLOW * np.abs(given))
+        wrong &= (wrong == fast).all()
     if not wrong.any():
         return
     step = int(wrong.any(axis=0).argmax())

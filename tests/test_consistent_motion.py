@@ -84,14 +84,23 @@ def test_the_tolerance_is_the_one_that_is_stated() -> None:
     assert caught.value.details["allowed"] == pytest.approx(bound, rel=0.05)  # of a rate that is a little larger
 
 
-@pytest.mark.parametrize("samples", [2, 3, 5, 8])
-def test_motions_of_fewer_than_eight_steps_are_not_compared(samples: int) -> None:
-    """At nine samples a sign is found."""
-    t = np.linspace(0.0, 1.0, samples)[:, None]
-    require_consistent(PlatformMotion(t[:, 0], t, 0.0 * t - 1.0, 0.0 * t))
-    t = np.linspace(0.0, 1.0, 9)[:, None]
-    with pytest.raises(InputError, match="x0 does not change as xd0"):
-        require_consistent(PlatformMotion(t[:, 0], t, 0.0 * t - 1.0, 0.0 * t))
+@pytest.mark.parametrize("samples", [2, 3, 4, 5, 8])
+def test_a_sign_and_a_factor_of_ten_are_found_in_few_samples(samples: int) -> None:
+    t = np.linspace(0.0, 1.0, samples)
+    even = np.column_stack([0.1 * t, 0.2 - 0.3 * t])
+    rate = np.tile([0.1, -0.3], (samples, 1))
+    arc = [np.column_stack([f(t), f(t + 0.3)]) for f in (np.sin, np.cos, lambda t: -np.sin(t))]
+    rest = [np.polyval(np.polyder([6.0, -15.0, 10.0, 0.0, 0.0, 0.0], k), t)[:, None] for k in range(3)]
+    for x, xd, xdd in ((even, rate, 0.0 * rate), arc, rest):
+        require_consistent(PlatformMotion(t, x, xd, xdd))
+        if samples <= 3 and x is rest[0]:  # one end of each step is at rest: the trapezoidal rule says too little
+            continue
+        for factor in (10.0, 180.0 / np.pi, 1e3):
+            with pytest.raises(InputError, match="does not change as xd"):
+                require_consistent(PlatformMotion(t, x, factor * xd, xdd))
+        if samples > 2:
+            with pytest.raises(InputError, match="does not change as xd"):
+                require_consistent(PlatformMotion(t, x, -xd, -xdd))
 
 
 @pytest.mark.parametrize("times", [np.linspace(0.0, 10.0, 1001), np.linspace(0.0, 10.0, 40)])
@@ -112,6 +121,22 @@ def test_long_steps_are_no_turns_where_the_coordinate_goes_beyond_one_turn() -> 
         require_consistent(PlatformMotion(t[:, 0], step * t, 0.0 * t + step, 0.0 * t))
         with pytest.raises(InputError, match="x0 does not change as xd0"):
             require_consistent(PlatformMotion(t[:, 0], step * t, 0.0 * t + rate, 0.0 * t))
+
+
+def test_a_motion_may_turn_back_between_two_of_few_samples() -> None:
+    """A triangular wave of slope 1 that turns at 1.5 s and 2.5 s, which none of the samples shows."""
+    t, x = np.array([0.0, 1.0, 3.0, 4.0]), np.array([[0.0], [1.0], [1.0], [2.0]])
+    require_consistent(PlatformMotion(t, x, np.ones((4, 1)), np.zeros((4, 1))))
+
+
+def test_few_angles_written_within_a_turn_pass() -> None:
+    t = np.linspace(0.0, 1.0, 6)[:, None]
+    angle = 3.0 + 2.0 * t
+    within = np.angle(np.exp(1j * angle))
+    assert np.abs(np.diff(within, axis=0)).max() > 4.0
+    require_consistent(PlatformMotion(t[:, 0], within, 0.0 * t + 2.0, 0.0 * t))
+    with pytest.raises(InputError, match="x0 does not change as xd0"):
+        require_consistent(PlatformMotion(t[:, 0], within, 0.0 * t - 2.0, 0.0 * t))
 
 
 def test_a_sign_is_found_in_eleven_samples_of_a_sine() -> None:
