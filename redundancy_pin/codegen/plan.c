@@ -17,7 +17,8 @@ typedef char robot_plan_fits[sizeof(Memory) <= sizeof(robot_plan) ? 1 : -1];
 static void command_at(const Memory *m, double t, robot_command *command) {
     const Result *last = &m->planner.result[m->planner.current];
     double bend;
-    command->status = (int)last->status, command->reason = (int)last->reason, command->iterations = (int)last->iterations;
+    command->status = t > last->known_until + SAME ? FALLBACK : (int)last->status; /* a plan that nobody has renewed */
+    command->reason = (int)last->reason, command->iterations = (int)last->iterations;
     command->residual = last->residual, command->peak = last->peak, command->known_until = last->known_until;
     extended(last->edge, last->piece, last->pieces, t, command->s, command->sd, command->sdd);
     value_of(2, M, last->effort_edge, last->effort, last->efforts, t, command->tau);
@@ -46,6 +47,7 @@ int robot_plan_reset(robot_plan *plan) {
 int robot_plan_set_limits(robot_plan *plan, const robot_plan_limits *limits) {
     Memory *m = (Memory *)plan;
     Settings settings = m->planner.settings;
+    if (!(settings.step > 0.0)) return ROBOT_PLAN_BAD_INPUT; /* never reset */
     for (int j = 0; j < K; j++) {
         if (!(limits->track[j][0] < limits->track[j][1]) || !(limits->speed[j] > 0.0)) return ROBOT_PLAN_BAD_INPUT;
         if (!(limits->acceleration[j] > 0.0) || !(limits->jerk[j] > 0.0) || !(limits->carrier_force[j] > 0.0)) return ROBOT_PLAN_BAD_INPUT;
@@ -64,13 +66,13 @@ int robot_plan_set_limits(robot_plan *plan, const robot_plan_limits *limits) {
 int robot_plan_update(robot_plan *plan, double t, const robot_carriers *measured, const robot_preview *preview, robot_command *command) {
     Memory *m = (Memory *)plan;
     double s[K], sd[K], sigma = preview_time(&m->planner, t);
-    int finite = isfinite(t) && is_preview(preview);
+    int finite = is_preview(preview);
     for (int j = 0; j < K; j++) {
         s[j] = measured ? measured->s[j] : NAN, sd[j] = measured ? measured->sd[j] : NAN;
         finite = finite && (!measured || (isfinite(s[j]) && isfinite(sd[j])));
     }
-    if (!finite || (m->planner.started && t < last_of(&m->planner)->t) || sigma < preview->edges[0] - SAME) return ROBOT_PLAN_BAD_INPUT;
-    if (sigma > preview->end + SAME) return ROBOT_PLAN_BAD_INPUT;
+    if (!finite || (m->planner.started && t < last_of(&m->planner)->t)) return ROBOT_PLAN_BAD_INPUT;
+    if (!(sigma >= preview->edges[0] - SAME && sigma <= preview->end + SAME)) return ROBOT_PLAN_BAD_INPUT;
     m->motion.terms = robot_plan_terms, m->motion.near = m->near;
     m->motion.edge = preview->edges, m->motion.piece = preview->coefficients;
     m->motion.pieces = preview->pieces, m->motion.order = preview->order, m->motion.moves_until = preview->moves_until;
@@ -86,7 +88,8 @@ int robot_plan_update(robot_plan *plan, double t, const robot_carriers *measured
         m->begun = 1;
     }
     int status = update_planner(&m->planner, t, &m->preview, s, sd);
-    if (status == UNSOLVED || status == STOPPED) return ROBOT_PLAN_NONE;
+    if (status == STOPPED) return ROBOT_PLAN_BAD_INPUT; /* never reset, the clock, or a motion that is not finite ahead */
+    if (status == UNSOLVED) return ROBOT_PLAN_NONE;
     command_at(m, t, command);
     return status;
 }

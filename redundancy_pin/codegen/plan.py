@@ -37,6 +37,7 @@ from redundancy_pin.planners.receding_horizon.constants import (
     MOST_SINGULAR,
     PARTS,
     RELAXED_ITERATIONS,
+    SLOWER,
 )
 from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.robot import Robot
@@ -166,6 +167,16 @@ def plan_stack_bytes(planner: RecedingHorizon) -> int:
     return int(8 * (of_window + of_plan + of_solver)) + stack_bytes(robot)
 
 
+def most_iterations(*, slows: bool) -> int:
+    """Return the steps of the interior point method in an update at most.
+
+    Programmes begin with a solution before, without one, and relaxed, about the last plan and about another motion;
+    each change of the speed that is tried has those that are not relaxed.
+    """
+    tried = MOST_ROUNDS * 2 * ITERATIONS * (len(SLOWER) + 4)
+    return 2 * MOST_ROUNDS * (2 * ITERATIONS + RELAXED_ITERATIONS) + (tried if slows else 0)
+
+
 def plan_facts(planner: RecedingHorizon, recorded: RecordedPlan) -> dict[str, Any]:
     """Return what the templates need of the planner and its updates."""
     robot, preview = planner.robot, recorded.preview
@@ -186,7 +197,7 @@ def plan_facts(planner: RecedingHorizon, recorded: RecordedPlan) -> dict[str, An
         "step": f"{planner.step:g}",
         "horizon": f"{planner.horizon:g}",
         "slows": planner.slows_down,
-        "iterations": 2 * MOST_ROUNDS * (2 * ITERATIONS + RELAXED_ITERATIONS),
+        "iterations": most_iterations(slows=planner.slows_down),
         # of structures whose places a compiler may pad, with room for what stands beside the planner
         "doubles": int(planner_library(_sizes(planner)).rp_planner_size()) // 8 + _near(robot) + 64,
         "stack": plan_stack_bytes(planner),

@@ -246,7 +246,7 @@ def test_measured_carriers_limits_that_change_and_slowing_down_are_as_in_python(
         seen.add(command.status)
         for later in (0.0, 0.003, 0.2, 1.0):
             again, values = plan.command_at(t + later)
-            assert again == status
+            assert again == (4 if t + later > command.known_until else status)  # FALLBACK: nobody has renewed it
             motion = np.concatenate(command.motion_at(t + later))
             for own, wanted in zip(np.split(values[:6], 3), np.split(motion, 3), strict=True):
                 np.testing.assert_allclose(own, wanted, atol=1e2 * SAME * max(1.0, np.abs(wanted).max()))
@@ -271,7 +271,7 @@ def test_a_preview_that_leads_out_of_reach_is_refused_and_one_that_begins_there_
     assert statuses[-1][0] is UpdateStatus.REFUSED
     plan.reset()
     assert plan.update(float(away.duration))[0] == 8
-    assert plan.command_at(0.0)[0] == 1
+    assert plan.command_at(0.0)[0] == 6
 
 
 def test_previews_that_say_nothing_of_what_comes_are_none(folders: Any, tmp_path: Path) -> None:
@@ -280,7 +280,8 @@ def test_previews_that_say_nothing_of_what_comes_are_none(folders: Any, tmp_path
     plan = Plan(folders("2rpr"), tmp_path / "plan.so", Preview.of(samples))
     assert plan.update(0.39)[0] == 0
     assert plan.update(0.4 + 1e-6)[0] == 7
-    assert plan.command_at(0.41)[0] == 0  # the last plan goes on
+    assert plan.command_at(0.39)[0] == 0
+    assert plan.command_at(0.41)[0] == 4  # the last plan goes on
     plan.reset()
     plan.ahead.end = np.inf
     assert plan.update(0.1)[0] == 7
@@ -291,6 +292,33 @@ def test_previews_that_say_nothing_of_what_comes_are_none(folders: Any, tmp_path
     edges = plan._kept[0]
     edges[3] = edges[2]
     assert plan.update(0.11)[0] == 7
+
+
+def test_a_plan_that_was_never_reset_and_clocks_of_the_epoch_are_refused(folders: Any, tmp_path: Path) -> None:
+    """Neither hangs: the first has no step, and beyond 2⁵³ of them no grid goes on."""
+    plan = Plan(folders("2rpr"), tmp_path / "plan.so", Preview.of(CIRCLE))
+    ctypes.memset(ctypes.byref(plan._memory), 0, ctypes.sizeof(plan._memory))
+    assert plan.update(0.01)[0] == 7
+    assert plan.set_limits(RecedingHorizon(robot_of("2rpr")).resolved) == 7
+    assert plan.command_at(0.01)[0] == 6
+    plan.reset()
+    plan.ahead.end, plan.ahead.moves_until = np.inf, CIRCLE.duration
+    for t in (1.7e9, -1.7e9, 1e14, 1e300, np.inf, np.nan):
+        assert plan.update(t)[0] == 7
+    assert plan.update(1e5)[0] == 0
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_motion_that_is_not_finite_ahead_is_no_preview(folders: Any, bad: float, tmp_path: Path) -> None:
+    """Nothing is written, and the plan before goes on."""
+    plan = Plan(folders("2rpr"), tmp_path / "plan.so", Preview.of(CIRCLE.sample_at(np.linspace(0.0, 1.0, 201))))
+    assert plan.update(0.0)[0] == 0
+    coefficients = plan._kept[1]
+    coefficients[:, int(np.searchsorted(plan._kept[0], 0.55)) :] = bad
+    status, command = plan.update(0.1)
+    assert status == 7
+    assert np.isnan(command).all()
+    assert plan.command_at(0.1)[0] == 0
 
 
 def test_robots_and_planners_that_do_not_fit_are_refused(tmp_path: Path) -> None:

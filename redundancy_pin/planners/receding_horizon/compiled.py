@@ -18,7 +18,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, frozen, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.results import CarrierTerms
-from redundancy_pin.errors import CompilerError, InfeasiblePlanError
+from redundancy_pin.errors import CompilerError, InfeasiblePlanError, InputError
 from redundancy_pin.machine_code import (
     FLAGS,
     NATIVE,
@@ -157,7 +157,8 @@ class CompiledPlanner:
         weights: of the objective.
         limits: in force; ``set_limits`` changes them.
         slow_down: whether the platform may go more slowly where no plan keeps every limit.
-        memory, last, number: of a planner that goes on, with the number of its preview.
+        memory, last, number, layout: of a planner that goes on, with the number of its preview, and what tells whether
+            its memory is laid out as here.
 
     Attributes:
         last: the plan of the last update; None before the first.
@@ -177,6 +178,7 @@ class CompiledPlanner:
         memory: Array | None = None,
         last: UpdatePlan | None = None,
         number: int = 0,
+        layout: str = "",
     ) -> None:
         self._made_of = dynamics, step, horizon, weights
         self._slow_down, self._terms = slow_down, Terms(dynamics)
@@ -192,11 +194,17 @@ class CompiledPlanner:
             "effort_edge": 2 * times + 1, "effort": 4 * times * m, "force_edge": 2 * INSTANTS + 1,
             "force": 4 * INSTANTS * k,
         })  # fmt: skip
+        self._layout = digest([planner_source(sizes), str(library.rp_planner_size())])
+        if memory is not None and layout != self._layout:
+            raise InputError(
+                "The planner comes from another version of the package, or another compiler.",
+                remedy="Make a new one: its first update goes on from where the carriers are.",
+            )
         self._memory = np.zeros(library.rp_planner_size() // 8 + 1) if memory is None else memory.copy()
         self._address = ctypes.c_void_p(self._memory.ctypes.data)
         self._python = _EVALUATE(self._evaluate)
         self._given = _Preview(number=number)
-        self._known = Preview(_nothing, 0.0, 0.0)
+        self._known: Preview | None = None
         self._breaks = np.empty(0)
         self._raised: BaseException | None = None
         self._nowhere = np.full(k, np.nan)
@@ -208,7 +216,8 @@ class CompiledPlanner:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Make it again, in memory of its own, where it is copied or sent to."""
-        return _again, (*self._made_of, self._limits, self._slow_down, self._memory, self.last, self._given.number)
+        going_on = self._memory, self.last, self._given.number, self._layout
+        return CompiledPlanner, (*self._made_of, self._limits, self._slow_down, *going_on)
 
     def _settings(self) -> Array:
         _, step, horizon, weights = self._made_of
@@ -248,6 +257,8 @@ class CompiledPlanner:
         """Write W, f and forces by terms; return the number of instants before the first out of reach."""
         try:
             t, sigma, rate, bend = (_at(part, count).copy() for part in addresses[:4])
+            if self._known is None:
+                return -1
             read = self._terms.at(self._known, t, sigma, rate, bend)
             finite = np.isfinite(read.constant).all(axis=1)
             size = sum(part.size for part in read)
@@ -277,7 +288,9 @@ class CompiledPlanner:
         )
         if status == STOPPED:
             raised, self._raised = self._raised, None
-            raise raised or RuntimeError("The on-line planner ran out of memory.")
+            raise raised or InputError(
+                "The preview is not finite in what is in sight.", remedy="Pass a motion of finite numbers.", time=t
+            )
         if status == UNSOLVED:
             raise InfeasiblePlanError(
                 f"No plan was found at t = {t:.6g} s.", remedy="Start elsewhere, or widen the limits.", time=t
@@ -318,7 +331,7 @@ class CompiledPlanner:
 
         told = STATUSES[status], REASONS[why].format(left=left, known=0.0, place="")
         if why == BLOCKED:
-            place = place_of(self._known.states(np.array([blocked]))[0][0])
+            place = place_of(self._known.states(np.array([blocked]))[0][0]) if self._known else []
             told = told[0], REASONS[why].format(known=float(result[places["node"]][known]), place=place)
         scaling = self._scaling_after(changes)
         if scaling is not None and told[0] is UpdateStatus.TIME_SCALED:
@@ -416,14 +429,6 @@ def _places(parts: Mapping[str, int]) -> dict[str, slice]:
     """Return where parts of some lengths are that lie one behind the other."""
     ends = np.cumsum([0, *parts.values()]).tolist()
     return {name: slice(a, b) for name, a, b in zip(parts, ends[:-1], ends[1:], strict=True)}
-
-
-def _nothing(times: Array) -> PlatformMotion:
-    raise RuntimeError(f"No preview at {times[0]:g} s.")
-
-
-def _again(*made_of: Any) -> CompiledPlanner:
-    return CompiledPlanner(*made_of)
 
 
 def _at(address: int, count: int) -> Array:

@@ -35,6 +35,9 @@ def _line(name: str, value: Number, unit: str, meaning: str, source: str, in_c: 
 # times
 SAME = _line("SAME", 1e-9, "s", "times that differ by less are one", "accuracy: rounding of clocks of hours")
 BESIDE = _line("BESIDE", 1e-8, "s", "before and after a jump of ẍ: f and the efforts jump with it", "accuracy")
+LATEST = _line(
+    "LATEST", 4e6, "s", "latest time of a clock, 46 days: beyond it rounding is half of SAME", "accuracy: 2⁻⁵² of it"
+)
 FOR_EVER = _line("FOR_EVER", 1e6, "s", "how long a motion that ends at rest is held", "convention", False)
 NO_END = _line("NO_END", 1e9, "s", "how long the last rate of slowing down is written out", "convention")
 STILL = _line("STILL", 1e-9, "1", "last over largest speed of a motion that ends at rest", "accuracy", False)

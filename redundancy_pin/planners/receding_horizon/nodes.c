@@ -7,19 +7,6 @@ enum { BORDER = 2 * MOST_SINGULAR + 2, SIDES = BORDER + 1, BREAKS = INSTANTS / 4
 enum { TIMES = INSTANTS + COUNT };                  /* of efforts: at instants, and then at nodes */
 enum { OK = 0, UNSOLVED = 1, RELAXED = 2, REFUSED = 3, FALLBACK = 4, TIME_SCALED = 5, STOPPED = 6 };   /* STOPPED: by who evaluates */
 
-typedef struct {
-    long edges, nodes, roots, breaks, sharps, same_time;
-    long first, strict, guesses;                    /* no last plan; no relaxed one is wanted; which motion to try next */
-    const Window *window;                           /* the instants in sight */
-    const double *edge, *piece;                     /* carriers of the last plan: (edges), (4, edges - 1, K) */
-    const double *node, *at, *multiplier;           /* its nodes, (3, nodes, K) and (nodes, N) there */
-    const double *solution;                         /* its ``Solution``; 0 of a plan that was made otherwise */
-    const double *root, *broken, *sharp;                 /* singular instants, jumps of the platform's acceleration */
-    const double *row_scale, *row, *track, *speed, *acceleration, *jerk, *carrier_force, *effort, *unit, *weight;
-    const double *s, *sd;                           /* where the carriers are; NaN where the last plan is to be believed */
-    double now, until, step, horizon, tau, largest, peak;
-} Given;
-
 /* Weights of the objective, in the order of ``Weights``. */
 enum { EFFORT, PEAK, MEMORY, ACCELERATED, JERKED, CENTRE, END, END_SPEED, UNMET };
 
@@ -34,6 +21,19 @@ INLINE int block_at(int block) { return block < FORCE ? 2 * block * LANES : FORC
 
 /* Of a programme, where the next one begins: duals of its bounds, and efforts at its nodes. */
 typedef struct { double dual[BOUNDS], tau[EFFORTS]; } Solution;
+
+typedef struct {
+    long edges, roots, breaks, sharps, same_time;
+    long first, strict, guesses;                    /* no last plan; no relaxed one is wanted; which motion to try next */
+    const Window *window;                           /* the instants in sight */
+    const double *edge, *piece;                     /* carriers of the last plan: (edges), (4, edges - 1, K) */
+    const double *node, *at, *multiplier;           /* its nodes (COUNT), (3, COUNT, K) and (COUNT, N) there */
+    const Solution *solution;
+    const double *root, *broken, *sharp;                 /* singular instants, jumps of the platform's acceleration */
+    const double *row_scale, *row, *track, *speed, *acceleration, *jerk, *carrier_force, *effort, *unit, *weight;
+    const double *s, *sd;                           /* where the carriers are; NaN where the last plan is to be believed */
+    double now, until, step, horizon, tau, largest, peak;
+} Given;
 
 /* What an update brings, and the next one begins with. The beginning of a function may be that of the plan before. */
 enum { CARRIER_PIECES = 2 * (COUNT + K), EFFORT_PIECES = 2 * TIMES, FORCE_PIECES = 2 * INSTANTS };

@@ -9,7 +9,7 @@ typedef struct {
 
 typedef struct {
     Settings settings;
-    long slows, started, guesses, current, seen, number, changes;
+    long slows, started, guesses, current, seen, number, changes, iterations;   /* of this update, whatever is kept */
     double unit[3 * K], tau, row[N], largest, held_until, broken[BREAKS];
     Scaling scaling, other_scaling;
     Result result[2];   /* that of the last update, and the next one */
@@ -167,8 +167,8 @@ static int attempt(Planner *p, const Sight *v, double t, const double *s, const 
     for (long r = 0; r < w->roots; r++)   /* rows for no more of them: what is behind is not planned yet */
         if (w->root[r] > t - SAME && ++ahead == MOST_SINGULAR + 1) until = smaller(until, w->root[r] - own->step);
     Given g = {
-        last->pieces + 1, p->started ? COUNT : 0, w->roots, 0, w->sharps, p->started && last->t == t, !p->started, strict, p->guesses, w,
-        last->edge, last->piece, last->node, last->at, last->multiplier, p->started ? (const double *)&last->solution : 0, w->root,
+        last->pieces + 1, w->roots, 0, w->sharps, p->started && last->t == t, !p->started, strict, p->guesses, w,
+        last->edge, last->piece, last->node, last->at, last->multiplier, &last->solution, w->root,
         p->broken, w->sharp, own->row_scale, p->row, own->track, own->speed, own->acceleration, own->jerk, own->carrier_force, own->effort,
         p->unit, own->weight, s, sd, t, until, own->step, own->horizon, p->tau, p->largest, last->peak};
     double first, final, unused, after = t + (FIRST + 2) * own->step;
@@ -176,6 +176,7 @@ static int attempt(Planner *p, const Sight *v, double t, const double *s, const 
     for (long b = 0; b < v->preview->breaks && g.breaks < BREAKS; b++)
         if (v->preview->broken[b] > first && v->preview->broken[b] < final) p->broken[g.breaks++] = clock_at(v->scaling, v->preview->broken[b]);
     int status = plan_from_now(v, &g, made, &p->work, p->plan);
+    p->iterations += p->work.iterations;
     if (status == UNSOLVED || status == STOPPED) return status;
     made->t = t, made->status = status, made->reason = NOTHING, made->singulars = 0;
     if (status == RELAXED) made->reason = made->relaxed ? LIMITS : FORCE_MISSING;
@@ -296,8 +297,10 @@ static double preview_time(const Planner *p, double t) {
 }
 
 /* Plan from a time on, not before the last one; s, sd (K): where the carriers are, NaN where the last plan is to be believed. The
-   result is that of ``last_of``. UNSOLVED: a first plan was not found. STOPPED: by who evaluates the preview. */
+   result is that of ``last_of``. UNSOLVED: a first plan was not found. STOPPED: by who evaluates the preview; or the planner was never
+   started, or the clock counts from so long ago that it does not tell instants apart. */
 static int update_planner(Planner *p, double t, const Preview *preview, const double *s, const double *sd) {
+    if (!(p->settings.step > 0.0) || !(fabs(t) <= LATEST)) return STOPPED;
     if (preview->number != p->number) {
         if (!p->started) {
             Window *w = &p->window[p->seen];
@@ -309,13 +312,14 @@ static int update_planner(Planner *p, double t, const Preview *preview, const do
         }
         p->number = preview->number;
     }
+    p->iterations = 0;
     Sight v = sight_of(p, 0, preview, &p->scaling);
     int status = p->slows ? update_slowing(p, preview, t, s, sd) : update_along(p, &v, t, s, sd);
     if (status == UNSOLVED || status == STOPPED) return status;
     Result *last = last_of(p);
     double sigma, rate, bend;
     sigma_at(&p->scaling, t, &sigma, &rate, &bend);
-    last->changes = p->changes, last->so_far = p->largest;
+    last->changes = p->changes, last->so_far = p->largest, last->iterations = p->iterations;
     if (last->status == OK && p->changes && smaller(final_rate(&p->scaling), rate) < FULL) last->status = TIME_SCALED;
     return (int)last->status;
 }

@@ -15,7 +15,7 @@ from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.options import Limits, group_of
 from redundancy_pin.planners.receding_horizon.command import GOALS, Command, Goal, Weights
 from redundancy_pin.planners.receding_horizon.compiled import CompiledPlanner
-from redundancy_pin.planners.receding_horizon.constants import SAME
+from redundancy_pin.planners.receding_horizon.constants import LATEST, SAME
 from redundancy_pin.planners.receding_horizon.preview import Preview, Source
 from redundancy_pin.status import UpdateStatus
 
@@ -27,7 +27,7 @@ class RecedingHorizon:
     fixed in time, with s̈ linear in between, W τ = f linear about the last plan, its curvature in the cost as far as
     that is convex, and the limits of the carriers between the nodes too. Where that is too far off it solves others.
     W⁻¹ is not formed: type II singularities ahead become nodes with what makes τ finite and continuous there
-    (``ahead``). At the end of the horizon the carriers can still stop on their tracks, so there always is a motion
+    (``window.c``). At the end of the horizon the carriers can still stop on their tracks, so there always is a motion
     within their limits.
 
     Args:
@@ -112,11 +112,16 @@ class RecedingHorizon:
 
         Raises:
             InputError: values that are not finite, a preview that is none, a time before the last one, before the
-                preview or after its end.
+                preview or after its end, or beyond 4e6 s.
             InfeasiblePlanError: no plan at the first tick, with none before it to go on with.
         """
         began = time.perf_counter()
         t = self._time(t)
+        if abs(t) > LATEST:
+            raise InputError(
+                f"The update is at t = {t:.6g} s, where a clock no longer tells instants {SAME:g} s apart.",
+                remedy="Count time from the start of the run.",
+            )
         known = self._preview if preview is self._source and self._preview is not None else Preview.of(preview)
         own = self.updates.time_of(t)
         if own < known.start - SAME:

@@ -224,13 +224,13 @@ static void set_start(const Given *g, Work *w, double coming) {
 /* What the first programme is linear about: the last plan, or carriers that stay where they start. */
 static void begin_about_last(const Given *g, Work *w) {
     memset(w->multiplier, 0, sizeof w->multiplier);
-    int same = g->same_time && g->nodes == COUNT;
+    int same = (int)g->same_time;
     for (int i = 0; i < COUNT && same; i++) same = g->node[i] == w->node[i];
     for (int i = 0; i < COUNT; i++) {
         for (int d = 0; d < 3 && g->first; d++) memcpy(w->at[d] + i * K, w->given[d], sizeof w->given[d]);
         if (g->first) continue;
         extended(g->edge, g->piece, g->edges - 1, w->node[i], w->at[0] + i * K, w->at[1] + i * K, w->at[2] + i * K);
-        for (long o = 0; o < g->nodes; o++)
+        for (int o = 0; o < COUNT; o++)
             if (fabs(g->node[o] - w->node[i]) <= SAME) memcpy(w->multiplier + i * N, g->multiplier + o * N, N * sizeof(double));
     }
     if (same) memcpy(w->at, g->at, sizeof w->at);
@@ -357,8 +357,8 @@ static int plan_from_now(const Sight *v, const Given *g, Result *result, Work *w
     memcpy(w->row_unit, result->row, sizeof w->row_unit);
     w->tau_unit = result->tau * (g->first ? 1.0 : smaller(larger(g->peak / g->tau, SMALLEST), 1.0));
     w->iterations = w->rounds = 0;
-    w->before = g->solution && g->nodes == COUNT;
-    if (w->before) memcpy(w->node_before, g->node, sizeof w->node_before), memcpy(&w->solution, g->solution, sizeof w->solution);
+    w->before = !g->first;
+    if (w->before) memcpy(w->node_before, g->node, sizeof w->node_before), w->solution = *g->solution;
     if (!plan_rounds(g, w, t, count, refused, plan)) return UNSOLVED;
     if (g->strict && is_short(plan[0])) return UNSOLVED;
     give(g, w, plan[0], result);
@@ -369,6 +369,5 @@ static int plan_from_now(const Sight *v, const Given *g, Result *result, Work *w
         result->guessed = 1;
         if (plan_rounds(g, w, t, count, refused, others) && doubt(others[0]) < doubt(plan[0])) plan[0] = others[0], give(g, w, plan[0], result);
     }
-    result->iterations = w->iterations;   /* of what was not kept too */
     return refused ? REFUSED : is_short(plan[0]) ? RELAXED : OK;
 }

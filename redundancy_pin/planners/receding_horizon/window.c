@@ -132,6 +132,8 @@ static long evaluate_polynomials(void *context, long count, const double *t, con
         in[k * WIDTH] = t[k];
         platform_at(p, sigma[k], in + k * WIDTH + 1);
         for (int c = 0; c < N; c++) xdd[c] = xdd[c] * rate[k] * rate[k] + xd[c] * bend[k], xd[c] *= rate[k];
+        for (int c = 1; c < WIDTH; c++)
+            if (!isfinite(in[k * WIDTH + c])) return -1;
     }
     long closed = p->terms(p->numbers, (int)count, in, WIDTH, p->near, out, sizes);
     return closed < count && p->otherwise ? p->otherwise(p->context, count, t, sigma, rate, bend, out) : closed;

@@ -438,6 +438,8 @@ def test_ticks_do_not_go_back_in_time():
         (np.nan, ACROSS, "t is nan"),
         (-0.01, ACROSS, "the preview begins at 0 s"),
         (0.1, ACROSS.sample_at(np.linspace(0.0, 0.05, 20)), r"ends at 0\.05 s.*skip"),
+        (1.7e9, ACROSS.sample_at, "Count time from the start of the run"),
+        (1e18, ACROSS.sample_at, "Count time from the start of the run"),
         (0.0, lambda t: ACROSS.sample_at(t[:1]), "answers for 1"),
         (0.0, lambda t: ACROSS.sample_at(t + 0.1), r"from 0\.1 s on"),
         (0.0, lambda t: None, "not NoneType"),

@@ -13,6 +13,7 @@ import pytest
 import zoo
 
 import redundancy_pin as rp
+from redundancy_pin.codegen.plan import most_iterations
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.planners.options import Limits
@@ -190,6 +191,18 @@ def test_before_a_pose_out_of_reach_the_platform_stops_and_stays() -> None:
     fastest = max(np.abs(command.motion_at(command.t)[1]).max() for command in commands)
     assert np.abs(commands[-1].motion_at(commands[-1].t)[1]).max() < 0.02 * fastest
     assert np.abs(commands[-1].tau).max() < 0.02 * max(np.abs(command.tau).max() for command in commands)
+
+
+def test_iterations_are_those_of_all_speeds_that_were_tried() -> None:
+    """Where no speed will do, full speed is planned for as without slowing down: its iterations come on top."""
+    limits = rp.Limits(effort=0.4, acceleration=2.0)
+    slows = RecedingHorizon(machine()[0], slow_down=True, limits=limits)
+    plain = RecedingHorizon(machine()[0], limits=limits)
+    assert slows.update(0.0, CIRCLE).status is plain.update(0.0, CIRCLE).status is UpdateStatus.RELAXED
+    tried = slows.updates.last.iterations - plain.updates.last.iterations
+    assert tried > 15  # each of some fifteen speeds takes one iteration at least
+    assert slows.updates.last.iterations <= most_iterations(slows=True)
+    assert most_iterations(slows=False) == 2560
 
 
 def test_limits_that_are_loosened_let_it_go_on() -> None:
