@@ -59,6 +59,7 @@ static long begun_with(int order, int width, long pieces, const double *edge, co
     for (int d = 0; d < order; d++)
         for (long i = 0; i < many; i++) memcpy(to + (d * total + i) * width, piece + (d * pieces + first + i) * width, (size_t)width * sizeof *to);
     for (int j = 0; j < width && many; j++) shift(to + j, order, total * width, larger(smaller(t, edge[pieces]) - edge[first], 0.0));
+    for (int d = 0; d < order - 1 && t >= edge[pieces]; d++) memset(to + d * total * width, 0, (size_t)(many * width) * sizeof *to);   /* held */
     for (long i = 0; i < many; i++) to_edge[i] = larger(t, edge[first + i]);
     to_edge[many] = start;
     if (link) {
@@ -309,6 +310,7 @@ static int update_planner(Planner *p, double t, const Preview *preview, const do
         } else {
             begin_window(&p->window[!p->seen], &p->window[p->seen], t, p->settings.step);
             p->seen = !p->seen;
+            p->window[p->seen].size = 0.0;   /* of what comes, as of a first preview: it is looked at anew */
         }
         p->number = preview->number;
     }

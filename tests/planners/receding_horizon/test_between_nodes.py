@@ -13,6 +13,7 @@ import redundancy_pin as rp
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.planners.receding_horizon import RecedingHorizon
 from redundancy_pin.planners.receding_horizon.command import extended
+from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.planners.registry import in_groups
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
@@ -82,7 +83,10 @@ def test_the_largest_effort_of_a_plan_is_that_of_its_command_up_to_the_next_tick
 
 @pytest.mark.parametrize("name", ["2rpr", "3rrr", "driven elbow"])
 def test_what_limits_cut_off_until_the_next_node_is_told_as_the_other_backend_has_it(name: str) -> None:
-    """At the instants of a step where an effort is at its limit; a thousandth of the size of f decides."""
+    """At the instants of a step where an effort is at its limit; a thousandth of the size of f decides.
+
+    Of a preview that ends at the update nothing is told of what comes.
+    """
     other, motion, cut = backends(name)[1], MOTIONS[name], 0
     free = planner_of(name)
     for i, most in ((i, most) for i in range(3, 20) for most in (0.8, 0.9, 0.97, 1.0 - 1e-5)):
@@ -99,12 +103,15 @@ def test_what_limits_cut_off_until_the_next_node_is_told_as_the_other_backend_ha
         missing = np.abs(np.einsum("nij,nj->ni", reduced.W, efforts) - reduced.f) / reduced.row_scale
         meets = (np.abs(efforts) >= planner.resolved.effort * (1.0 - 1e-12)).any(axis=1)
         worst = missing[meets].max(initial=0.0)
-        assert command.residual >= worst - 1e-6
+        assert command.residual == pytest.approx(worst, rel=1e-5, abs=1e-9)
         size = planner.updates.last.row.max()
         if abs(worst / size - 1e-3) > 1e-5:
             assert (command.status is RELAXED) == (worst > 1e-3 * size)
             assert ("the efforts meet their limits" in command.reason) == (worst > 1e-3 * size)
         cut += worst > 1e-3 * size
+        ended = planner_of(name, effort=planner.resolved.effort).update(t, replace(Preview.of(motion), end=t))
+        assert "between the nodes" not in ended.reason
+        assert ended.residual < 1e-9 or "no plan" in ended.reason
     assert cut
 
 
@@ -129,4 +136,31 @@ def test_where_a_plan_begins_at_a_singular_instant_the_command_goes_on_from_the_
         between = command.efforts.edges[command.efforts.edges > begins][0]
         thirds = command.efforts(np.linspace(begins, between - 1e-12, 4))
         np.testing.assert_allclose(np.diff(thirds, 2, axis=0), 0.0, atol=1e-9)
+        edges = command.efforts.edges
+        assert planner.updates.last.largest >= np.abs(command.efforts(edges[edges <= begins])).max()
         last = command
+
+
+def test_where_the_last_plan_has_ended_before_a_singular_instant_it_is_held_up_to_there() -> None:
+    """After missed updates: efforts and forces are its last ones."""
+    planner = planner_of(horizon=0.1)
+    root = float(rp.find_crossings(planner.robot, ACROSS)[0].t)
+    last = planner.update(root - 0.15, ACROSS)
+    t = root - 0.2 * STEP
+    command = planner.update(t, ACROSS)
+    assert planner.updates.last.nodes[0] == pytest.approx(root, abs=1e-8)
+    times = np.linspace(t, root - 1e-9, 5)
+    for own, before in ((command.efforts, last.efforts), (command.forces, last.forces)):
+        assert before.end < t
+        np.testing.assert_allclose(own(times), np.tile(before.at(before.end), (5, 1)), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
+def test_a_preview_that_is_given_anew_at_every_update_makes_the_same_plans(name: str) -> None:
+    """Sharp turns are those of the motion, however often it is looked at."""
+    one, anew = planner_of(name), planner_of(name)
+    for t in (STEP * np.arange(40)).tolist():
+        own, other = one.update(t, MOTIONS[name]), anew.update(t, Preview.of(MOTIONS[name]))
+        assert other.status is own.status
+        np.testing.assert_allclose(anew.updates.last.nodes, one.updates.last.nodes, atol=1e-9)
+        np.testing.assert_allclose(other.tau, own.tau, rtol=1e-6, atol=1e-6 * np.abs(own.tau).max())

@@ -361,6 +361,28 @@ def test_the_speed_never_leads_back_nor_beyond_that_of_the_preview(seed: int) ->
     assert changes > 3
 
 
+@pytest.mark.parametrize(("horizon", "first", "near"), [(0.3, 5, 0.07), (0.3, 20, 0.09), (0.4, 10, 0.12)])
+def test_a_stop_that_is_called_off_leads_on_and_never_back(horizon: float, first: int, near: float) -> None:
+    """The way is blocked at once, and free again when the speed may rise: in the middle of the ramp to rest."""
+    planner = RecedingHorizon(
+        machine("five_bar")[0], slow_down=True, horizon=horizon, limits=Limits(acceleration=1e3, speed=100.0)
+    )
+    free = out_of_reach(far=0.12)
+
+    def blocked(times):
+        motion = free.sample_at(times)
+        away = np.where(times > 0.02 * first + near, 1.0, 0.0)[:, None]
+        return rp.PlatformMotion(times, motion.x + away, motion.xd, motion.xdd, check_rates=False)
+
+    for i in range(first + 10):
+        command = planner.update(0.02 * i, blocked if first <= i < first + 5 else free)
+        if command.scaling is not None:
+            _, rate, _ = command.scaling.at(command.t + np.linspace(0.0, 2.0 * horizon, 400))
+            assert rate.min() > -1e-9
+            assert rate.max() < 1.0 + 1e-9
+    assert command.scaling is not None
+
+
 def final_rate(command) -> float:
     return 1.0 if command.scaling is None else command.scaling.final_rate
 
