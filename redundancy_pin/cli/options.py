@@ -113,7 +113,7 @@ def bounds(name: str, value: object) -> dict[str, float]:
 def weights(name: str, value: object) -> str | dict[str, float]:
     """Return one word, or the weights of several: from a mapping, or from words such as ``effort`` and ``peak=2``."""
     if isinstance(value, Mapping):
-        return {str(key): number(f"the weight of {key}", weight) for key, weight in value.items()}
+        return {str(key): _number_of(name, str(key), weight) for key, weight in value.items()}
     words = [value] if isinstance(value, str) else value
     if not isinstance(words, Sequence) or not all(isinstance(entry, str) for entry in words):
         raise refusal(name, value, "neither a word nor weights", "effort, or {effort: 1, peak: 2}")
@@ -124,8 +124,16 @@ def weights(name: str, value: object) -> str | dict[str, float]:
         key, separator, weight = (part.strip() for part in entry.partition("="))
         if key in result:
             raise InputError(f"{name} has {shown(key)} twice.", remedy="Leave one of them out.", name=name)
-        result[key] = number(f"the weight of {key}", weight) if separator else 1.0
+        result[key] = _number_of(name, key, weight) if separator else 1.0
     return result
+
+
+def _number_of(name: str, key: str, value: object) -> float:
+    """Return the number of one of several words."""
+    try:
+        return number(name, value)
+    except InputError as error:
+        raise InputError(f"{key} in {name} is {shown(value)}, not a number.", remedy=error.remedy, name=name) from None
 
 
 def require_known(given: Mapping[str, object], known: Sequence[str], where: str) -> None:

@@ -167,7 +167,7 @@ MISTAKES: tuple[tuple[dict[str, Any], str], ...] = (
     ({"baseline": "none"}, "`baseline` is 'none'"),
     ({**WHOLE, "parameters": {"steps": 10}}, "no key 'steps'"),
     ({**WHOLE, "parameters": {"objective": 3}}, "objective is 3"),
-    ({**WHOLE, "parameters": {"objective": {"peak": "high"}}}, "the weight of peak"),
+    ({**WHOLE, "parameters": {"objective": {"peak": "high"}}}, "peak in objective is 'high'"),
     ({**WHOLE, "parameters": {"starts": 1.5}}, "starts is 1.5, not a whole number"),
     ({**WHOLE, "parameters": {"starts": float("inf")}}, "starts is inf"),
 )
@@ -210,6 +210,7 @@ def test_files_that_are_no_problem(content: bytes, says: str) -> None:
         ("set: {carrier_mass: 2}\nbaseline: {working_mode: abc}\n", 6),
         ("set: {carrier_mass: heavy}\nbaseline: {gravity: [0, 0, -9]}\n", 5),
         ("parameters:\n  datum: 0\n  track: [0, x]\n", 7),
+        ("parameters:\n  datum: 0\n  track: [0.1, -0.1]\n", 7),
         ("set: &two\n  carrier_mass: [1]\nbaseline: {set: {<<: *two}}\n", 6),
         ("parameters:\n  speed: fast\n", 6),  # a key of the trajectory, too
         ("  speed: fast\nparameters:\n  speed: 1.0\n", 5),
