@@ -110,7 +110,7 @@ def inverse_dynamics(
         result.to_csv(out)
 
         def draw(path: str) -> None:
-            drawn = curves(loaded, result.reduced, result.efforts, carriers)
+            drawn = curves(loaded, result.reduced, result.efforts, carriers, bounds=result.bounds)
             save(efforts(replace(drawn, instants=tuple(one.t for one in result.instants))), path)
 
         plot, failed = output.drawn(plot, draw)

@@ -339,7 +339,7 @@ def test_what_is_said_to_suffice_suffices() -> None:
 
 def test_a_coarse_mesh_does_not_promise_a_few_per_cent() -> None:
     """With 2 % more than what is said the plan is refused again, on the finer mesh that it takes: 13 % were needed."""
-    line = "plan whole-trajectory --robot 2rpr --trajectory circle --dt 0.03 --effort".split()
+    line = ["plan", "whole-trajectory", "--robot", "2rpr", "--trajectory", "circle", "--dt", "0.03", "--effort"]
     said = refused(*line, "0.1")
     found = re.search(r"from 0.1 to (\S+) N", said)
     assert found is not None
