@@ -453,9 +453,11 @@ def _which_meet(marks: Sequence[str], at_zero: Sequence[tuple[str, str]], tree: 
             if tree.model.parents[tree.bodies[link]] != tree.bodies[mark]:
                 likely[mark, link] = "it is there at zero"
     suggested = "; ".join(f"{_close(pair)} ({why})" for pair, why in likely.items()) or "--close A,B"
+    open_at_zero = bool(likely) and not any(tree.meet(*pair) for pair in likely)
+    branch = " Where all joints are at zero they do not meet: name the branch too, --guess JOINT=VALUE,..."
     return (
         f"Where are loops cut? The file does not say which of the links {', '.join(marks)} close loops: {suggested}, "
-        "or --open if none does.",
+        f"or --open if none does.{branch if open_at_zero else ''}",
         bool(likely),
     )
 

@@ -36,6 +36,9 @@ def test_what_is_asked_is_in_the_file_until_it_is_decided(urdf, tmp_path):
     assert "undecided: Where are loops cut?" in asked.stderr
     assert "--close rocker_tip,coupler_tip (the only two)" in asked.stderr
     assert "undecided: Which joints are driven, of crank, knee, rocker?" in asked.stderr
+    # all that is asked is asked at once: with the three answers it is done
+    assert "name the branch too, --guess JOINT=VALUE" in asked.stderr
+    assert call("new", urdf, *DECIDED, "--out", tmp_path / "at_once.yaml").exit_code == 0
     with pytest.raises(DeclarationError, match=r"Where are loops cut\?.*Which joints are driven.*`undecided`"):
         rp.load_robot(tmp_path)
     declared = yaml.safe_load((tmp_path / "robot.yaml").read_text())
