@@ -91,7 +91,7 @@ def inverse_dynamics(
     Example:
       redundancy-pin inverse-dynamics --robot 3rrr --set carrier_mass=2.0 \
           --motion motion.csv --out efforts.csv
-      redundancy-pin inverse-dynamics --robot 2rpr --trajectory way.csv:speed=0.1 --out efforts.csv
+      redundancy-pin inverse-dynamics --robot 2rpr --motion way.csv:speed=0.1 --out efforts.csv
       redundancy-pin inverse-dynamics --robot two_arms.yaml --motion motion.csv --payload bar=2 \
           --preferred 0,0,0,5,0,0 --lower=-40 --upper 40 --out efforts.csv
     """

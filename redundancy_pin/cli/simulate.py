@@ -168,7 +168,7 @@ def _planned(
 ) -> tuple[Robot, MotionReference, Ends | None]:
     """Return the robot as planned, the motion to follow, and the ends of a motion through points."""
     if plan is not None:
-        for name, value in (("trajectory", motion.trajectory), ("motion", motion.path), ("park", park)):
+        for name, value in (("motion", motion.given), ("park", park)):
             if value is not None:
                 raise InputError(f"--plan and --{name} are both given.", remedy="A plan has its own motion.")
         nominal = robot.recorded(plan)

@@ -235,7 +235,7 @@ def test_motions_of_a_point_of_a_link(tmp_path):
     robot = rp.load_robot(tmp_path)
     assert (robot.n, robot.platform.axes) == (2, ("x", "y"))
     circle, out = "circle:centre=0.2 0.45,radius=0.05,speed=0.2", tmp_path / "efforts.csv"
-    run = call("inverse-dynamics", "--robot", tmp_path, "--trajectory", circle, "--out", out)
+    run = call("inverse-dynamics", "--robot", tmp_path, "--motion", circle, "--out", out)
     assert run.exit_code == 0, run.stderr
     assert out.read_text().startswith("t [s],x [m],y [m],")
 
