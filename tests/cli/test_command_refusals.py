@@ -56,7 +56,7 @@ info --robot 4rrr => There is no robot '4rrr'
 {CIRCLE} --track=0.1,-0.1 => error: --track: track is [0.1, -0.1]
 {CIRCLE} --at-most peak=x => error: --at-most: peak in at_most is 'x'
 {CIRCLE} --objective peak=x => error: --objective: peak in objective is 'x'
-{RUN} --seed 3 => --seed is that of the noise
+{RUN} --seed 3 => error: --seed: seed is that of the noise
 validate --robot 3rrr --jobs 0 => or -1 for one process per core
 validate --robot 3rrr --jobs -2 => or -1 for one process per core
 {ONLINE} --horizon soon => horizon is 'soon'
@@ -191,17 +191,18 @@ export plan.npz --to plan.npz => --to plan.npz does not end in .csv or .json or 
 {RUN} --park 0.1 => --plan and --park are both given
 {RUN} --set carrier_mass=2 => --set
 {RUN} --machine charm=2 => 3rrr.urdf.xacro has no argument 'charm'
-{RUN} --noise 1 => --noise goes with a sampled controller
+{RUN} --noise 1 => error: --noise: noise goes with a sampled controller
 {RUN} --noise -1 --period 0.01 => noise is -1.0
-{RUN} --delay 1 => --delay goes with a sampled controller
+{RUN} --delay 1 => error: --delay: delay goes with a sampled controller
+{RUN} --encoders => error: --encoders: encoders goes with a sampled controller
 {RUN} --period -1 => The sampling has period -1.0 s and delay 0.0 s
-{RUN} --friction coulomb=1 => --friction has no key 'coulomb'
+{RUN} --friction coulomb=1 => error: --friction: friction has no 'coulomb'
 {RUN} --friction revolute_coulomb=-1 => revolute_coulomb is -1.0
 {RUN} --stop-at never --stop-at track => --stop-at is never and track
 {RUN} --effort-limit 1,2 => effort_limit is [1.0
 {RUN} --duration -1 => duration is -1.0 s
 {RUN} --dt -1 => dt is -1 s
-{RUN} --noise 1 --period 0.01 --seed -3 => Invalid value for '--seed'
+{RUN} --noise 1 --period 0.01 --seed -3 => error: --seed: seed is -3
 {RUN} --out run.txt => --out run.txt does not end in .npz or .csv
 {RUN} --out plan.npz => --out is the file plan.npz to read from
 {RUN} --plot run.txt => Cannot write run.txt
@@ -297,7 +298,7 @@ def test_mistakes_are_one_line_and_nothing_is_written(
         ("{OTHERS} --robot five_bar --motion near.csv --backend virtual-work", "the backend rnea", "--backend rnea"),
         ("{OTHERS} --working-mode ++", "Give one sign per leg: +++", "--working-mode +++"),
         ("{OTHERS} --set carrier_mas=2", "Did you mean 'carrier_mass'?", ""),
-        ("{RUN} --duration 0.02 --noise 0.1", "Add --period 0.001.", "--period 0.001"),
+        ("{RUN} --duration 0.02 --noise 0.1", "(--period 0.001)", "--period 0.001"),
         ("{LIGHT} --duration 0.02", "or --set end_effector_mass=0.1", "--set end_effector_mass=0.1"),
         ("{TURN} '{ROUND}'", "Add alpha=0 to the trajectory", "--motion '{ROUND},alpha=0'"),
         ("{TURN} 'circle:radius=0.02,centre=1,0.45,alpha=0'", "'centre=1 0.45'", "--motion '{ROUND},alpha=0'"),
