@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,15 +15,13 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import Controller, Sampling
 from redundancy_pin.simulation.controllers.by_name import Drive, NoisyAmplifier, controller_by_name, joint_friction
 from redundancy_pin.simulation.controllers.encoders import Encoders
+from redundancy_pin.simulation.replay import CONTROLLED_ATOL, CONTROLLED_RTOL
 from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import closed_state
 
 FRICTION = ("prismatic_coulomb", "prismatic_viscous", "revolute_coulomb", "revolute_viscous")
 """Keywords of ``joint_friction`` that ``Conditions.friction`` takes."""
-
-CONTROLLED: Mapping[str, Any] = MappingProxyType({"rtol": 1e-7, "atol": 1e-9, "integrator": "RK45"})
-"""Settings of ``simulate`` under a sampled controller, where steps are as short as the sampling period anyway."""
 
 LARGEST_SEED = 2**63 - 1
 
@@ -111,7 +108,8 @@ def follow(
     if machine is not reference.robot:  # with other lengths its chains would not be closed there
         start = closed_state(machine, point.x, point.xd, point.s, point.sd, t=reference.start)
     if sampling is not None:
-        settings = {"dt": sampling.period, **CONTROLLED, **settings}
+        digital = {"rtol": CONTROLLED_RTOL, "atol": CONTROLLED_ATOL, "integrator": "RK45"}
+        settings = {"dt": sampling.period, **digital, **settings}
         if given.encoders:
             drive = Encoders(drive, reference, period=sampling.period)
     if given.noise:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
-from types import MappingProxyType
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.simulation.controllers.base import Command, Controller, Sampling, Tracking
 from redundancy_pin.simulation.controllers.by_name import controller_by_name
-from redundancy_pin.simulation.following import CONTROLLED
 from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
@@ -49,8 +47,11 @@ acceleration steps would shrink for ever."""
 DT = 5e-3
 """Between the samples of an open-loop replay, s."""
 
-OPEN_LOOP: Mapping[str, Any] = MappingProxyType({"rtol": 1e-10, "atol": 1e-12, "integrator": "DOP853"})
-"""Settings of ``simulate`` open loop."""
+RTOL, ATOL = 1e-10, 1e-12
+"""Of the integrator open loop."""
+
+CONTROLLED_RTOL, CONTROLLED_ATOL = 1e-7, 1e-9
+"""Under control, where steps are as short as the sampling period anyway."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,8 +156,10 @@ def replay(
             dt=DT if digital is None else digital.period,  # with every value that a digital controller puts out
             stop_at=(),
             max_steps=MOST_STEPS + 2 * max(len(plan.t), int(duration / sampling.period)),
+            rtol=RTOL if digital is None else CONTROLLED_RTOL,
+            atol=ATOL if digital is None else CONTROLLED_ATOL,
+            integrator="DOP853" if digital is None else "RK45",
             dynamics=dynamics,
-            **(OPEN_LOOP if digital is None else CONTROLLED),
         )
     except (IllPosedModelError, SingularPoseError) as reason:
         return Replay(name, drive, ResultStatus.NOT_CONVERGED.value, str(reason))

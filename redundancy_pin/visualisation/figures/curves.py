@@ -79,8 +79,10 @@ class Curves:
     def gaps(self) -> tuple[tuple[float, float], ...]:
         """Times, s, from the last sample with main efforts to the next one, of each stretch without."""
         last = len(self.t) - 1
-        without = runs(~np.isfinite(self.tau).all(axis=1))
-        return tuple((float(self.t[max(start - 1, 0)]), float(self.t[min(stop, last)])) for start, stop in without)
+        without: BoolArray = ~np.isfinite(self.tau).all(axis=1)
+        return tuple(
+            (float(self.t[max(start - 1, 0)]), float(self.t[min(stop, last)])) for start, stop in runs(without)
+        )
 
 
 def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -> Curves:
