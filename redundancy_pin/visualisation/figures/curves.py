@@ -79,7 +79,7 @@ class Curves:
     def gaps(self) -> tuple[tuple[float, float], ...]:
         """Times, s, from the last sample with main efforts to the next one, of each stretch without."""
         last = len(self.t) - 1
-        without: BoolArray = ~np.isfinite(self.tau).all(axis=1)
+        without: BoolArray = np.asarray(~np.isfinite(self.tau).all(axis=1))
         return tuple(
             (float(self.t[max(start - 1, 0)]), float(self.t[min(stop, last)])) for start, stop in runs(without)
         )
