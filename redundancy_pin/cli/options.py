@@ -102,13 +102,12 @@ def truth(name: str, value: object) -> bool:
 
 def bounds(name: str, value: object) -> dict[str, float]:
     """Return numbers by name: from a mapping, or from words such as ``peak=2``."""
-    for entry in value if isinstance(value, (list, tuple)) else ():
+    words = [value] if isinstance(value, str) else value
+    for entry in words if isinstance(words, (list, tuple)) else ():
         if isinstance(entry, str) and "=" not in entry:
             raise refusal(name, entry, "without a number", f"{entry}=NUMBER")
-    result = weights(name, [value] if isinstance(value, str) else value)
-    if isinstance(result, str):
-        raise refusal(name, value, "without a number", f"{value}=NUMBER")
-    return result
+    result = weights(name, words)
+    return {} if isinstance(result, str) else result
 
 
 def weights(name: str, value: object) -> str | dict[str, float]:

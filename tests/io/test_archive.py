@@ -105,7 +105,7 @@ def test_what_a_bomb_would_look_like_is_written_so_that_it_is_read(
     np.savez_compressed(path, metadata=np.array(text()), a=np.zeros(1_000_000))
     refused(path, "when unpacked, of at most")
     # the text of the record counts too
-    write_archive(path, "numbers", 1, Numbers(np.zeros((1 << 13) - 1000), "x" * 4000))
+    write_archive(path, "numbers", 1, Numbers(np.zeros((1 << 13) - 1000), "x" * 20_000))
     assert read(path)["a"].shape == ((1 << 13) - 1000,)
     # a reader makes doubles of flags: eight bytes each, which the writer knows
     write_archive(path, "numbers", 1, Numbers(np.zeros(50_000, dtype=bool)))

@@ -136,7 +136,12 @@ def curves_of_plan(plan: Plan) -> Curves:
     return curves_of(plan)
 
 
-_DRIVES = {"FeedForward": "open loop", "ComputedTorque": "computed torque", "TimeVaryingLqr": "LQR"}
+_DRIVES = {
+    "Constant": "constant efforts",
+    "FeedForward": "open loop",
+    "ComputedTorque": "computed torque",
+    "TimeVaryingLqr": "LQR",
+}
 
 
 def run_title(run: Simulation, drive: str | None = None) -> str:
