@@ -25,6 +25,14 @@ from redundancy_pin.visualisation.figures.style import save
 _LISTED = 6  # limits that a table lists; the rest is counted
 _LISTED_PHASES = 10  # a stepwise plan may change its phase at every step
 
+_TITLES = {
+    SWITCH_OFF: "Cross singularities with the actuators off.",
+    STEPWISE: "Least torque around corners, step by step.",
+    WHOLE: "Least effort over the whole motion.",
+    TIME_OPTIMAL: "Least time along the path of a trajectory.",
+}
+"""What the list of planners says."""
+
 _EXAMPLES = {
     SWITCH_OFF: r"""--robot 2rpr --motion circle:speed=0.6 \
       --threshold 7 --return-time shortest --out plan.npz --plot plan.png""",
@@ -77,10 +85,10 @@ def plan(context: click.Context, /, problem: str | None, trust: bool, **outputs:
 
 def _command(name: str, planner: Callable[..., Plan]) -> None:
     """Add the command of a planner, whose help and flags are those of the function."""
-    paragraphs = (inspect.getdoc(planner) or "").replace("``", "").split("\n\n")[:2]
+    text = "\n\n".join((inspect.getdoc(planner) or "").split("\n\n")[:2]).replace("``", "")
     example = f"\b\nExample:\n  redundancy-pin plan {name} {_EXAMPLES[name]}"
 
-    @plan.command(name, help="\n\n".join([*paragraphs, example]), short_help=paragraphs[0])
+    @plan.command(name, help=f"{text}\n\n{example}", short_help=_TITLES[name])
     @options.robot_options()
     @options.backend_option()
     @options.motion_options("to follow")
