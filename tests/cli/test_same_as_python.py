@@ -296,6 +296,14 @@ def test_payload_wrench_squeeze_and_bounds() -> None:
     assert alone.efforts.tau.min() < -0.3  # it bounds one sign, in Python and here
 
 
+def test_a_picture_of_bounded_efforts_has_two_hatches() -> None:
+    """What is beyond the bound, and where no efforts keep it."""
+    for bound, hatches in (("", 0), ("--upper 3", 2)):
+        line = f"inverse-dynamics --robot 2rpr --motion circle --dt 0.01 --out out.csv --plot efforts.svg {bound}"
+        facts_of(line, code=3)
+        assert Path("efforts.svg").read_text(encoding="utf-8").count("<pattern") == hatches
+
+
 def test_a_circle_of_ones_own() -> None:
     facts = facts_of("inverse-dynamics --robot 2rpr --motion 'circle:centre=0.3 0.4,radius=0.1' --out out.csv")
     columns = columns_of("out.csv")
