@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import itertools
+import operator
 import os
 import signal
 import sys
@@ -134,19 +135,16 @@ def sweep(
                 raise InputError(f"The argument {name!r} has no values.", remedy="Give at least one.", name=name)
         points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
     kept = function if cache is None else _memory(cache).cache(_require_named(function))
-    results: list[Any] = [None] * len(points)
+    records: list[Mapping[str, Any]] = [{}] * len(points)
     for done, (index, value) in enumerate(parallel(_call, [(kept, *pair) for pair in enumerate(points)], jobs), 1):
-        results[index] = value
-        if progress:
-            progress(done, len(points))
-    records = []
-    for point, value in zip(points, results, strict=True):
         entries = value if isinstance(value, Mapping) else {"value": value}
-        if both := point.keys() & entries.keys():
+        if both := points[index].keys() & entries.keys():  # at the first result, not after a night of them
             name = min(both)
             message = f"{name!r} is an argument, and an entry that the function returns."
             raise InputError(message, remedy="Give the entry another name.", name=name)
-        records.append({**point, **entries})
+        records[index] = {**points[index], **entries}
+        if progress:
+            progress(done, len(points))
     return SweepResult(tuple(records), axes)
 
 
@@ -241,10 +239,14 @@ def require_jobs(jobs: int) -> int:
     """Return a number of processes; InputError if it is 0, below -1, or many times the cores of this machine."""
     cores = os.cpu_count() or 1
     most = max(64, _MOST_JOBS_PER_CORE * cores)
-    if not isinstance(jobs, int) or (jobs != -1 and not 1 <= jobs <= most):
+    try:
+        count = operator.index(jobs)  # numpy's whole numbers too
+    except TypeError:
+        count = 0
+    if count != -1 and not 1 <= count <= most:
         raise InputError(
             f"jobs is {shown(jobs)}; this machine has {cores} cores.",
             remedy=f"Pass 1 to {most}, or -1 for one process per core.",
             name="jobs",
         )
-    return jobs
+    return count

@@ -164,7 +164,7 @@ def test_a_plan_outside_its_robots_folder(
 ) -> None:
     """All four said ``source=``; the flag that they take comes with the path that it needs."""
     monkeypatch.chdir(tmp_path)
-    planned = call("plan", "stepwise", "--robot", own, "--trajectory", "corner", "--dt", "0.2", "--lam", "0",
+    planned = call("plan", "stepwise", "--robot", own, "--motion", "corner", "--dt", "0.2", "--lam", "0",
                    "--out", "plan.npz")  # fmt: skip
     assert planned.exit_code in (0, 3), planned.stderr
     line = refused(*command)

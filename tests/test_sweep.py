@@ -68,6 +68,29 @@ def test_points_one_by_one_and_functions_of_one_value() -> None:
     assert len(rp.sweep(abs_of, [])) == 0
 
 
+def echoed(a: int, folder: str) -> dict[str, int]:
+    counted(a, folder)
+    return {"a": a, "square": a**2}
+
+
+def test_an_entry_with_the_name_of_an_argument_is_refused_at_the_first_result(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'a' is an argument, and an entry"):
+        rp.sweep(echoed, {"a": [1, 2, 3], "folder": [str(tmp_path)]}, jobs=1)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_numbers_of_processes_are_whole_numbers_of_any_kind() -> None:
+    assert len(rp.sweep(area, GRID, jobs=int_of(np.int64(1)))) == 6
+    for jobs in (1.0, "2", np.float64(1.0), 0, -2):
+        with pytest.raises(InputError, match="jobs is"):
+            rp.sweep(area, GRID, jobs=jobs)  # type: ignore[arg-type]
+
+
+def int_of(number: Any) -> int:
+    """Return a number as it stands: of numpy's kind, which mypy does not take for an int."""
+    return number  # type: ignore[no-any-return]
+
+
 def abs_of(x: float) -> float:
     return abs(x)
 

@@ -67,7 +67,7 @@ def _general(facts: Mapping[str, Any]) -> TextTable:
     turning = turning or {axis in ("rx", "ry", "rz") for axis in axes}
     unit = ", ".join([*(["m"] if False in turning else []), *(["rad"] if True in turning else [])])
     idle = any(facts["gravity"]) and not facts["gravity_acts"]
-    gravity = f"{_row(facts['gravity'])}{': normal to the plane of motion, no effect on efforts' if idle else ''}"
+    gravity = f"{row(facts['gravity'])}{': normal to the plane of motion, no effect on efforts' if idle else ''}"
     rows = [
         *((name, str(count)) for name, count in facts["counts"].items()),
         ("independent", f"{', '.join(axes)} of {independent['platform']}" if axes else ", ".join(joints)),
@@ -117,7 +117,7 @@ def _tables(facts: Mapping[str, Any]) -> Iterator[TextTable]:
         (
             one["joint"],
             one["of"] or "held",
-            _row(one["polynomial"], " "),
+            row(one["polynomial"], " "),
             " ".join(f"{c:+g} {n}" for n, c in one["also"]),
         )
         for one in facts["couplings"]
@@ -128,12 +128,12 @@ def _tables(facts: Mapping[str, Any]) -> Iterator[TextTable]:
     headings = ("parameter", "value", "default")
     yield from [TextTable("parameters (--set NAME=VALUE)", rows, headings, numbers=True)] if rows else []
     rows = [
-        (name, _row(own["position"], " … "), *(f"{own[key]:g}" for key in ("speed", "acceleration", "force")))
+        (name, row(own["position"], " … "), *(f"{own[key]:g}" for key in ("speed", "acceleration", "force")))
         for name, own in facts["carrier_limits"].items()
     ]
     headings = ("carrier", "position [m]", "speed [m/s]", "acceleration [m/s²]", "force [N]")
     yield from [TextTable("carrier limits", rows, headings, numbers=True)] if rows else []
-    rows = [(name, _row(own["effort"], " … "), f"{own['speed']:g}") for name, own in facts["motor_limits"].items()]
+    rows = [(name, row(own["effort"], " … "), f"{own['speed']:g}") for name, own in facts["motor_limits"].items()]
     headings = ("motor", "effort [N] or [N·m]", "speed [m/s] or [rad/s]")
     yield TextTable("limits of motors, which plans keep", rows, headings, numbers=True)
     rows = [_load(load) for load in facts["loads"]]
@@ -174,10 +174,6 @@ def _texts(values: Any) -> list[str]:
     """Return numbers with six digits, in any unit; what is rounding of the largest is zero."""
     size = float(np.abs(values).max(initial=0.0))
     return [f"{0.0 if abs(value) < _ROUNDING * size else value:.6g}" for value in values]
-
-
-def _row(values: Any, between: str = ", ") -> str:
-    return between.join(f"{value:g}" for value in values)
 
 
 def _text(value: object) -> str:

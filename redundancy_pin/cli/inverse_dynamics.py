@@ -91,7 +91,7 @@ def inverse_dynamics(
     Example:
       redundancy-pin inverse-dynamics --robot 3rrr --set carrier_mass=2.0 \
           --motion motion.csv --out efforts.csv
-      redundancy-pin inverse-dynamics --robot 2rpr --trajectory way.csv:speed=0.1 --out efforts.csv
+      redundancy-pin inverse-dynamics --robot 2rpr --motion way.csv:speed=0.1 --out efforts.csv
       redundancy-pin inverse-dynamics --robot two_arms.yaml --motion motion.csv --payload bar=2 \
           --preferred 0,0,0,5,0,0 --lower=-40 --upper 40 --out efforts.csv
     """
@@ -110,7 +110,7 @@ def inverse_dynamics(
         result.to_csv(out)
 
         def draw(path: str) -> None:
-            drawn = curves(loaded, result.reduced, result.efforts, carriers)
+            drawn = curves(loaded, result.reduced, result.efforts, carriers, bounds=result.bounds)
             save(efforts(replace(drawn, instants=tuple(one.t for one in result.instants))), path)
 
         plot, failed = output.drawn(plot, draw)

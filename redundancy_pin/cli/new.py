@@ -20,7 +20,11 @@ def _names(_context: click.Context, _option: click.Parameter, text: str | None) 
 
 
 def _platform(context: click.Context, option: click.Parameter, text: str | None) -> dict[str, Any]:
+    from redundancy_pin.robot.types import AXES
+
     link, *axes = _names(context, option, text) or ("",)
+    for axis in axes:
+        options.require_choice(axis, AXES, "an axis of --platform")
     return {"platform": link, "axes": axes or ["x", "y"]} if link else {}
 
 
@@ -67,13 +71,15 @@ def new(
     from redundancy_pin.robot.checks import too_few_motors
     from redundancy_pin.robot.model_files import is_model_file, is_urdf
 
+    if platform and decided["independent"]:
+        raise InputError("--platform and --independent are both given.", remedy="Give motions in one of them.")
     source = Path(path)
     target = require_writable(out or source.parent / "robot.yaml")
     if target.exists() and not is_undecided(target):
         raise InputError(f"{target} is there already.", remedy="Pass --out, or move it away.", path=str(target))
     if not is_urdf(source) and source.exists() and not is_model_file(source):
         raise InputError(f"{path} is no model of a robot.", remedy="Pass a URDF, xacro, MJCF or SDF file.")
-    proposal, robot = propose_robot(source, settings, **decided)
+    proposal, robot = propose_robot(source, settings, platform=platform.get("platform", ""), **decided)
     place = source.name if target.resolve().parent == source.resolve().parent else str(source.resolve())
     near = is_urdf(source) or bool(decided["guess"])
     before = target.read_text(encoding="utf-8") if target.exists() else None

@@ -52,7 +52,7 @@ def online(
     \b
     Example:
       redundancy-pin online --robot 2rpr --set end_effector_mass=0.5 --set cylinder_mass=0.3 \
-          --trajectory circle:speed=0.5 --out online.npz
+          --motion circle:speed=0.5 --out online.npz
     """
     output.require_outputs(out, (".npz",), inputs=(motion.file,))
     if html:

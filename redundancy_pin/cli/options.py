@@ -13,6 +13,7 @@ import typing
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import click
@@ -101,19 +102,18 @@ def truth(name: str, value: object) -> bool:
 
 def bounds(name: str, value: object) -> dict[str, float]:
     """Return numbers by name: from a mapping, or from words such as ``peak=2``."""
-    for entry in value if isinstance(value, (list, tuple)) else ():
+    words = [value] if isinstance(value, str) else value
+    for entry in words if isinstance(words, (list, tuple)) else ():
         if isinstance(entry, str) and "=" not in entry:
             raise refusal(name, entry, "without a number", f"{entry}=NUMBER")
-    result = weights(name, [value] if isinstance(value, str) else value)
-    if isinstance(result, str):
-        raise refusal(name, value, "without a number", f"{value}=NUMBER")
-    return result
+    result = weights(name, words)
+    return {} if isinstance(result, str) else result
 
 
 def weights(name: str, value: object) -> str | dict[str, float]:
     """Return one word, or the weights of several: from a mapping, or from words such as ``effort`` and ``peak=2``."""
     if isinstance(value, Mapping):
-        return {str(key): number(f"the weight of {key}", weight) for key, weight in value.items()}
+        return {str(key): _number_of(name, str(key), weight) for key, weight in value.items()}
     words = [value] if isinstance(value, str) else value
     if not isinstance(words, Sequence) or not all(isinstance(entry, str) for entry in words):
         raise refusal(name, value, "neither a word nor weights", "effort, or {effort: 1, peak: 2}")
@@ -124,8 +124,16 @@ def weights(name: str, value: object) -> str | dict[str, float]:
         key, separator, weight = (part.strip() for part in entry.partition("="))
         if key in result:
             raise InputError(f"{name} has {shown(key)} twice.", remedy="Leave one of them out.", name=name)
-        result[key] = number(f"the weight of {key}", weight) if separator else 1.0
+        result[key] = _number_of(name, key, weight) if separator else 1.0
     return result
+
+
+def _number_of(name: str, key: str, value: object) -> float:
+    """Return the number of one of several words."""
+    try:
+        return number(name, value)
+    except InputError as error:
+        raise InputError(f"{key} in {name} is {shown(value)}, not a number.", remedy=error.remedy, name=name) from None
 
 
 def require_known(given: Mapping[str, object], known: Sequence[str], where: str) -> None:
@@ -473,27 +481,15 @@ def baseline_option(planner: Callable[..., Any]) -> Callable[[_Command], _Comman
 STEP = 5e-3
 """Default time between samples of a trajectory, s."""
 
-MOTION_CSV = "a CSV of samples (t,x,y,xd,yd,xdd,ydd) or of points (t,x,y)."
-"""What ``--motion`` takes, for help."""
-
 
 @dataclass(frozen=True)
 class MotionOptions:
-    """Which motion: a trajectory, or a file, of points or of samples with rates.
+    """Which motion: a trajectory by name, or a file of points or of samples with rates, as its columns say."""
 
-    Both options take both kinds of files: what is in a file decides.
-    """
-
-    path: str | None
+    given: str | None
     check_rates: bool = True
-    trajectory: str | None = None
     keys: Mapping[str, object] | None = None
     """Of the trajectory, by a problem file; else they are written behind its name."""
-
-    @property
-    def given(self) -> str | None:
-        """What either option was given."""
-        return self.path if self.trajectory is None else self.trajectory
 
     @functools.cached_property
     def _parts(self) -> tuple[str, Mapping[str, object]]:
@@ -504,10 +500,8 @@ class MotionOptions:
     @property
     def file(self) -> str | None:
         """The file that the motion is read from; None for a trajectory by name."""
-        from redundancy_pin.trajectory.by_name import is_points_file
-
         name = self._parts[0]
-        return name if is_points_file(name) or (self.path is not None and self.trajectory is None) else None
+        return name if isinstance(name, str) and (Path(name).suffix or Path(name).is_file()) else None
 
     @functools.cached_property
     def is_sampled(self) -> bool:
@@ -520,13 +514,13 @@ class MotionOptions:
     def described(self) -> str:
         """What the motion is, for reports."""
         if self.file is None:
-            return str(self.trajectory)
+            return str(self.given)
         return f"{'samples' if self.is_sampled else 'a trajectory through the points'} of {self.given}"
 
     def follow(self, who: str, robot: Robot, **settings: float | None) -> PlatformMotion | Trajectory:
         """Return the motion of a robot; ``who`` needs it, such as "A plan". Samples take neither keys nor settings."""
-        if (self.trajectory is None) == (self.path is None):
-            raise InputError(f"{who} needs either a trajectory or a motion.", remedy="Give one of them.")
+        if self.given is None:
+            raise InputError(f"{who} needs a motion.", remedy="Name a trajectory or a file as its motion.")
         from redundancy_pin.trajectory import from_csv
         from redundancy_pin.trajectory.by_name import trajectory_by_name
 
@@ -535,8 +529,8 @@ class MotionOptions:
             try:
                 return trajectory_by_name(name, values, robot)
             except InputError as error:
-                flag = {"flag": "motion" if self.trajectory is None else "trajectory"}
-                raise type(error)(error.message, remedy=error.remedy, **{**error.details, **flag}) from error
+                details = {**error.details, "flag": "motion"}
+                raise type(error)(error.message, remedy=error.remedy, **details) from error
         for key in (*values, *(key for key, value in settings.items() if value is not None)):
             message = f"{key} does not apply to a motion from a file that has rates."
             raise InputError(message, remedy="Leave it out, or the rates.", key=key)
@@ -563,15 +557,15 @@ def motion_options(what: str) -> Callable[[_Command], Callable[..., Any]]:
 
     rates = "Refuse a motion whose rates are not those of its positions; poses to stand still in need --no-."
     words = (
-        f"Trajectory {what}: {', '.join(TRAJECTORIES)}, with keys (docs/problem.yaml lists them): circle:speed=0.5, "
-        "'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'; or a CSV or JSON file of points, such as "
-        "way.csv:speed=0.1 (columns t,x,y; ends=rest: at rest at both ends). A CSV with rates is a motion."
+        f"Motion {what}: a trajectory ({', '.join(TRAJECTORIES)}) with keys (docs/problem.yaml lists them), such as "
+        "circle:speed=0.5 or 'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'; a CSV of samples "
+        "(t,x,y,xd,yd,xdd,ydd); or a CSV or JSON of points, such as way.csv:speed=0.1 (t,x,y; ends=rest: at rest at "
+        "both ends)."
     )
     complete, metavar = completed(list(TRAJECTORIES), files=True), "NAME|FILE[:KEY=VALUE,...]"
     return in_one(
         "motion",
         MotionOptions,
-        click.option("--trajectory", metavar=metavar, help=words, shell_complete=complete),
-        click.option("--motion", "path", metavar="CSV", help=f"Motion {what}: {MOTION_CSV}"),
+        click.option("--motion", "given", metavar=metavar, help=words, shell_complete=complete),
         click.option("--check-rates/--no-check-rates", default=True, show_default=True, help=rates),
     )

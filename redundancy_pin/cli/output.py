@@ -126,9 +126,9 @@ def number(value: float) -> str:
     return f"{0.0 if abs(value) < _ROUNDING else value:.6g}"
 
 
-def row(values: Iterable[float]) -> str:
+def row(values: Iterable[float], between: str = ", ") -> str:
     """Return numbers side by side."""
-    return ", ".join(number(float(value)) for value in values)
+    return between.join(number(float(value)) for value in values)
 
 
 def listed(texts: Sequence[str], most: int, between: str) -> str:

@@ -34,13 +34,13 @@ _TITLES = {
 """What the list of planners says."""
 
 _EXAMPLES = {
-    SWITCH_OFF: r"""--robot 2rpr --trajectory circle:speed=0.6 \
+    SWITCH_OFF: r"""--robot 2rpr --motion circle:speed=0.6 \
       --threshold 7 --return-time shortest --out plan.npz --plot plan.png""",
-    STEPWISE: r"""--robot 3rrr --working-mode +++ --trajectory corner:radius=0.025 \
+    STEPWISE: r"""--robot 3rrr --working-mode +++ --motion corner:radius=0.025 \
       --lam 0.5 --baseline carriers=false --out plan.npz""",
-    WHOLE: r"""--robot 2rpr --trajectory circle:speed=0.5 \
+    WHOLE: r"""--robot 2rpr --motion circle:speed=0.5 \
       --objective effort --objective peak=2 --out plan.npz --plot plan.png""",
-    TIME_OPTIMAL: r"""--robot 3rrr --working-mode +++ --trajectory corner --effort 3 \
+    TIME_OPTIMAL: r"""--robot 3rrr --working-mode +++ --motion corner --effort 3 \
       --begin rest --end rest --out plan.npz""",
 }
 
@@ -67,7 +67,7 @@ def plan(context: click.Context, /, problem: str | None, trust: bool, **outputs:
 
     \b
     Examples:
-      redundancy-pin plan switch-off --robot 2rpr --trajectory circle:speed=0.6 \
+      redundancy-pin plan switch-off --robot 2rpr --motion circle:speed=0.6 \
           --threshold 7 --out plan.npz --plot plan.png
       redundancy-pin plan --problem problem.yaml --out plan.npz
     """

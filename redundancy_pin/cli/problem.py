@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,7 +23,6 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.registry import PLANNERS, TIME_OPTIMAL, in_groups
 from redundancy_pin.robot.shipped import source_in
 from redundancy_pin.trajectory import Trajectory
-from redundancy_pin.trajectory.by_name import is_points_file
 from redundancy_pin.trajectory.trajectory import Ends
 
 
@@ -63,6 +62,12 @@ def _setting(value: object) -> object:
 _Settings = dict[str, Annotated[Any, AfterValidator(_setting)]]
 
 
+def _named_motion(value: object) -> object:
+    if not isinstance(value, (str, dict, type(None))):
+        raise ValueError("a trajectory or a file: {name: circle, speed: 0.6}, or motion.csv")
+    return value
+
+
 class RobotKeys(Schema):
     """Keys that say which robot; as the flags of the same names."""
 
@@ -90,10 +95,7 @@ class ProblemFile(RobotKeys):
     planner: str = Field(description=f"one of {', '.join(PLANNERS)}")
     robot: str = Field(description="the name or the path of a robot")
     backend: str | None = Field(None, description=f"one of {', '.join(BACKENDS)}")
-    trajectory: dict[str, Any] | None = Field(
-        None, description="a mapping: {name: circle, speed: 0.6}, or {name: points.csv}"
-    )
-    motion: str | None = Field(None, description="the path of a CSV file")
+    motion: Annotated[Any, AfterValidator(_named_motion)] = None
     check_rates: bool = Field(True, strict=True, description="true or false")
     parameters: dict[str, Any] = Field({}, description="a mapping of keywords of the planner")
     baseline: RobotKeys | None = Field(None, description="a mapping of robot, set, working_mode, gravity")
@@ -120,7 +122,7 @@ def read_problem(path: str | Path, *, trust: bool = False) -> PlanProblem:
             options.require_choice(data.backend, tuple(BACKENDS), "the backend")
     with _placed(file, "set.", ""):
         robot = data.chosen(folder, trust=trust).load()
-    with _placed(file, "trajectory.", ""):
+    with _placed(file, "motion.", ""):
         chosen = _motion(data, folder)
         motion = chosen.follow("A plan", robot)
     with _placed(file, "parameters."):
@@ -138,15 +140,14 @@ def read_problem(path: str | Path, *, trust: bool = False) -> PlanProblem:
 
 
 def _motion(data: ProblemFile, folder: Path) -> options.MotionOptions:
-    if data.trajectory is None:
-        return options.MotionOptions(data.motion and str(folder / data.motion), data.check_rates)
-    keys = dict(data.trajectory)
-    if "name" not in keys:
-        raise InputError("The trajectory lacks the key 'name'.", remedy="Write {name: circle, speed: 0.6}.")
-    name = keys.pop("name")
-    return options.MotionOptions(
-        data.motion, data.check_rates, str(folder / name) if is_points_file(name) else name, keys
-    )
+    given, keys = data.motion, None
+    if isinstance(given, dict):
+        if "name" not in given:
+            raise InputError("The motion lacks the key 'name'.", remedy="Write {name: circle, speed: 0.6}.")
+        keys = dict(given)
+        given = keys.pop("name")
+    motion = options.MotionOptions(given, data.check_rates, keys)
+    return motion if motion.file is None else replace(motion, given=str(folder / given))
 
 
 def _baseline(data: RobotKeys, own: RobotKeys) -> RobotKeys:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import click
-import numpy as np
 
 from redundancy_pin.cli import options, output
 from redundancy_pin.cli.show import VIDEO
@@ -15,18 +14,10 @@ from redundancy_pin.loading import load_with
 from redundancy_pin.planners.plan import Plan, load_plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import turning_coordinates
-from redundancy_pin.simulation import (
-    KINDS,
-    MotionReference,
-    Sampling,
-    Simulation,
-    closed_state,
-    motion_reference,
-    plan_reference,
-)
+from redundancy_pin.simulation import KINDS, MotionReference, Simulation, motion_reference, plan_reference
 from redundancy_pin.simulation import simulate as run_simulation
-from redundancy_pin.simulation.controllers import Encoders, NoisyAmplifier, controller_by_name, joint_friction
-from redundancy_pin.simulation.replay import CONTROLLED_ATOL, CONTROLLED_RTOL, DT
+from redundancy_pin.simulation.controllers.by_name import DRIVES
+from redundancy_pin.simulation.following import FRICTION, Conditions, follow
 from redundancy_pin.simulation.summary import summary
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory.trajectory import Ends
@@ -36,14 +27,14 @@ from redundancy_pin.visualisation.figures.plots import save
 from redundancy_pin.visualisation.figures.plots import simulation as plot_simulation
 from redundancy_pin.visualisation.figures.video import require_video, save_video
 
-CONTROLLERS = {"open-loop": "open loop", "computed-torque": "computed torque", "lqr": "LQR"}
+CONTROLLERS = {name.lower().replace(" ", "-"): name for name in DRIVES}
 """Controllers, by the name the command line uses."""
 
-FRICTION = ("prismatic_coulomb", "prismatic_viscous", "revolute_coulomb", "revolute_viscous")
-"""Keywords of ``joint_friction`` that ``--friction`` takes."""
+CONDITIONS = ("period", "delay", "encoders", "noise", "seed")
+"""Those of ``Conditions`` that are flags as they are."""
 
-KEYWORDS = ("carriers", "effort_limit", "carrier_force_limit", "joint_stops", "duration")
-"""Those of ``rp.simulate`` that are flags as they are."""
+KEYWORDS = ("carriers", "effort_limit", "carrier_force_limit", "joint_stops", "duration", "dt")
+"""Those of ``rp.simulate`` and of ``follow`` that are flags as they are."""
 
 NEVER = "never"
 
@@ -60,18 +51,12 @@ _LISTED = 8  # events that the table lists; the rest is counted
               help="What drives it.")  # fmt: skip
 @click.option("--park", metavar="S[,S...]", callback=options.by(options.numbers),
               help="Where carriers stand along a trajectory, m.  [default: 0]")  # fmt: skip
-@click.option("--period", type=float, metavar="SECONDS", help="Sampling of the controller.  [default: continuous]")
-@click.option("--delay", type=float, metavar="SECONDS", help="From its reading to its answer.  [default: 0]")
-@click.option("--encoders", is_flag=True, help="It sees the joints through encoders of 16 bits a turn and 1 µm.")
-@click.option("--noise", type=float, default=0.0, show_default=True, metavar="N",
-              help="Standard deviation of every actuator's effort, one value a period, N or N·m.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(0), metavar="N", help="Of the noise.  [default: 0]")
+@options.keyword_options(Conditions, only=CONDITIONS)
 @options.settings_option("--friction", "friction", f"Friction of the joints: {', '.join(FRICTION)}; N, N·m, s. "
                          "May be repeated.")  # fmt: skip
-@options.keyword_options(run_simulation, only=KEYWORDS)
+@options.keyword_options(run_simulation, follow, only=KEYWORDS)
 @click.option("--stop-at", type=click.Choice([*KINDS, NEVER]), multiple=True, default=("track", "joint_limit"),
               show_default=True, help="Events at which it stops. May be repeated.")  # fmt: skip
-@click.option("--dt", type=float, metavar="SECONDS", help="Between the samples.  [default: --period, or 0.005]")
 @click.option("--out", metavar="NPZ|CSV", help="Where it goes: all of it, or a table by joint name, as of `export`.")
 @click.option("--plot", metavar="PICTURE", help="Draw it, with the plan behind it (.png, .svg or .pdf).")
 @click.option("--video", metavar="GIF|MP4", help=VIDEO)
@@ -104,10 +89,13 @@ def simulate(
     if video:
         require_video(video)
     output.require_outputs(out, (".npz", ".csv"), plot, (plan_path, motion.file))
-    options.require_known(given["friction"], FRICTION, "--friction")
     if NEVER in given["stop_at"] and len(set(given["stop_at"])) > 1:
         raise InputError(f"--stop-at is {' and '.join(sorted(given['stop_at']))}.", remedy="Give one or the other.")
-    sampling = _sampling(given)
+    chosen = {name: given[name] for name in CONDITIONS if given[name] is not None}
+    conditions = Conditions(**chosen, friction=given["friction"])
+    settings = {name: given[name] for name in KEYWORDS if given[name] is not None}
+    settings["stop_at"] = sorted({*given["stop_at"]} - {NEVER})
+    controller = CONTROLLERS[given["controller"]]
     with output.progress("simulate") as advance:
         advance(0, 3, "reading")
         plan = load_plan(plan_path) if plan_path else None
@@ -118,13 +106,14 @@ def simulate(
             mode, gravity = nominal.working_mode or None, nominal.gravity.tolist()
             machine = load_with(nominal.source, changed, gravity=gravity, working_mode=mode, trust=robot.trust)
         advance(1, 3, "simulation")
-        run = _run(machine, reference, sampling, given, lambda t, end: advance(0, 0, f"at {t:.3g} of {end:.3g} s"))
+        settings["progress"] = lambda t, end: advance(0, 0, f"at {t:.3g} of {end:.3g} s")
+        run = follow(machine, reference, controller, conditions, **settings)
         advance(2, 3, "writing")
         if out and out.lower().endswith(".csv"):
             run.table(machine).to_csv(out)
         elif out:
             run.save(out)
-        title = run_title(run, CONTROLLERS[given["controller"]])
+        title = run_title(run, controller)
 
         def film(path: str) -> None:
             save_video(view(run, robot=machine), path, progress=lambda done, all_: advance(done, all_, "video"))
@@ -152,23 +141,12 @@ def simulate(
     return output.EXIT_CODES[run.status]
 
 
-def _sampling(given: Mapping[str, Any]) -> Sampling | None:
-    if given["seed"] is not None and not given["noise"]:
-        raise InputError("--seed is that of the noise, and there is none.", remedy="Add --noise, or leave it out.")
-    if given["period"] is not None:
-        return Sampling(given["period"], given["delay"] or 0.0)
-    for flag in ("delay", "noise", "encoders"):
-        if given[flag]:
-            raise InputError(f"--{flag} goes with a sampled controller.", remedy="Add --period 0.001.")
-    return None
-
-
 def _planned(
     robot: options.RobotOptions, plan: Plan | None, motion: options.MotionOptions, park: Any
 ) -> tuple[Robot, MotionReference, Ends | None]:
     """Return the robot as planned, the motion to follow, and the ends of a motion through points."""
     if plan is not None:
-        for name, value in (("trajectory", motion.trajectory), ("motion", motion.path), ("park", park)):
+        for name, value in (("motion", motion.given), ("park", park)):
             if value is not None:
                 raise InputError(f"--plan and --{name} are both given.", remedy="A plan has its own motion.")
         nominal = robot.recorded(plan)
@@ -182,42 +160,6 @@ def _planned(
     parked = 0.0 if park is None else park
     reference = motion_reference(nominal, followed, parked if carriers is None else carriers)
     return nominal, reference, getattr(followed, "ends", None)
-
-
-def _run(
-    machine: Robot,
-    reference: MotionReference,
-    sampling: Sampling | None,
-    given: Mapping[str, Any],
-    progress: Callable[[float, float], None],
-) -> Simulation:
-    limits = {name: given[name] for name in ("effort_limit", "carrier_force_limit")}
-    controller: Any = controller_by_name(CONTROLLERS[given["controller"]], reference, sampling=sampling, **limits)
-    point = reference.at(reference.start)
-    start = controller.start_state(machine)
-    if machine is not reference.robot:  # with other lengths its chains would not be closed there
-        start = closed_state(machine, point.x, point.xd, point.s, point.sd, t=reference.start)
-    if sampling is not None and given["encoders"]:
-        controller = Encoders(controller, reference, period=sampling.period)
-    if given["noise"]:
-        controller = NoisyAmplifier(controller, np.random.default_rng(given["seed"] or 0), given["noise"])
-    friction, events = given["friction"], set(given["stop_at"])
-    digital: dict[str, Any] = {"rtol": CONTROLLED_RTOL, "atol": CONTROLLED_ATOL, "integrator": "RK45"}
-    return run_simulation(
-        machine,
-        controller,
-        start=start,
-        duration=reference.end - reference.start if given["duration"] is None else given["duration"],
-        dt=(DT if sampling is None else sampling.period) if given["dt"] is None else given["dt"],
-        carriers=given["carriers"] or "force",
-        sampling=sampling,
-        external=joint_friction(machine, **friction) if friction else None,
-        stop_at=sorted(events - {NEVER}),
-        joint_stops=given["joint_stops"] or "end",
-        progress=progress,
-        **limits,
-        **({} if sampling is None else digital),
-    )
 
 
 def _table(run: Simulation, facts: Mapping[str, Any], machine: Robot) -> output.TextTable:

@@ -36,10 +36,10 @@ def singularities(robot: options.RobotOptions, motion: options.MotionOptions, pl
     \b
     Examples:
       redundancy-pin singularities --robot 3rrr --working-mode +++ --plot locus.png
-      redundancy-pin singularities --robot 2rpr --trajectory circle:speed=0.5
+      redundancy-pin singularities --robot 2rpr --motion circle:speed=0.5
     """
     if not (motion.given or plot):
-        raise InputError("No task given.", remedy="Ask for --plot, --motion or --trajectory.")
+        raise InputError("No task given.", remedy="Ask for --plot or --motion.")
     output.require_outputs(None, (), plot)
     with output.progress("singularities") as advance:
         advance(0, 3, "reading")

@@ -11,7 +11,7 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, runs
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, frozen, runs
 from redundancy_pin.dynamics.allocation import ROUNDING
 from redundancy_pin.dynamics.arguments import OnUnreachable, require_matching_carriers, require_on_track
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
@@ -80,10 +80,12 @@ class InverseDynamics(Frozen):
     Attributes:
         reduced: W τ = f and the carrier forces, (N, ...).
         efforts: the main efforts, with a status for each sample.
+        bounds: (m, 2) smallest and largest main efforts, N or N·m; infinite for none, or one for each sample.
     """
 
     reduced: ReducedDynamics
     efforts: Distribution
+    bounds: Array
     _dynamics: Dynamics
     _along: DynamicsAlongMotion
     _carriers: CarrierMotion | None
@@ -266,7 +268,10 @@ def inverse_dynamics(
     along = dynamics.along(motion, unreachable=unreachable)
     reduced = along.reduce(carriers)
     efforts = distribute(reduced, lower=lower, upper=upper, preferred=preferred)
-    return InverseDynamics(reduced, efforts, dynamics, along, carriers, unreachable)
+    ends = ((lower, -np.inf), (upper, np.inf))
+    constant = [none if bound is None or np.ndim(bound) > 1 else bound for bound, none in ends]
+    bounds = frozen(np.stack([np.broadcast_to(each, dynamics.robot.m) for each in constant], axis=1))
+    return InverseDynamics(reduced, efforts, bounds, dynamics, along, carriers, unreachable)
 
 
 def _may_meet(robot: Robot, motion: PlatformMotion, margin: Array, nearest: float) -> bool:

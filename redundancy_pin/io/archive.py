@@ -47,7 +47,7 @@ _KINDS = "biufcU"
 _HEADER = "metadata"
 """Name of the array that holds the JSON text."""
 
-UNPACKED, _RATIO = 1 << 25, 20
+UNPACKED, _RATIO = 1 << 27, 20
 """Bytes that a file may have when it is unpacked, with eight for each element of an array, because readers make doubles
 of all: so many, and so many for each byte of the file. Plans have 1.4 to 3."""
 
@@ -194,10 +194,11 @@ def write_archive(path: str | Path, kind: str, version: int, record: object) -> 
         raise InputError(
             f"The record is more than a file may hold: {error}.", remedy="Keep numbers in few arrays, not in lists."
         ) from error
+    members = {_HEADER: np.array(text), **arrays}
     # what packs well, such as millions of zeros, looks like a bomb to the reader
-    save = np.savez if _size_as_doubles(arrays) > UNPACKED else np.savez_compressed
+    save = np.savez if _size_as_doubles(members) > UNPACKED else np.savez_compressed
     with replacing_file(path) as temporary, refusing(path), temporary.open("wb") as stream:
-        save(stream, allow_pickle=False, **{_HEADER: np.array(text)}, **arrays)
+        save(stream, allow_pickle=False, **members)
 
 
 def read_archive(path: str | Path, kind: str, version: int, word: str, make: Callable[[Mapping[str, Any]], _T]) -> _T:

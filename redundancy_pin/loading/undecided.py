@@ -36,6 +36,7 @@ def propose_robot(
     actuate: Sequence[str] = (),
     carriers: Sequence[str] = (),
     independent: Sequence[str] = (),
+    platform: str = "",
     guess: Mapping[str, float] = MappingProxyType({}),
     is_open: bool = False,
     trust: bool = False,
@@ -50,6 +51,7 @@ def propose_robot(
         actuate: as of ``propose``.
         carriers: as of ``propose``.
         independent: names of independent joints; chosen if empty.
+        platform: as of ``propose``.
         guess: positions of joints, rad or m; the loops are closed near them.
         is_open: as of ``propose``.
         trust: as of ``load_robot``.
@@ -63,7 +65,9 @@ def propose_robot(
     """
     parameters, read = open_model(path, arguments, trust=trust, untrusted=untrusted)
     named = (*actuate, *carriers, *independent)
-    proposal = propose(read(None, named), close=close, actuate=actuate, carriers=carriers, is_open=is_open)
+    proposal = propose(
+        read(None, named), close=close, actuate=actuate, carriers=carriers, platform=platform, is_open=is_open
+    )
     mechanism = proposal.mechanism
     if proposal.questions:
         return proposal, None

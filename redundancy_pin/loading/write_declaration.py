@@ -59,7 +59,7 @@ def declaration_text(
         is_urdf=is_urdf(Path(model)),
         positions=positions,
         independent=independent,
-        platform=platform if robot else {},
+        platform=platform,
     )
     return text + "\n"
 

@@ -97,6 +97,7 @@ class Limits(ByValue):
                 raise InputError(
                     f"track is {shown(np.asarray(self.track).tolist())}, but the ends of a track must increase.",
                     remedy="Give the lower end first.",
+                    name="track",
                     value=self.track,
                 )
         bounds: dict[str, Any] = {

@@ -183,6 +183,7 @@ def propose(
     close: Sequence[str] = (),
     actuate: Sequence[str] = (),
     carriers: Sequence[str] = (),
+    platform: str = "",
     is_open: bool = False,
 ) -> Proposal:
     """Find the ends of loops and the motors of a mechanism.
@@ -192,6 +193,7 @@ def propose(
         close: pairs of links, "a,b", or "a,b,kind"; without a kind they meet in a ball.
         actuate: names of joints.
         carriers: names of joints with an actuated mass that changes the dynamics and not the pose.
+        platform: name of the link whose coordinates motions are given in; empty for joints.
         is_open: no other marks are ends of loops.
 
     Returns:
@@ -215,6 +217,8 @@ def propose(
     questions = list[str]()
     for name in (*actuate, *carriers):
         find_joint_index(mechanism.model, name)
+    if platform:
+        find_link(mechanism.model, platform)
     mechanism, motors = _with_motors(replace(mechanism, carriers=tuple(carriers)), actuate)
     if not is_open:
         is_driven = bool(motors) and len(mechanism.actuated) >= mechanism.model.nv - len(mechanism.couplings)
@@ -449,9 +453,11 @@ def _which_meet(marks: Sequence[str], at_zero: Sequence[tuple[str, str]], tree: 
             if tree.model.parents[tree.bodies[link]] != tree.bodies[mark]:
                 likely[mark, link] = "it is there at zero"
     suggested = "; ".join(f"{_close(pair)} ({why})" for pair, why in likely.items()) or "--close A,B"
+    open_at_zero = bool(likely) and not any(tree.meet(*pair) for pair in likely)
+    branch = " Where all joints are at zero they do not meet: name the branch too, --guess JOINT=VALUE,..."
     return (
         f"Where are loops cut? The file does not say which of the links {', '.join(marks)} close loops: {suggested}, "
-        "or --open if none does.",
+        f"or --open if none does.{branch if open_at_zero else ''}",
         bool(likely),
     )
 

@@ -306,7 +306,9 @@ class ForwardDynamics:
         moved = [str(name) for name, j in joints if share[j.idx_v : j.idx_v + j.nv].max() > 0.1 * share.max()]
         masses = [name for name, value in robot.parameters.items() if name.endswith("_mass") and value == 0.0]
         masses.sort(key=lambda name: name != "end_effector_mass")  # what such a machine lacks most often
-        example = f"for example load_robot({robot.name!r}, {masses[0]}=0.1)" if masses else "in its URDF"
+        example = "in its URDF"
+        if masses:
+            example = f"for example load_robot({robot.name!r}, {masses[0]}=0.1), or --set {masses[0]}=0.1"
         return IllPosedModelError(
             f"A motion that the closures of {robot.name} leave free has no inertia: the mass matrix in independent "
             f"coordinates has condition number {condition:.3g}, so forces do not determine the acceleration of "

@@ -412,8 +412,8 @@ def _why(problem: InitialValueProblem, earlier: SimulationProgress, hold: Comman
     if inertia < _LITTLE_INERTIA:
         return (
             f"a free motion has hardly any inertia, {inertia:.2g} of the largest, so accelerations grow without "
-            "bound. Give every part mass (such as end_effector_mass=0.1), and make plans and controllers anew for that "
-            "robot"
+            "bound. Give every part mass (such as end_effector_mass=0.1, on the command line by --set), and make plans "
+            "and controllers anew for that robot"
         )
     state = machine.state(earlier.t, earlier.y)
     i = int(np.abs(state.v).argmax())

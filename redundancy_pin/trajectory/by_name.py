@@ -39,7 +39,11 @@ def split_trajectory(text: str) -> tuple[str, dict[str, object]]:
     for pair in filter(None, rest.split(",")):
         key, separator, value = (part.strip() for part in pair.partition("="))
         if not separator:
-            raise InputError(f"{shown(pair)} of the trajectory is not KEY=VALUE.", remedy="Write circle:speed=0.5.")
+            remedy = "Write circle:speed=0.5."
+            if values:  # the rest of a row
+                key = list(values)[-1]
+                remedy = f"Commas part keys, blanks the numbers of one: '{key}={values[key]} {pair.strip()}'."
+            raise InputError(f"{shown(pair)} of the trajectory is not KEY=VALUE.", remedy=remedy)
         if key in values:
             raise InputError(f"{key} of the trajectory is given twice.", remedy="Leave one of them out.", key=key)
         values[key] = value

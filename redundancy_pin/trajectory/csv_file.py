@@ -285,7 +285,7 @@ def _sampled(path: str | os.PathLike[str], robot: RobotLike | None) -> MotionTab
     table = read_table(path)
     if not table.has_rates:
         message = f" has positions ({', '.join(table.coordinates)}) and no rates: it is a file of points."
-        remedy = "Read it by trajectory.from_points (--trajectory or --motion on the command line), or add "
+        remedy = "Read it by trajectory.from_points (--motion on the command line), or add "
         rated = AXES if set(_QUATERNION) & set(table.coordinates) else table.coordinates
         raise _bad(table.path, message, f"{remedy}{_listed(rated, 1)}, {_listed(rated, 2)}.")
     return table if robot is None else in_order_of(as_robot(robot), table)

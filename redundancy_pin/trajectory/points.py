@@ -95,7 +95,7 @@ def from_points(
         given = f", and {file} has neither t nor speed"
         remedy = (
             'Give it a column t, or pass speed=0.1, or times="time-optimal" with limits '
-            f"(--trajectory {file}:speed=0.1 on the command line)."
+            f"(--motion {file}:speed=0.1 on the command line)."
         )
         points, own_times, own_speed = read_points(points, robot, but_last=alpha is not None)
         if own_times is not None:
@@ -213,7 +213,7 @@ def read_points(
     if table.has_rates:
         raise InputError(
             f"{place} is a sampled motion: it has rates.",
-            remedy="Read it with trajectory.from_csv (--motion or --trajectory on the command line).",
+            remedy="Read it with trajectory.from_csv (--motion on the command line).",
             path=str(place),
         )
     if len(next(iter(table.columns.values()), ())) > MOST_POINTS:

@@ -68,7 +68,7 @@ def test_simulate(flag: str, function: str, fails: Fails, motion_file: Path, tmp
     out, picture = tmp_path / "run.npz", tmp_path / ("run.png" if flag == "--plot" else "run.gif")
     fails("cli.simulate", function, out)
     machine = ("--robot", "2rpr", "--set", "end_effector_mass=0.5")
-    facts = lost_nothing("simulate", *machine, "--trajectory", motion_file, "--out", out, flag, picture)
+    facts = lost_nothing("simulate", *machine, "--motion", motion_file, "--out", out, flag, picture)
     assert facts[flag[2:]] is None
     assert len(load_simulation(out).t) == facts["samples"]
     assert [path.name for path in tmp_path.iterdir()] == ["run.npz"]
@@ -86,7 +86,7 @@ def test_workspace(fails: Fails, tmp_path: Path) -> None:
 
 def test_singularities(fails: Fails, motion_file: Path, tmp_path: Path) -> None:
     fails("cli.singularities", "draw_locus")
-    motion = ("--robot", "2rpr", "--trajectory", motion_file)
+    motion = ("--robot", "2rpr", "--motion", motion_file)
     facts = lost_nothing("singularities", *motion, "--plot", tmp_path / "locus.png")
     assert facts["robot"] == "2rpr"
     assert facts["crossings"] == []
@@ -100,5 +100,5 @@ def test_online(fails: Fails, tmp_path: Path) -> None:
     fails("cli.online", "show", out)
     points.write_text("t,x,y\n0,0.2,0.06\n0.3,0.23,0.0\n0.6,0.28,-0.05\n")
     machine = ("--robot", "2rpr", "--set", "end_effector_mass=0.5", "--set", "cylinder_mass=0.3")
-    facts = lost_nothing("online", *machine, "--trajectory", points, "--out", out, "--html", tmp_path / "online.html")
+    facts = lost_nothing("online", *machine, "--motion", points, "--out", out, "--html", tmp_path / "online.html")
     np.testing.assert_allclose(facts["peak_effort"], rp.load_plan(out).peak_effort)

@@ -104,9 +104,9 @@ def test_a_program_that_imports_the_package_keeps_its_interrupts() -> None:
     assert signal.getsignal(signal.SIGINT) in (signal.default_int_handler, signal.SIG_IGN)
 
 
-WHOLE = ("plan", "whole-trajectory", "--robot", "2rpr", "--trajectory", "line")
-OFF = ("plan", "switch-off", "--robot", "2rpr", "--trajectory", "line")
-STEPWISE = ("plan", "stepwise", "--robot", "3rrr", "--trajectory", "corner")
+WHOLE = ("plan", "whole-trajectory", "--robot", "2rpr", "--motion", "line")
+OFF = ("plan", "switch-off", "--robot", "2rpr", "--motion", "line")
+STEPWISE = ("plan", "stepwise", "--robot", "3rrr", "--motion", "corner")
 TOO_MANY: tuple[tuple[str, ...], ...] = (
     (*WHOLE, "--starts", "100000"),
     (*WHOLE, "--refinements", "1000000000"),

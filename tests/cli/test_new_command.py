@@ -36,6 +36,9 @@ def test_what_is_asked_is_in_the_file_until_it_is_decided(urdf, tmp_path):
     assert "undecided: Where are loops cut?" in asked.stderr
     assert "--close rocker_tip,coupler_tip (the only two)" in asked.stderr
     assert "undecided: Which joints are driven, of crank, knee, rocker?" in asked.stderr
+    # all that is asked is asked at once: with the three answers it is done
+    assert "name the branch too, --guess JOINT=VALUE" in asked.stderr
+    assert call("new", urdf, *DECIDED, "--out", tmp_path / "at_once.yaml").exit_code == 0
     with pytest.raises(DeclarationError, match=r"Where are loops cut\?.*Which joints are driven.*`undecided`"):
         rp.load_robot(tmp_path)
     declared = yaml.safe_load((tmp_path / "robot.yaml").read_text())
@@ -226,10 +229,44 @@ def test_motions_of_a_point_of_a_link(tmp_path):
     for link, message in (("tip", "tip"), ("tip_l,x,q", "q"), ("tip_l,x,y,rz", "")):
         assert message in refused("new", tmp_path / "bar.urdf", *decided, "--platform", link)
         assert not (tmp_path / "robot.yaml").exists()
+    both = refused("new", tmp_path / "bar.urdf", *decided, "--platform", "tip_l", "--independent", "left,right")
+    assert "--platform and --independent are both given" in both
     assert call("new", tmp_path / "bar.urdf", *decided, "--platform", "tip_l").exit_code == 0
     robot = rp.load_robot(tmp_path)
     assert (robot.n, robot.platform.axes) == (2, ("x", "y"))
     circle, out = "circle:centre=0.2 0.45,radius=0.05,speed=0.2", tmp_path / "efforts.csv"
-    run = call("inverse-dynamics", "--robot", tmp_path, "--trajectory", circle, "--out", out)
+    run = call("inverse-dynamics", "--robot", tmp_path, "--motion", circle, "--out", out)
     assert run.exit_code == 0, run.stderr
     assert out.read_text().startswith("t [s],x [m],y [m],")
+
+
+def test_a_platform_is_kept_while_questions_are_open(tmp_path):
+    """Who answers them in the file gets the coordinates that were named, and a link that there is none of is told."""
+    (tmp_path / "bar.urdf").write_text(urdf_of(TWO_CRANKS))
+    given = "--actuate", "left,right", "--guess", "left=2.2,elbow_l=-1.2,right=0.9,elbow_r=1.2"
+    assert "no link 'nosuch'" in refused("new", tmp_path / "bar.urdf", *given, "--platform", "nosuch")
+    assert not (tmp_path / "robot.yaml").exists()
+    asked = call("new", tmp_path / "bar.urdf", *given, "--platform", "tip_l", "--json")
+    facts = json.loads(asked.stdout)
+    assert (asked.exit_code, facts["independent"]) == (2, {"platform": "tip_l", "axes": ["x", "y"]})
+    assert [one.partition("?")[0] for one in facts["undecided"]] == ["Where are loops cut"]
+    declared = yaml.safe_load((tmp_path / "robot.yaml").read_text())
+    del declared["undecided"]
+    declared["closures"] = [{"ball": ["tip_l", "tip_r"]}]
+    declared["reference"] = {"guess": {"left": 2.2, "elbow_l": -1.2, "right": 0.9, "elbow_r": 1.2}}
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(declared))
+    robot = rp.load_robot(tmp_path)
+    assert robot.platform is not None
+    assert (robot.platform.frame, robot.platform.axes) == ("tip_l", ("x", "y"))
+
+
+def test_a_refused_platform_leaves_the_earlier_file_as_it_was(tmp_path):
+    (tmp_path / "bar.urdf").write_text(urdf_of(TWO_CRANKS))
+    assert call("new", tmp_path / "bar.urdf", "--actuate", "left,right").exit_code == 2
+    before = (tmp_path / "robot.yaml").read_bytes()
+    guess = "left=2.2,elbow_l=-1.2,right=0.9,elbow_r=1.2"
+    decided = "--close", "tip_l,tip_r", "--actuate", "left,right", "--guess", guess
+    refused("new", tmp_path / "bar.urdf", *decided, "--platform", "tip_l,x,y,rz")
+    assert (tmp_path / "robot.yaml").read_bytes() == before
+    facts = json.loads(call("new", tmp_path / "bar.urdf", *decided, "--json").stdout)
+    assert facts["independent"] == list(rp.load_robot(tmp_path).independent_joints)

@@ -75,9 +75,12 @@ def test_paths_are_seen_from_the_folder_of_the_file() -> None:
     Path("task/p.yaml").write_text(text, encoding="utf-8")
     assert call("plan", "--problem", "task/p.yaml", "--out", "plan.npz").exit_code == 0
     assert rp.load_plan("plan.npz").parameters["brake_time"] == 0.4
-    text = "planner: switch-off\nrobot: 2rpr\ntrajectory: {name: way.csv, speed: 0.2}\n"
+    text = "planner: switch-off\nrobot: 2rpr\nmotion: {name: way.csv, speed: 0.2}\n"
     Path("task/p.yaml").write_text(text, encoding="utf-8")
     expected = rp.trajectory.from_points("task/way.csv", speed=0.2).sample(0.1).x
+    assert (read_problem("task/p.yaml").motion.sample(0.1).x == expected).all()  # type: ignore[union-attr]
+    # as the flag writes it, too
+    Path("task/p.yaml").write_text(text.replace("{name: way.csv, speed: 0.2}", "way.csv:speed=0.2"), encoding="utf-8")
     assert (read_problem("task/p.yaml").motion.sample(0.1).x == expected).all()  # type: ignore[union-attr]
 
 
@@ -93,9 +96,9 @@ def test_paths_are_seen_from_the_folder_of_the_file() -> None:
 )  # fmt: skip
 def test_a_file_gives_the_plan_of_the_flags(planner: str, parameters: dict[str, Any], flags: tuple[str, ...]) -> None:
     circle = {"name": "line", "speed": 0.3}
-    write_problem(Path("p.yaml"), planner=planner, robot="2rpr", trajectory=circle, parameters=parameters)
+    write_problem(Path("p.yaml"), planner=planner, robot="2rpr", motion=circle, parameters=parameters)
     first = call("plan", "--problem", "p.yaml", "--out", "file.npz")
-    second = call("plan", planner, "--robot", "2rpr", "--trajectory", "line:speed=0.3", *flags, "--out", "flags.npz")
+    second = call("plan", planner, "--robot", "2rpr", "--motion", "line:speed=0.3", *flags, "--out", "flags.npz")
     assert (first.exit_code, second.exit_code) == (0, 0), first.stderr + second.stderr
     ours, theirs = rp.load_plan("file.npz"), rp.load_plan("flags.npz")
     assert ours.t[-1] == theirs.t[-1]
@@ -121,27 +124,29 @@ def test_values_as_users_write_them() -> None:
             weights("objective", value)
 
 
-WHOLE = {"planner": "whole-trajectory", "robot": "2rpr", "trajectory": {"name": "circle"}}
+WHOLE = {"planner": "whole-trajectory", "robot": "2rpr", "motion": {"name": "circle"}}
 MISTAKES: tuple[tuple[dict[str, Any], str], ...] = (
     ({"planer": 1}, "Did you mean 'planner'"),
     ({"parameters": {"lamb": 0.5}}, "Did you mean 'lam'"),
-    ({"trajectory": {"name": "coner"}}, "Did you mean 'corner'"),
-    ({"trajectory": {"name": "corner", "radios": 1}}, "Did you mean 'radius'"),
+    ({"motion": {"name": "coner"}}, "Did you mean 'corner'"),
+    ({"motion": {"name": "corner", "radios": 1}}, "Did you mean 'radius'"),
     ({"planner": "step-wise"}, "Did you mean 'stepwise'"),
     ({"backend": "virtual_work"}, "Did you mean 'virtual-work'"),
     ({"set": {"carrier_mas": 1}}, "carrier_mass"),
     ({"robot": None}, "`robot` is None"),
     ({"robot": "4rrr"}, "4rrr"),
-    ({"motion": "m.csv"}, "either a trajectory or a motion"),
-    ({"trajectory": None}, "either a trajectory or a motion"),
-    ({"trajectory": {"name": {"": ""}}}, "The trajectory is {'': ''}"),
-    ({"trajectory": {"speed": 1}}, "'name'"),
-    ({"trajectory": "corner"}, "or {name: points.csv}"),
-    ({"trajectory": {"name": "polygon", "radius": 1}}, "'vertices'"),
-    ({"trajectory": {"name": "points", "points": [[1, 2], [3]], "speed": 1, "ramp_time": 1}}, "points"),
-    *(({"trajectory": {"name": "corner", "speed": value}}, "speed") for value in ([1], {"a": 1}, -1, True)),
-    ({"trajectory": {"name": "corner", "radius": None}}, "radius"),
-    ({"trajectory": {"name": "circle"}}, "moves in 3 (x, y, rz)"),
+    ({"motion": "m.csv"}, "m.csv"),
+    ({"motion": None}, "A plan needs a motion"),
+    ({"trajectory": {"name": "corner"}}, "Unknown key `trajectory`"),
+    ({"motion": {"name": {"": ""}}}, "The trajectory is {'': ''}"),
+    ({"motion": {"speed": 1}}, "'name'"),
+    ({"motion": ["corner"]}, "{name: circle, speed: 0.6}"),
+    ({"motion": "coner"}, "Did you mean 'corner'"),
+    ({"motion": {"name": "polygon", "radius": 1}}, "'vertices'"),
+    ({"motion": {"name": "points", "points": [[1, 2], [3]], "speed": 1, "ramp_time": 1}}, "points"),
+    *(({"motion": {"name": "corner", "speed": value}}, "speed") for value in ([1], {"a": 1}, -1, True)),
+    ({"motion": {"name": "corner", "radius": None}}, "radius"),
+    ({"motion": {"name": "circle"}}, "moves in 3 (x, y, rz)"),
     ({"parameters": [1]}, "`parameters` is [1]"),
     ({"parameters": {"lam": "half"}}, "lam is 'half'"),
     ({"parameters": {"lam": True}}, "lam is True"),
@@ -159,7 +164,7 @@ MISTAKES: tuple[tuple[dict[str, Any], str], ...] = (
     ({"working_mode": [1, 1, 1]}, "working_mode"),
     ({"working_mode": "++"}, "+++"),
     ({"working_mode": "abc"}, "working_mode"),
-    ({"robot": "five_bar", "backend": "virtual-work", "trajectory": {"name": "line"}}, "Use the backend rnea"),
+    ({"robot": "five_bar", "backend": "virtual-work", "motion": {"name": "line"}}, "Use the backend rnea"),
     ({"gravity": [0, 1]}, "three numbers"),
     ({"gravity": 9.81}, "three numbers"),
     ({"set": {"carrier_mass": [1]}}, "carrier_mass` is [1]"),
@@ -167,7 +172,7 @@ MISTAKES: tuple[tuple[dict[str, Any], str], ...] = (
     ({"baseline": "none"}, "`baseline` is 'none'"),
     ({**WHOLE, "parameters": {"steps": 10}}, "no key 'steps'"),
     ({**WHOLE, "parameters": {"objective": 3}}, "objective is 3"),
-    ({**WHOLE, "parameters": {"objective": {"peak": "high"}}}, "the weight of peak"),
+    ({**WHOLE, "parameters": {"objective": {"peak": "high"}}}, "peak in objective is 'high'"),
     ({**WHOLE, "parameters": {"starts": 1.5}}, "starts is 1.5, not a whole number"),
     ({**WHOLE, "parameters": {"starts": float("inf")}}, "starts is inf"),
 )
@@ -181,7 +186,7 @@ def test_mistakes_are_one_line(changes: dict[str, Any], says: str) -> None:
 
 
 def test_a_baseline_that_the_planner_does_not_take() -> None:
-    Path("p.yaml").write_text("planner: switch-off\nrobot: 2rpr\ntrajectory: {name: line}\nbaseline:\n  set: {}\n")
+    Path("p.yaml").write_text("planner: switch-off\nrobot: 2rpr\nmotion: {name: line}\nbaseline:\n  set: {}\n")
     said = refused("plan", "--problem", "p.yaml")
     assert "p.yaml, line 4: plan_switch_off has no keyword 'baseline'" in said
 
@@ -210,6 +215,7 @@ def test_files_that_are_no_problem(content: bytes, says: str) -> None:
         ("set: {carrier_mass: 2}\nbaseline: {working_mode: abc}\n", 6),
         ("set: {carrier_mass: heavy}\nbaseline: {gravity: [0, 0, -9]}\n", 5),
         ("parameters:\n  datum: 0\n  track: [0, x]\n", 7),
+        ("parameters:\n  datum: 0\n  track: [0.1, -0.1]\n", 7),
         ("set: &two\n  carrier_mass: [1]\nbaseline: {set: {<<: *two}}\n", 6),
         ("parameters:\n  speed: fast\n", 6),  # a key of the trajectory, too
         ("  speed: fast\nparameters:\n  speed: 1.0\n", 5),
@@ -220,7 +226,7 @@ def test_files_that_are_no_problem(content: bytes, says: str) -> None:
     ],
 )
 def test_each_mistake_has_its_line(text: str, line: int) -> None:
-    head = "planner: stepwise\nrobot: 3rrr\ntrajectory:\n  name: corner\n"
+    head = "planner: stepwise\nrobot: 3rrr\nmotion:\n  name: corner\n"
     Path("p.yaml").write_text(head + text, encoding="utf-8")
     assert re.match(rf"error: p.yaml, line {line}(, column \d+)?: ", refused("plan", "--problem", "p.yaml"))
 

@@ -56,10 +56,10 @@ def corner_robot(**arguments: Any) -> rp.VirtualWork:
 
 # --- plans -----------------------------------------------------------------------------------------------------------
 
-CORNER = "plan stepwise --robot 3rrr --working-mode +++ --trajectory corner:radius=0.03 --dt 0.02"
+CORNER = "plan stepwise --robot 3rrr --working-mode +++ --motion corner:radius=0.03 --dt 0.02"
 PLANS: dict[str, tuple[str, Callable[[], Plan]]] = {
     "switch-off": (
-        "plan switch-off --robot 2rpr --set carrier_mass=2.0 --backend virtual-work --trajectory circle:speed=0.6 "
+        "plan switch-off --robot 2rpr --set carrier_mass=2.0 --backend virtual-work --motion circle:speed=0.6 "
         "--threshold 7 --return-time 0.5 --ramp-down 0.02 --dt 0.02 --datum 0.01,-0.01 --plot plan.png",
         lambda: rp.plan_switch_off(
             rp.VirtualWork(rp.load_robot("2rpr", carrier_mass=2.0)), reference.circle(speed=0.6), threshold=7.0,
@@ -80,12 +80,12 @@ PLANS: dict[str, tuple[str, Callable[[], Plan]]] = {
         lambda: rp.plan_stepwise("3rrr", from_csv("parked.csv")),
     ),
     "way": (
-        "plan switch-off --robot 2rpr --trajectory way.csv:speed=0.5,ramp_time=0.2 --threshold 20 --dt 0.05",
+        "plan switch-off --robot 2rpr --motion way.csv:speed=0.5,ramp_time=0.2 --threshold 20 --dt 0.05",
         lambda: rp.plan_switch_off("2rpr", from_points(WAY, speed=0.5, ramp_time=0.2), threshold=20.0,
                                    mesh=rp.Mesh(dt=0.05)),
     ),
     "points": (
-        "plan stepwise --robot 3rrr --dt 0.02 --trajectory "
+        "plan stepwise --robot 3rrr --dt 0.02 --motion "
         "'points:points=1.0 0.4;1.02 0.5;0.95 0.6,speed=0.1,ramp_time=0.2,alpha=0.1'",
         lambda: rp.plan_stepwise(
             "3rrr", reference.points([[1.0, 0.4], [1.02, 0.5], [0.95, 0.6]], speed=0.1, ramp_time=0.2, alpha=0.1),
@@ -93,7 +93,7 @@ PLANS: dict[str, tuple[str, Callable[[], Plan]]] = {
         ),
     ),
     "whole-trajectory": (
-        "plan whole-trajectory --robot 3rrr --working-mode +++ --backend virtual-work --trajectory corner --dt 0.03 "
+        "plan whole-trajectory --robot 3rrr --working-mode +++ --backend virtual-work --motion corner --dt 0.03 "
         "--objective effort --objective peak=0.5 --objective tracking=2 --lam 0.3 --calm 0.02 "
         "--baseline carriers=false --start 0.01,0,-0.01 --start-speed 0.02 --end rest --datum 0.001 --track -0.5,0.6 "
         "--speed 0.9,0.8,0.7 "
@@ -108,7 +108,7 @@ PLANS: dict[str, tuple[str, Callable[[], Plan]]] = {
         ),
     ),
     "time-optimal": (
-        "plan time-optimal --robot 3rrr --working-mode +++ --set carriers=false --trajectory corner --effort 3 "
+        "plan time-optimal --robot 3rrr --working-mode +++ --set carriers=false --motion corner --effort 3 "
         "--actuator-speed 0.5 --steps 40 --backend rnea",
         lambda: rp.plan_time_optimal(
             rp.RneaDynamics(rp.load_robot("3rrr", carriers=False, working_mode=(1, 1, 1))), reference.corner().path,
@@ -158,7 +158,7 @@ def test_a_table_says_what_the_plan_holds() -> None:
 
 def test_least_time_keeps_its_limit_and_names_it() -> None:
     """The five-bar without carriers on a circle, its efforts at 5000 instants by W τ = f."""
-    task = "plan time-optimal --robot five_bar --set carriers=false --trajectory circle --effort 12"
+    task = "plan time-optimal --robot five_bar --set carriers=false --motion circle --effort 12"
     result = call(*task.split(), "--out", "fast.npz")
     assert (result.exit_code, result.stderr) == (0, "")
     assert "effort of base_1 at its limit 12 N·m" in " ".join(result.stdout.split())
@@ -178,7 +178,7 @@ def test_least_time_keeps_its_limit_and_names_it() -> None:
      ("--objective effort", "0.01", False)],
 )  # fmt: skip
 def test_efforts_that_oscillate_are_calmed_by_what_the_plan_proposes(objective: str, calm: str, advised: bool) -> None:
-    circle = "plan whole-trajectory --robot 2rpr --backend virtual-work --trajectory circle:ramp_length=0.05 --dt 0.01"
+    circle = "plan whole-trajectory --robot 2rpr --backend virtual-work --motion circle:ramp_length=0.05 --dt 0.01"
     facts = facts_of(f"{circle} {objective} --calm {calm}")
     assert (max(facts["reversals"]) > 20) == advised
     assert ("effort_rate=0.01" in (facts["advice"] or "")) == advised
@@ -186,7 +186,7 @@ def test_efforts_that_oscillate_are_calmed_by_what_the_plan_proposes(objective: 
 
 def test_balancing_makes_the_base_feel_nothing() -> None:
     facts = facts_of(
-        "plan whole-trajectory --robot 3rrr --working-mode +++ --backend virtual-work --trajectory corner --dt 0.03 "
+        "plan whole-trajectory --robot 3rrr --working-mode +++ --backend virtual-work --motion corner --dt 0.03 "
         "--set carrier_mass=3 --speed 5 --acceleration 20 --track=-1,1 --end free --objective base_wrench "
         "--base-point 0.866,0.5,0"
     )
@@ -296,8 +296,16 @@ def test_payload_wrench_squeeze_and_bounds() -> None:
     assert alone.efforts.tau.min() < -0.3  # it bounds one sign, in Python and here
 
 
+def test_a_picture_of_bounded_efforts_has_two_hatches() -> None:
+    """What is beyond the bound, and where no efforts keep it."""
+    for bound, hatches in (("", 0), ("--upper 3", 2)):
+        line = f"inverse-dynamics --robot 2rpr --motion circle --dt 0.01 --out out.csv --plot efforts.svg {bound}"
+        facts_of(line, code=3)
+        assert Path("efforts.svg").read_text(encoding="utf-8").count("<pattern") == hatches
+
+
 def test_a_circle_of_ones_own() -> None:
-    facts = facts_of("inverse-dynamics --robot 2rpr --trajectory 'circle:centre=0.3 0.4,radius=0.1' --out out.csv")
+    facts = facts_of("inverse-dynamics --robot 2rpr --motion 'circle:centre=0.3 0.4,radius=0.1' --out out.csv")
     columns = columns_of("out.csv")
     np.testing.assert_allclose(np.hypot(columns["x"] - 0.3, columns["y"] - 0.4), 0.1, rtol=1e-12)
     speed = np.hypot(columns["xd"], columns["yd"])
@@ -305,7 +313,7 @@ def test_a_circle_of_ones_own() -> None:
     angle = np.unwrap(np.arctan2(columns["y"] - 0.4, columns["x"] - 0.3))
     assert (angle[0], angle[-1] - angle[0]) == pytest.approx((np.pi, 2.0 * np.pi), rel=1e-9)
     assert facts["status"] == "ok"
-    facts_of("singularities --robot 3rrr --trajectory 'circle:centre=0.9 0.5,radius=0.03,alpha=0.1'")
+    facts_of("singularities --robot 3rrr --motion 'circle:centre=0.9 0.5,radius=0.03,alpha=0.1'")
 
 
 def test_poses_are_position_and_quaternion() -> None:
@@ -345,13 +353,10 @@ def test_samples_without_efforts_are_marked_and_said() -> None:
 @pytest.mark.parametrize(
     ("file", "what"), [("timed.csv", "a trajectory through the points"), ("parked.csv", "samples")]
 )
-def test_either_option_takes_points_and_samples(file: str, what: str) -> None:
-    robot, written = "2rpr" if file == "timed.csv" else "3rrr", []
-    for flag in ("--motion", "--trajectory"):
-        facts = facts_of(f"inverse-dynamics --robot {robot} {flag} {file} --out out.csv", 3 if robot == "2rpr" else 0)
-        assert facts["motion"] == f"{what} of {file}"
-        written.append(Path("out.csv").read_text())
-    assert written[0] == written[1]
+def test_a_motion_is_points_or_samples_as_its_columns_say(file: str, what: str) -> None:
+    robot = "2rpr" if file == "timed.csv" else "3rrr"
+    facts = facts_of(f"inverse-dynamics --robot {robot} --motion {file} --out out.csv", 3 if robot == "2rpr" else 0)
+    assert facts["motion"] == f"{what} of {file}"
     expected = from_points(file).sample(1e-3).t if robot == "2rpr" else from_csv(file).t
     np.testing.assert_array_equal(columns_of("out.csv")["t"], expected)
 
@@ -363,7 +368,7 @@ def test_either_option_takes_points_and_samples(file: str, what: str) -> None:
 )  # fmt: skip
 def test_every_command_says_the_ends_of_a_motion_through_points(command: str, ends: str) -> None:
     Path("above.csv").write_text("t,x,y\n0,0.15,0.3\n0.6,0.2,0.25\n1.1,0.22,0.25\n1.8,0.25,0.3\n")
-    line = f"{command} --robot 2rpr --trajectory 'above.csv{f':ends={ends}' if ends else ''}'"
+    line = f"{command} --robot 2rpr --motion 'above.csv{f':ends={ends}' if ends else ''}'"
     facts = json.loads(call(*shlex.split(line), "--json").stdout)
     expected = from_points("above.csv", **({"ends": ends.split() if " " in ends else ends} if ends else {})).ends
     assert facts["ends"] == list(expected)
@@ -376,18 +381,18 @@ def test_every_command_says_the_ends_of_a_motion_through_points(command: str, en
 def test_singular_instants() -> None:
     """Where the circle of radius 0.2 about (0.25, 0.185) meets the base line; way.csv as in Python."""
     half = np.sqrt(0.2**2 - 0.185**2)
-    found = facts_of("singularities --robot 2rpr --trajectory circle:speed=0.75 --plot locus.png")["crossings"]
+    found = facts_of("singularities --robot 2rpr --motion circle:speed=0.75 --plot locus.png")["crossings"]
     assert [one["x"][0] for one in found] == pytest.approx([0.25 - half, 0.25 + half], abs=1e-10)
     for one in found:
         assert (one["kind"], one["crosses"], one["lost_direction"]) == ("type_ii", True, [None, None])
         assert np.abs(one["uncontrolled_twist"]) == pytest.approx([0.0, 1.0], abs=1e-9)
     assert Path("locus.png").read_bytes().startswith(b"\x89PNG")
-    text = call("singularities", "--robot", "2rpr", "--trajectory", "line").stdout
+    text = call("singularities", "--robot", "2rpr", "--motion", "line").stdout
     assert "4.51649" in text  # sqrt(0.1² + 1.1²) · 4/11 / 0.1 + 0.5
     assert "crossed" in text
-    assert facts_of("singularities --robot 3rrr --trajectory corner:radius=0.013")["crossings"] == []
+    assert facts_of("singularities --robot 3rrr --motion corner:radius=0.013")["crossings"] == []
     law = "times=time-optimal,max_speed=0.5 0.4,max_acceleration=2 3"
-    found = facts_of(f"singularities --robot 2rpr --trajectory 'way.csv:{law}'")["crossings"]
+    found = facts_of(f"singularities --robot 2rpr --motion 'way.csv:{law}'")["crossings"]
     fast = from_points(WAY, times="time-optimal", max_speed=[0.5, 0.4], max_acceleration=[2.0, 3.0])
     assert [one["t"] for one in found] == pytest.approx([one.t for one in rp.find_crossings("2rpr", fast)], rel=1e-12)
     assert len(found) == 1
@@ -548,7 +553,7 @@ def test_how_a_simulation_ends_is_its_exit_code(saved: Path) -> None:
 
 def test_a_motion_is_simulated_with_its_carriers_or_parked_ones() -> None:
     moving = facts_of("simulate --robot 3rrr --duration 0.2 --motion corner.csv")
-    parked = facts_of("simulate --robot 3rrr --duration 0.2 --trajectory corner:radius=0.05 --park 0.1")
+    parked = facts_of("simulate --robot 3rrr --duration 0.2 --motion corner:radius=0.05 --park 0.1")
     assert moving["largest_distance"] < 1e-6  # between samples that are 0.05 s apart
     motion, carriers = from_csv("corner.csv"), carriers_from_csv("corner.csv")
     forces = rp.RneaDynamics("3rrr").along(motion).reduce(carriers).carrier_force[motion.t <= 0.2]
@@ -562,14 +567,14 @@ def test_a_motion_is_simulated_with_its_carriers_or_parked_ones() -> None:
 def test_on_line() -> None:
     Path("points.csv").write_text("t,x,y\n0,0.2,0.06\n0.3,0.23,0.0\n0.6,0.28,-0.05\n")
     machine = "online --robot 2rpr --set end_effector_mass=0.5 --set cylinder_mass=0.3"
-    facts = facts_of(f"{machine} --trajectory points.csv --out online.npz --html online.html")
+    facts = facts_of(f"{machine} --motion points.csv --out online.npz --html online.html")
     plan = rp.load_plan("online.npz")
     assert facts["ticks"]["ok"] == sum(facts["ticks"].values()) == 30
     assert len(facts["findings"]["singular_instants"]) == 1
     np.testing.assert_allclose(facts["peak_effort"], plan.peak_effort)
     assert "2rpr" in Path("online.html").read_text(encoding="utf-8").partition("<script>")[0]
     assert 0.0 < facts["milliseconds"]["p50"] <= facts["milliseconds"]["p99"]
-    weak = f"{machine} --trajectory circle:speed=0.5 --acceleration 2"
+    weak = f"{machine} --motion circle:speed=0.5 --acceleration 2"
     late = facts_of(f"{weak} --slow-down --out late.npz")
     assert late["ticks"]["time_scaled"] > 0
     assert late["ticks"]["relaxed"] == 0

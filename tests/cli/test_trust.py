@@ -31,12 +31,12 @@ def robot(tmp_path: Path) -> Path:
 
 COMMANDS = {
     "info": ("info",),
-    "singularities": ("singularities", "--trajectory", "line"),
+    "singularities": ("singularities", "--motion", "line"),
     "workspace": ("workspace", "--resolution", "3"),
     "show": ("show", "--html", "{folder}/out.html"),
     "validate": ("validate", "--samples", "1"),
     "codegen": ("codegen", "--out", "{folder}/code"),
-    "plan": ("plan", "switch-off", "--trajectory", "line", "--threshold", "1000", "--dt", "0.005"),
+    "plan": ("plan", "switch-off", "--motion", "line", "--threshold", "1000", "--dt", "0.005"),
 }
 
 
@@ -57,7 +57,7 @@ def test_a_problem_file_cannot_say_it(robot: Path, tmp_path: Path) -> None:
     problem = {
         "planner": "switch-off",
         "robot": str(robot),
-        "trajectory": {"name": "line"},
+        "motion": {"name": "line"},
         "parameters": {"threshold": 1000, "dt": 0.005},
     }
     path = tmp_path / "problem.yaml"
@@ -81,7 +81,7 @@ def test_the_robot_of_a_plan_is_trusted_by_who_loads_it(robot: Path, tmp_path: P
         "switch-off",
         "--robot",
         str(robot),
-        "--trajectory",
+        "--motion",
         "line",
         "--threshold",
         "1000",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import re
+import shlex
 import shutil
 import subprocess
 from functools import cache
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zoo
 from generated_c import COMPILERS, compiled, run
 
 import redundancy_pin as rp
@@ -74,6 +76,32 @@ def test_recorded_updates_are_those_of_python(folders: Any, name: str, flags: An
     """With vectors and without."""
     done = run(compiled(sources_of(folders(name)), tmp_path / "program", *flags, *WARNINGS))
     assert done.stdout.startswith("0 failures"), (flags, done.stdout)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_planner_of_the_readme_plans_as_python_does_along_the_same_motion(
+    folders: Any, name: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "code"
+    shutil.copytree(folders(name), folder)
+    text = (folder / "README.md").read_text(encoding="utf-8")
+    (example,) = [one for one in re.findall(r"^```c\n(.*?)^```", text, flags=re.M | re.S) if "_plan_update" in one]
+    (tmp_path / "example_plan.c").write_text(example, encoding="utf-8")
+    (command,) = [line for line in text.splitlines() if line.startswith("cc ") and "example_plan" in line]
+    subprocess.run(shlex.split(command, comments=True), cwd=folder, check=True)
+    told = run(tmp_path / "example_plan")
+    assert (told.returncode, "status" in told.stdout) == (0, False)
+    robot, t = robot_of(name), np.linspace(0.0, 1.0, 101)
+    x = np.repeat(zoo.home_of(robot)[None], len(t), axis=0)
+    x.reshape(len(t), -1)[:, 3 if x.ndim == 3 else 0] += 0.01 * (10.0 * t**3 - 15.0 * t**4 + 6.0 * t**5)
+    xd, xdd = np.zeros((2, len(t), robot.n))
+    xd[:, 0] = 0.3 * (t**2 - 2.0 * t**3 + t**4)
+    xdd[:, 0] = 0.6 * (t - 3.0 * t**2 + 2.0 * t**3)
+    planner, motion = RecedingHorizon(robot), rp.PlatformMotion(t, x, xd, xdd)
+    for tick in range(200):
+        now = planner.update(0.005 * tick, motion)
+    found = [float(value) for value in re.findall(r"^tau\[\d+\] = (\S+)$", told.stdout, flags=re.M)]
+    np.testing.assert_allclose(found, now.tau, rtol=1e-3, atol=1e-3 * np.abs(now.tau).max())
 
 
 @pytest.mark.parametrize("name", NAMES)

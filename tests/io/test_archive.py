@@ -104,9 +104,22 @@ def test_what_a_bomb_would_look_like_is_written_so_that_it_is_read(
     assert read(path)["a"].shape == (1_000_000,)
     np.savez_compressed(path, metadata=np.array(text()), a=np.zeros(1_000_000))
     refused(path, "when unpacked, of at most")
-    # a reader makes doubles of flags: eight bytes each
+    # the text of the record counts too
+    write_archive(path, "numbers", 1, Numbers(np.zeros((1 << 13) - 1000), "x" * 20_000))
+    assert read(path)["a"].shape == ((1 << 13) - 1000,)
+    # a reader makes doubles of flags: eight bytes each, which the writer knows
+    write_archive(path, "numbers", 1, Numbers(np.zeros(50_000, dtype=bool)))
+    assert read(path)["a"].shape == (50_000,)
     np.savez_compressed(path, metadata=np.array(text()), a=np.zeros(50_000, dtype=np.int8))
     refused(path, "bytes as doubles, of at most")
+
+
+def test_what_an_earlier_version_packed_is_read(tmp_path: Path) -> None:
+    """64 MB of zeros in 60 kB: it packed what is 128 MiB when unpacked."""
+    path = tmp_path / "a.npz"
+    write_archive(path, "numbers", 1, Numbers(np.zeros(8_000_000)))
+    assert path.stat().st_size < 100_000
+    assert read(path)["a"].shape == (8_000_000,)
 
 
 def test_what_could_not_be_read_again_is_not_written(tmp_path: Path) -> None:

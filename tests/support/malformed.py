@@ -277,7 +277,7 @@ PROBLEM = {
     "working_mode": "++",
     "gravity": [0, 0, 0],
     "backend": "rnea",
-    "trajectory": {"name": "circle", "speed": 0.5},
+    "motion": {"name": "circle", "speed": 0.5},
     "parameters": {"threshold": 7, "dt": 0.01},
 }
 
@@ -339,12 +339,12 @@ def commands(dice: random.Random) -> dict[str, list[str]]:
     ``reproduce`` is none of those: any name that a folder may have makes it work for minutes, in processes of its own.
     """
     robot = dice.choice(ROBOTS)
-    line = ("--robot", "2rpr", "--trajectory", "line")
-    corner = ("--robot", "3rrr", "--working-mode", "+++", "--trajectory", "corner")
+    line = ("--robot", "2rpr", "--motion", "line")
+    corner = ("--robot", "3rrr", "--working-mode", "+++", "--motion", "corner")
     return {
         "info": ["info", "--robot", robot],
         "inverse-dynamics": ["inverse-dynamics", "--robot", "2rpr", *MOTION, "--out", "out.csv"],
-        "singularities": ["singularities", "--robot", "2rpr", "--trajectory", "circle:speed=0.5"],
+        "singularities": ["singularities", "--robot", "2rpr", "--motion", "circle:speed=0.5"],
         "switch-off": ["plan", "switch-off", *line, "--dt", "0.01", "--out", "a.npz"],
         "stepwise": ["plan", "stepwise", *corner, "--dt", "0.02"],
         "whole": ["plan", "whole-trajectory", *line, "--dt", "0.05", "--seconds", "5"],
@@ -368,16 +368,18 @@ def invocation(dice: random.Random) -> Invocation:
         files["plan.npz"] = broken(saved(stepwise_plan), dice)
     elif kind == "file" and command in ("inverse-dynamics", "stepwise", "whole", "switch-off", "show", "singularities"):
         files["motion.csv"] = broken_csv(dice)
-        arguments = [each for each in arguments if not each.startswith(("--trajectory", "line", "corner", "circle"))]
-        arguments += [] if "--motion" in arguments else list(MOTION)
+        arguments = [
+            each for each in arguments if not each.startswith(("--motion", "line", "corner", "circle", MOTION[1]))
+        ]
+        arguments += MOTION
     elif kind in ("number", "path"):
         fitting = [flag for flag in options_of(arguments) if (flag in PATH_FLAGS) is (kind == "path")]
         flag = dice.choice(fitting or ["--robot"])
         value = dice.choice(NUMBERS) if kind == "number" else dice.choice(PATHS) + dice.choice(SUFFIXES)
         if flag in ("--robot", "--motion", "--problem", "--plan") and dice.random() < 0.3:
             value = dice.choice(DEVICES)
-        if flag in ("--set", "--trajectory") and dice.random() < 0.7:
-            value = {"--set": "carrier_mass=", "--trajectory": "points:points="}[flag] + value
+        if flag in ("--set", "--motion") and dice.random() < 0.7:
+            value = {"--set": "carrier_mass=", "--motion": "points:points="}[flag] + value
         if flag in arguments:
             arguments = list(arguments)
             arguments[arguments.index(flag) + 1] = value

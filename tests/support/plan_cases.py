@@ -10,16 +10,16 @@ import yaml
 
 from redundancy_pin.planners.plan import Plan
 
-LINE = ("plan", "switch-off", "--robot", "2rpr", "--trajectory", "line", "--threshold", "4", "--dt", "0.01")
+LINE = ("plan", "switch-off", "--robot", "2rpr", "--motion", "line", "--threshold", "4", "--dt", "0.01")
 """A crossing within all limits: slow, along the line."""
 
-CORNER = ("plan", "stepwise", "--robot", "3rrr", "--working-mode", "+++", "--trajectory", "corner", "--dt", "0.02")
+CORNER = ("plan", "stepwise", "--robot", "3rrr", "--working-mode", "+++", "--motion", "corner", "--dt", "0.02")
 
 PROBLEM: dict[str, Any] = {
     "planner": "stepwise",
     "robot": "3rrr",
     "parameters": {"dt": 0.05},
-    "trajectory": {"name": "corner"},
+    "motion": {"name": "corner"},
 }
 
 

@@ -21,7 +21,7 @@ from scipy.optimize import brentq
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, OutputError, PlanFileError
 from redundancy_pin.planners.limits import LimitReport
-from redundancy_pin.simulation import Event, Simulation
+from redundancy_pin.simulation import Event, Simulation, closed_state
 from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory import reference
 from redundancy_pin.visualisation.figures.style import CARRIER_STROKES, STROKES
@@ -538,3 +538,58 @@ def test_what_cannot_be_drawn_is_refused() -> None:
         with pytest.raises(InputError, match="dict") as caught:
             one({})  # type: ignore[operator]
         assert any(word in caught.value.remedy for word in ("rp.", "load_plan"))
+
+
+def test_one_sample_is_a_mark_and_far_limits_are_not_written() -> None:
+    robot = zoo.robot_of("2rpr")
+    result = rp.inverse_dynamics(robot, rp.PlatformMotion([0.0], [[0.2, 0.3]], [[-0.1, 0.0]], [[0.0, 0.0]]))
+    drawn = rp.plot.efforts(rp.plot.curves(robot, result.reduced, result.efforts))
+    for axes, values in zip(drawn.axes, (result.efforts.tau, result.reduced.carrier_force), strict=True):
+        marked = [line.get_ydata()[0] for line in axes.lines if line.get_marker() not in ("", "None")]
+        np.testing.assert_array_equal(marked, values[0])
+    assert not [text for axes in drawn.axes for text in axes.texts if "limits" in text.get_text()]  # ±1000 N
+
+
+def test_bounds_of_efforts_are_drawn_and_where_none_keep_them_is_hatched() -> None:
+    robot, motion = zoo.robot_of("2rpr"), reference.circle().sample(0.01)
+    result = rp.inverse_dynamics(robot, motion, upper=3.0)
+    drawn = rp.plot.efforts(rp.plot.curves(robot, result.reduced, result.efforts, bounds=result.bounds))
+    axes, without = drawn.axes[0], np.flatnonzero(result.efforts.status == SampleStatus.BOUND_INFEASIBLE)
+    assert [line.get_ydata()[0] for line in axes.lines if len(set(line.get_ydata())) == 1] == [3.0]
+    spans = [
+        patch.get_extents().transformed(axes.transData.inverted())
+        for patch in axes.patches
+        if patch.get_hatch() == "xxx"
+    ]
+    assert len(spans) == 2
+    for k in without:
+        assert any(span.x0 <= motion.t[k] <= span.x1 for span in spans)
+    covered = sum(span.x1 - span.x0 for span in spans)
+    assert covered <= (len(without) + 2) * 0.01 + 1e-9
+    names = [text.get_text() for legend in drawn.legends for text in legend.get_texts()]
+    assert "no efforts" in names
+
+
+def test_forces_and_impulses_of_joint_stops_are_drawn(tmp_path: Path) -> None:
+    """A bar that falls onto a stop: m g c cos φ holds it there."""
+    moments = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
+    inertial = f'<inertial><origin xyz="0.2 0 0"/><mass value="1.5"/>{moments}</inertial>'
+    (tmp_path / "bar.urdf").write_text(
+        f'<robot name="bar"><link name="base"/><link name="bar">{inertial}</link><joint name="hinge" type="revolute">'
+        '<parent link="base"/><child link="bar"/><axis xyz="0 0 1"/>'
+        '<limit lower="-0.5" upper="2" effort="10" velocity="10"/></joint></robot>'
+    )
+    robot = rp.load_robot(tmp_path / "bar.urdf", gravity=(0, -9.81, 0), actuated="hinge")
+    start = closed_state(robot, [0.3], [0.0])
+    ended = rp.simulate(robot, start=start, duration=0.1, dt=0.01)
+    assert len(rp.plot.simulation(ended, robot=robot).axes) == 1
+    fell = rp.simulate(robot, start=start, duration=1.0, dt=0.01, joint_stops="inelastic")
+    (impact,) = (event for event in fell.events if event.impulse)
+    _, axes = rp.plot.simulation(fell, robot=robot).axes
+    force = next(line.get_ydata() for line in axes.lines if len(line.get_ydata()) == len(fell))
+    np.testing.assert_array_equal(force, fell.stop_force[:, 0])
+    assert force[-1] == pytest.approx(1.5 * 9.81 * 0.2 * np.cos(-0.5), rel=1e-9)
+    mark = next(line for line in axes.lines if line.get_marker() == "X")
+    assert mark.get_xdata() == [impact.t]
+    assert f"{impact.impulse:.3g} N·s" in axes.texts[0].get_text()
+    assert axes.get_legend_handles_labels()[1] == ["hinge"]

@@ -60,12 +60,14 @@ class Relaxation:
     """From where, and of which limits, the smallest relaxation is sought.
 
     ``guess``: first guess, scaled blocks by name; ``kinds``: limits that may give way, all when left out; ``finer``:
-    returns the problem on a finer mesh where the nodes do not show the efforts of a relaxed motion, otherwise None.
+    returns the problem on a finer mesh where the nodes do not show the efforts of a relaxed motion, otherwise None;
+    ``between``: largest efforts between the nodes over those at them, 1 where the nodes show them.
     """
 
     guess: Mapping[str, Array]
     kinds: Sequence[str] = KINDS
     finer: Callable[[Outcome], Problem | None] = lambda _: None
+    between: Callable[[Outcome], float] = lambda _: 1.0
 
 
 def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str, deadline: float) -> Outcome:
@@ -111,12 +113,15 @@ def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str
     untried, in_vain = ([name_of(kind) for kind in kinds] for kinds in (search.untried, search.in_vain))
     rest = f" Not tried to the end: {', '.join(untried)} alone." if untried else ""
     rest += f" Tried without a motion, which is no proof: {', '.join(in_vain)} alone." if in_vain else ""
+    ratio = 1.0 if problem.timing is not None else max(sought.between(found) for found in relaxed.values())
     if problem.timing is None and any(found.problem is not problem for found in relaxed.values()):
         rest += " The numbers are of a coarser mesh: all nodes may need a little more."
+    elif ratio > 1.0:
+        rest += f" The numbers are of a coarse mesh: efforts between its nodes are up to {ratio:.3g} times as large."
     what = "motion of the carriers" if problem.timing is None else "timing"
     raise InfeasiblePlanError(
         f"No {what} keeps every limit. What would suffice: {text}.{rest}",
-        remedy=_remedy(problem),
+        remedy=_remedy(problem, coarse=ratio > 1.0),
         relaxations=tuple(events),
         together=not alone and len(events) > 1,
         untried=(*untried, *in_vain),
@@ -201,11 +206,14 @@ class _Search:
         return exact if exact.solution.feasible else found
 
 
-def _remedy(problem: Problem) -> str:
-    """Return what a user can do where limits have to be wider."""
+def _remedy(problem: Problem, *, coarse: bool = False) -> str:
+    """Return what a user can do where limits have to be wider; ``coarse``: the nodes do not show by how much."""
     settings, timed = problem.settings, problem.timing is not None
+    more = "a few per cent more than that (the least leaves no room)"
+    if coarse:
+        more = "more than that (how much is found with a shorter dt)"
     ways = [
-        "Widen these limits, by a few per cent more than that (the least leaves no room)",
+        f"Widen these limits, by {more}",
         "lead the path elsewhere" if timed else "slow the motion down",
     ]
     ends = {"start": settings.begin, "end": settings.end} if timed else {"end": settings.end}

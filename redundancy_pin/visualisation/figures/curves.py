@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, assign, require_type, runs
 from redundancy_pin.dynamics.distribution import Distribution
@@ -42,6 +43,7 @@ class Curves:
         instants: singular instants, s.
         thresholds: condition numbers that mean something to the motion.
         main_names, carrier_names: of the joints, for legends; numbered where left out.
+        bounds: (m, 2) smallest and largest main efforts, N or N·m, infinite for none; () where none are known.
     """
 
     title: str
@@ -59,6 +61,7 @@ class Curves:
     thresholds: tuple[float, ...] = ()
     main_names: tuple[str, ...] = ()
     carrier_names: tuple[str, ...] = ()
+    bounds: ArrayLike = ()
 
     def __post_init__(self) -> None:
         """Number the joints that have no names."""
@@ -71,6 +74,15 @@ class Curves:
         """First and last time, s, of each stretch of samples below the near-singular margin."""
         near = runs(self.margin < NEAR_SINGULAR_MARGIN)
         return tuple((float(self.t[start]), float(self.t[stop - 1])) for start, stop in near)
+
+    @property
+    def gaps(self) -> tuple[tuple[float, float], ...]:
+        """Times, s, from the last sample with main efforts to the next one, of each stretch without."""
+        last = len(self.t) - 1
+        without: BoolArray = np.asarray(~np.isfinite(self.tau).all(axis=1))
+        return tuple(
+            (float(self.t[max(start - 1, 0)]), float(self.t[min(stop, last)])) for start, stop in runs(without)
+        )
 
 
 def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -> Curves:
@@ -99,6 +111,7 @@ def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -
             "regular": subject.sample_status == SampleStatus.OK,
             "instants": subject.findings.singular_instants,
             "thresholds": (float(threshold),) if isinstance(threshold, (int, float)) else (),
+            "bounds": np.multiply.outer(subject.limits.judged_by.effort, [-1.0, 1.0]),
         }
     else:
         own = {"title": run_title(subject), "limits": subject.robot.carrier_limits}
@@ -123,7 +136,12 @@ def curves_of_plan(plan: Plan) -> Curves:
     return curves_of(plan)
 
 
-_DRIVES = {"FeedForward": "open loop", "ComputedTorque": "computed torque", "TimeVaryingLqr": "LQR"}
+_DRIVES = {
+    "Constant": "constant efforts",
+    "FeedForward": "open loop",
+    "ComputedTorque": "computed torque",
+    "TimeVaryingLqr": "LQR",
+}
 
 
 def run_title(run: Simulation, drive: str | None = None) -> str:
@@ -149,6 +167,7 @@ def curves(
     crossings: Sequence[Crossing] = (),
     thresholds: Sequence[float] = (),
     title: str | None = None,
+    bounds: ArrayLike = (),
 ) -> Curves:
     """Return the curves of an inverse-dynamics computation.
 
@@ -160,6 +179,7 @@ def curves(
         crossings: from ``find_crossings`` along the same motion: where the singular instants are.
         thresholds: condition numbers to mark.
         title: the robot's name when left out.
+        bounds: (m, 2) smallest and largest main efforts that ``distribute`` was given, N or N·m, infinite for none.
 
     Raises:
         InputError: parts of different length.
@@ -184,6 +204,7 @@ def curves(
         regular=efforts.status == SampleStatus.OK,
         instants=tuple(crossing.t for crossing in crossings),
         thresholds=tuple(thresholds),
+        bounds=bounds,
         **_joints(robot_record(robot)),
     )
 

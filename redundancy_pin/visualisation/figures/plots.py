@@ -22,6 +22,7 @@ A new figure over time is a function here that lists its panels; ``time_panels``
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
@@ -29,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, PlanFileError
 from redundancy_pin.kinematics.coordinates import angle_columns, distance
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion, require_sampled
@@ -90,15 +91,18 @@ __all__ = [
 LEAST_DISTANCE = 1e-16
 """m; distances that are smaller are drawn there."""
 
+NAMED_IMPACTS = 4
+"""Impacts, the largest ones, whose impulse is written beside them."""
+
 SHOWN_DISTANCES = 1e-6
 """Smallest distance from a plan that is shown, relative to the largest: every simulation starts with rounding."""
 
 
 def main_panel(drawn: Curves) -> Panel:
-    """Return the main efforts; near a singularity they may leave the picture."""
-    return Panel(
-        f"main {drawn.main_unit}", series(drawn.main_names, drawn.t, drawn.tau, fitted=drawn.regular), height=1.3
-    )
+    """Return the main efforts and their bounds; near a singularity they may leave the picture."""
+    curves = series(drawn.main_names, drawn.t, drawn.tau, fitted=drawn.regular)
+    bounded = np.isfinite(drawn.bounds).any()
+    return Panel(f"main {drawn.main_unit}", curves, limits=drawn.bounds if bounded else (), height=1.3)
 
 
 def force_panel(drawn: Curves, events: Sequence[LimitEvent] = ()) -> Panel:
@@ -133,7 +137,8 @@ def _carrier_panel(
 def efforts(subject: Plan | Simulation | Curves) -> Figure:
     """Draw the main efforts and, where there are carriers, their forces, over time.
 
-    The axis of the main efforts is fitted to regular samples: next to a singularity they grow without bound.
+    The axis of the main efforts is fitted to regular samples: next to a singularity they grow without bound. Their
+    bounds are drawn, and stretches without efforts are hatched.
 
     Args:
         subject: a plan, a simulation, or ``curves`` of an inverse-dynamics computation.
@@ -177,7 +182,7 @@ def condition(subject: Plan | Simulation | Curves, *, robot: Robot | None = None
 
 
 def _over_time(drawn: Curves, panels: Sequence[Panel]) -> Figure:
-    return plot_time_panels(drawn.title, panels, instants=drawn.instants, windows=drawn.windows)
+    return plot_time_panels(drawn.title, panels, instants=drawn.instants, windows=drawn.windows, gaps=drawn.gaps)
 
 
 def singularity_panel(drawn: Curves) -> Panel:
@@ -201,9 +206,7 @@ def plan(
         reference_name: what the legend calls them.
     """
     drawn = curves_of_plan(plan)
-    main, bounds = main_panel(drawn), plan.limits.judged_by.effort.tolist()
-    if np.isfinite(bounds).any():
-        main = replace(main, limits=[(-bound, bound) for bound in bounds])
+    main = main_panel(drawn)
     if reference is not None:
         thin = tuple(
             Curve("" if i else reference_name, plan.t, column, reference=True) for i, column in enumerate(reference.T)
@@ -225,8 +228,8 @@ def simulation(
 ) -> Figure:
     """Draw a simulation, with its plan in thin grey lines behind it.
 
-    Main efforts and the efforts of the carriers; with a plan the distance of the platform from it; position, speed and
-    acceleration of the carriers with what their limits forbid hatched.
+    Main efforts and the efforts of the carriers; forces and impulses of joint stops; with a plan the distance of the
+    platform from it; position, speed and acceleration of the carriers with what their limits forbid hatched.
 
     Args:
         run: the simulation.
@@ -252,10 +255,30 @@ def simulation(
         behind = [[main_panel(planned), force_panel(planned)], carrier_panels(planned)]
         columns = [list(map(_over, *both)) for both in zip(columns, behind, strict=False)]
         columns[0].append(_distance_panel(run, plan, robot_of_record(run.robot, robot)))
+    columns[0] += _stop_panels(run, robot)
     if len({len(column) for column in columns}) > 1:  # both columns have as many panels
         columns = [[panel for column in columns for panel in column]]
     size = (9.6 if len(columns) > 1 else 7.2, 1.1 + 1.75 * sum(panel.height for panel in columns[0]))
     return plot_panel_grid(title or drawn.title, columns, size, Background(None, windows=drawn.windows))
+
+
+def _stop_panels(run: Simulation, robot: Robot | None) -> list[Panel]:
+    """Return the forces of joint stops, with the impulses of impacts marked; none where no stop pushes."""
+    held = np.flatnonzero((np.nan_to_num(run.stop_force) != 0.0).any(axis=0)).tolist()
+    hits = sorted((event for event in run.events if event.impulse > 0.0), key=lambda event: -event.impulse)
+    if not held and not hits:
+        return []
+    names = {i: f"joint {i + 1}" for i in held}
+    with suppress(PlanFileError):
+        model = robot_of_record(run.robot, robot).model
+        joints = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
+        names = {joint.idx_v: str(name) for name, joint in joints if joint.nv == 1}
+    curves = series([names[i] for i in held], run.t, run.stop_force[:, held])
+    marks = tuple(
+        (event.t, 0.0, f"{event.name}: {event.impulse:.3g} N·s or N·m·s" if i < NAMED_IMPACTS else "")
+        for i, event in enumerate(hits)
+    )
+    return [Panel("stops [N or N·m]", curves or (Curve("", run.t, np.zeros(len(run))),), marks=marks)]
 
 
 def _over(panel: Panel, behind: Panel) -> Panel:

@@ -62,6 +62,14 @@ INSTANT: dict[str, Any] = {
 
 # How a stretch of near-singular samples is drawn, and what legends call it
 WINDOW: dict[str, Any] = {"facecolor": "#D9D9D9", "edgecolor": "none", "label": "near-singular"}
+# How a stretch without efforts is drawn, and what legends call it
+GAP: dict[str, Any] = {
+    "facecolor": "none",
+    "edgecolor": "#BDBDBD",
+    "hatch": "xxx",
+    "linewidth": 0.0,
+    "label": "no efforts",
+}
 _FORMATS = (".png", ".svg", ".pdf")
 
 _LETTERS, _KEY = 15.0, 9  # letters of a legend on an inch, and how many of them an entry takes with its line and space

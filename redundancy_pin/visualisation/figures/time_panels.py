@@ -24,6 +24,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.visualisation.figures.style import (
     BEYOND,
     CARRIER_STROKES,
+    GAP,
     INSTANT,
     STROKES,
     WINDOW,
@@ -46,6 +47,7 @@ _CONDITION_TOP = 1e3  # largest condition number of the axis: at a singular inst
 _CONDITION_LINEAR = 10.0  # up to this condition number the axis is linear
 _HEADROOM = 0.08  # free space above and below what an axis shows, as a fraction of it
 _VISIBLE_FRACTION = 0.35  # A limit is drawn if the curves use at least this fraction of it; else it would flatten them
+_FAR = 100.0  # A limit is written if it is at most this many times what the curves use; else it says nothing
 # Greys of the phases, in the order of their names; neighbours differ enough to be told apart in print
 _PHASE_FILLS = ("#FFFFFF", "#E4E4E4", "#C4C4C4", "#F1F1F1", "#D4D4D4", "#B4B4B4")
 _BOX: dict[str, Any] = {"facecolor": "#FFFFFF", "edgecolor": "none", "alpha": 0.8, "pad": 0.6}
@@ -93,6 +95,7 @@ class Background:
     plan: Plan | None = None  # whose phases are shaded
     instants: Sequence[float] = ()  # singular instants, s, drawn as dotted lines
     windows: Windows = ()  # near-singular stretches, shaded
+    gaps: Windows = ()  # stretches without efforts, hatched
 
     def draw(self, axes: Axes) -> None:
         """Draw it behind a panel, labelled for the legend under the figure."""
@@ -105,6 +108,8 @@ class Background:
                 axes.axvline(start, color="#777777", linewidth=0.5, zorder=0.6)
         for start, end in self.windows:
             axes.axvspan(start, end, zorder=0.5, **WINDOW)
+        for start, end in self.gaps:
+            axes.axvspan(start, end, zorder=0.45, **GAP)
         for instant in self.instants:
             axes.axvline(instant, zorder=1.6, **INSTANT)
 
@@ -142,10 +147,11 @@ def plot_time_panels(
     plan: Plan | None = None,
     instants: Sequence[float] = (),
     windows: Windows = (),
+    gaps: Windows = (),
 ) -> Figure:
-    """Draw panels one above the other, from top to bottom; ``plan``, ``instants`` and ``windows`` are behind them."""
+    """Draw panels one above the other, from top to bottom, over a ``Background`` of the other arguments."""
     size = 7.2, 1.1 + 1.75 * sum(panel.height for panel in panels)
-    return plot_panel_grid(title, [panels], size, Background(plan, instants, windows))
+    return plot_panel_grid(title, [panels], size, Background(plan, instants, windows, gaps))
 
 
 def plot_panel_grid(
@@ -181,6 +187,8 @@ def draw_panel(axes: Axes, panel: Panel, width: float, *, alike: Sequence[Panel]
         style: dict[str, Any] = {"color": stroke.color, "linestyle": stroke.dash, "zorder": 2.2}
         if curve.reference:
             style = {"color": "#6E6E6E", "linestyle": "-", "linewidth": 1.0, "zorder": 2.0}
+        if np.isfinite(curve.value).sum() == 1:  # no line
+            style["marker"] = stroke.marker
         axes.plot(curve.t, curve.value, label=legend_label(curve.label), **{**style, **curve.style})
     for i, (level, name) in enumerate(panel.levels):
         stroke = STROKES[1 + i % (len(STROKES) - 1)]
@@ -231,7 +239,8 @@ def _fit(axes: Axes, panel: Panel, alike: Sequence[Panel]) -> None:
     edges = np.concatenate([in_reach(other.limits).ravel() for other in alike])
     axes.set_ylim(fitted_range(curves, edges[np.isfinite(edges)].tolist()))
     shown, limits = in_reach(panel.limits), np.reshape(panel.limits, (-1, 2))
-    if len(limits) and (limits == limits[0]).all() and np.isnan(shown).all() and np.isfinite(limits[0]).any():
+    near = np.abs(limits[np.isfinite(limits)]).min(initial=np.inf) <= _FAR * np.abs(extent).max()
+    if len(limits) and (limits == limits[0]).all() and np.isnan(shown).all() and near:
         low, high = limits[0]
         text = f"limits ±{high:g}" if low == -high else f"limits {low:g}, {high:g}"
         axes.text(0.985, 0.95, text, transform=axes.transAxes, ha="right", va="top", fontsize=7.5, color="#444444")
