@@ -23,7 +23,8 @@ from redundancy_pin.thesis import reproduce as job
 from redundancy_pin.thesis.case import Case
 from redundancy_pin.thesis.cases import CHAPTERS, FULL
 from redundancy_pin.thesis.figures import THESIS, Picture, pictures
-from redundancy_pin.thesis.reproduce import Reproduction, html
+from redundancy_pin.thesis.page import html
+from redundancy_pin.thesis.reproduce import Reproduction
 from redundancy_pin.visualisation.figures import style
 from redundancy_pin.visualisation.figures.style import save
 
@@ -86,8 +87,8 @@ def test_summary_is_strict_json_with_versions(done: Reproduction) -> None:
         raise AssertionError(text)
 
     data = json.loads((done.folder / "summary.json").read_text(), parse_constant=refuse)
-    assert list(data) == ["format", "format_version", "versions", "cross_check", "experiments", "thesis", "planned",
-                          "beyond", "future", "replay", "notes", "files"]  # fmt: skip
+    assert list(data) == ["format", "format_version", "extent", "versions", "cross_check", "experiments", "thesis",
+                          "planned", "beyond", "future", "replay", "notes", "files"]  # fmt: skip
     assert data["format_version"] == 1
     assert {"redundancy_pin", "python", "pin", "numpy"} <= set(data["versions"])
     assert data["cross_check"]["passed"]
