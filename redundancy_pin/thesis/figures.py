@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -31,9 +32,6 @@ from redundancy_pin.visualisation.figures.time_panels import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Draw = Callable[..., "Figure"]
-"""Draws from the memo of plans and what is given: a run, a task, or cases of plans."""
-
 IN_FRONT = ("beyond-circle-0.5", "beyond-corner-r0.025")
 """Stems of the figures on the first page of the report."""
 
@@ -59,26 +57,20 @@ class Results:
 
 
 class Picture(NamedTuple):
-    """A figure of the results folder: stem of its files, title and caption in the report, and its function."""
+    """A figure of the results folder: stem of its files, title and caption in the report, and what draws it."""
 
     stem: str
     title: str
     caption: str
-    function: Draw
-    given: tuple[Any, ...] = ()
-
-    def draw(self, results: Results) -> Figure:
-        """Draw it."""
-        return self.function(results.plans, *self.given)
+    draw: Callable[[], Figure]
 
 
 def pictures(results: Results) -> dict[str, list[Picture]]:
     """Return all figures of what was run, by chapter; a small extent has only the figures of the first page."""
-    made = {"motions": _motions(results.runs), "planned": _thesis(), "beyond": _beyond(results.extent.coarser),
-            "future": _future(results.extent), "replay": _replays(results)}  # fmt: skip
+    chapters = {"motions": _motions, "planned": _thesis, "beyond": _beyond, "future": _future, "replay": _replays}
     return {
-        name: [picture for picture in chapter if results.extent.figures or picture.stem in IN_FRONT]
-        for name, chapter in made.items()
+        name: [picture for picture in made(results) if results.extent.figures or picture.stem in IN_FRONT]
+        for name, made in chapters.items()
         if name in ("motions", *results.chapters)
     }
 
@@ -86,49 +78,35 @@ def pictures(results: Results) -> dict[str, list[Picture]]:
 # --- motions without a planner -------------------------------------------------------------------------------------
 
 
-def _motions(runs: Sequence[MotionRun]) -> list[Picture]:
-    """Return efforts and path of each motion, and the same motion with parked carriers and without carriers."""
-    drawn = []
-    for run in runs:
-        name, title = run.case.name, f"{run.case.title}, {_carriers(run.case)}"
-        drawn += [
-            Picture(f"{name}-efforts", f"Efforts of {name}", f"{title}: efforts. {run.statement}.", effort_figure,
-                    (run, title)),
-            Picture(f"{name}-path", f"Path of {name}", f"{title}: mechanism, path and condition number.", path_figure,
-                    (run, title)),
-        ]  # fmt: skip
-    for motion in dict.fromkeys(cases.motion_name(run.case) for run in runs):
-        same = [run for run in runs if cases.motion_name(run.case) == motion]
+def _motions(results: Results) -> Iterator[Picture]:
+    """Give efforts and path of each motion, and the same motion with parked carriers and without carriers."""
+    groups: dict[str, list[MotionRun]] = {}
+    for run in results.runs:
+        groups.setdefault(cases.motion_name(run.case), []).append(run)
+        name, title = run.case.name, f"{run.case.title}, {_moving(run)}"
+        caption = f"{title}: efforts. {run.statement}."
+        yield Picture(f"{name}-efforts", f"Efforts of {name}", caption, partial(efforts, run, title))
+        caption, draw = f"{title}: mechanism, path and condition number.", partial(plots.path, run.robot, run.motion)
+        yield Picture(f"{name}-path", f"Path of {name}", caption, partial(draw, crossings=run.crossings, title=title))
+    for motion, same in groups.items():
         if len(same) > 1:
             caption = f"{same[0].case.title}: efforts with parked carriers and without carriers."
-            drawn.append(
-                Picture(f"{motion}-comparison", f"Comparison of {motion}", caption, comparison_figure, (same,))
-            )
-    return drawn
+            draw = partial(plots.comparison, {_moving(run): _curves(run) for run in same}, title=same[0].case.title)
+            yield Picture(f"{motion}-comparison", f"Comparison of {motion}", caption, draw)
 
 
-def effort_figure(_: Plans, run: MotionRun, title: str) -> Figure:
+def efforts(run: MotionRun, title: str) -> Figure:
     """Draw the efforts of a run at regular samples; tables have differences and missing forces."""
     drawn = _curves(run, title)
     return plots.efforts(replace(drawn, tau=np.where(drawn.regular[:, None], drawn.tau, np.nan)))
-
-
-def path_figure(_: Plans, run: MotionRun, title: str) -> Figure:
-    """Draw the mechanism, the path and the condition number of a run."""
-    return plots.path(run.robot, run.motion, crossings=run.crossings, title=title)
-
-
-def comparison_figure(_: Plans, runs: Sequence[MotionRun]) -> Figure:
-    """Draw the efforts of several runs along one motion."""
-    return plots.comparison({_carriers(run.case): _curves(run) for run in runs}, title=runs[0].case.title)
 
 
 def _curves(run: MotionRun, title: str = "") -> Curves:
     return plots.curves(run.robot, run.reduced[RNEA], run.distribution, crossings=run.crossings, title=title)
 
 
-def _carriers(case: Case) -> str:
-    return "no carriers" if case.planner == "none" else "carriers parked"
+def _moving(run: MotionRun) -> str:
+    return "no carriers" if run.case.planner == "none" else "carriers parked"
 
 
 # --- result figures of the thesis ----------------------------------------------------------------------------------
@@ -199,7 +177,7 @@ def _planned(case: Case) -> str:
 _C5, _C10, _C20, _F5, _L1, _L2, _L15 = cases.CROSSINGS
 _WIDE, _WIDE_HALF, _SHARP, _, _SQUARE_HALF, _SQUARE = cases.CORNERS
 
-THESIS: tuple[tuple[str, Draw, tuple[Case, ...]], ...] = (
+THESIS: tuple[tuple[str, Callable[..., Figure], tuple[Case, ...]], ...] = (
     ("3.6", profile, (_C5,)), ("3.7", paths, (_C5,)), ("3.8", profile, (_L1,)), ("3.9", paths, (_L1,)),
     ("3.10", condition, (_C5, _C10, _C20)), ("3.11", forces, (_C5,)), ("3.12", carriers, (_C5,)),
     ("3.13", forces, (_C10,)), ("3.14", forces, (_C20,)), ("3.15", carriers, (_C20,)), ("3.16", forces, (_F5,)),
@@ -215,7 +193,7 @@ THESIS: tuple[tuple[str, Draw, tuple[Case, ...]], ...] = (
 )  # fmt: skip
 """Number in the thesis, what is drawn, of which cases. Its 3.1 to 3.5 and 4.1 are flow charts and sketches."""
 
-_CAPTIONS: dict[Draw, str] = {
+_CAPTIONS: dict[Callable[..., Figure], str] = {
     profile: "Speed and acceleration of the platform.",
     displacement: "Displacement of the platform from its start.",
     paths: "Path; of one motion with the mechanism at its start, its singular points and the condition number.",
@@ -226,13 +204,12 @@ _CAPTIONS: dict[Draw, str] = {
 }
 
 
-def _thesis() -> list[Picture]:
-    drawn = []
+def _thesis(results: Results) -> Iterator[Picture]:
     for number, draw, several in THESIS:
         chapter, _, count = number.partition(".")
         caption = f"{_CAPTIONS[draw]} Run: {', '.join(case.name for case in several)}."
-        drawn.append(Picture(f"figure-{chapter}-{int(count):02d}", f"Figure {number}", caption, draw, several))
-    return drawn
+        stem = f"figure-{chapter}-{int(count):02d}"
+        yield Picture(stem, f"Figure {number}", caption, partial(draw, results.plans, *several))
 
 
 # --- beyond the thesis ---------------------------------------------------------------------------------------------
@@ -241,19 +218,18 @@ _SHOWN = (NONE, STEPWISE, SWITCH_OFF, EFFORT, PEAK, cases.SMOOTH)
 """Methods that the figures of a motion show, left to right, where there is a plan."""
 
 
-def _beyond(coarser: float) -> list[Picture]:
-    drawn = []
+def _beyond(results: Results) -> Iterator[Picture]:
     for task in TASKS:
         caption = f"{task.title}: main efforts, and position, speed and acceleration of the carriers with their limits."
         caption += " Dotted: singular instants." if cases.crosses(task) else ""
-        drawn.append(Picture(f"beyond-{task.name}", f"Plans of {task.name}", caption, task_figure, (task, coarser)))
-    return drawn
+        draw = partial(plans_of, results.plans, task, results.extent.coarser)
+        yield Picture(f"beyond-{task.name}", f"Plans of {task.name}", caption, draw)
 
 
-def task_figure(plans: Plans, task: Case, coarser: float) -> Figure:
+def plans_of(plans: Plans, task: Case, coarser: float) -> Figure:
     """Draw the plans of a task side by side."""
-    own = cases.methods(task)
-    outcomes = {method: plans.outcome(by_method(task, method, coarser)) for method in _SHOWN if method in own}
+    own = [method for method in _SHOWN if method in cases.methods(task)]
+    outcomes = {method: plans.outcome(by_method(task, method, coarser)) for method in own}
     existing = {method: outcome for method, outcome in outcomes.items() if isinstance(outcome, Plan)}
     instants = curves_of_plan(existing[EFFORT]).instants if EFFORT in existing else ()
     return side_by_side(task.title, existing, task.unit, instants=instants)
@@ -275,27 +251,19 @@ def side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, instants: 
     return plot_panel_grid(title, columns, (2.0 + 2.6 * len(plans), 8.0), Background(None, instants))
 
 
-def _future(extent: cases.Extent) -> list[Picture]:
+def _future(results: Results) -> Iterator[Picture]:
     caption = "Motion of the carriers, with their limits; dotted: the singular instant."
-    return [
-        Picture(f"future-{case.robot}", case.title, caption, carriers, (future.coarsened(case, extent), case.title))
-        for case in future.SPATIAL
-    ]
+    for case in future.SPATIAL:
+        draw = partial(carriers, results.plans, future.coarsened(case, results.extent), case.title)
+        yield Picture(f"future-{case.robot}", case.title, caption, draw)
 
 
-def _replays(results: Results) -> list[Picture]:
-    """Return the tracking errors of two plans that all drives replay."""
-    drawn = []
+def _replays(results: Results) -> Iterator[Picture]:
+    """Give the tracking errors of two plans that all drives replay."""
     for one in results.extent.replayed:
         distances = {run.drive: (run.t, run.error) for run in results.replays if run.plan == one.name and len(run.t)}
         if distances and one.method == EFFORT and one.task.name in ("heavy-0.5", "corner-r0.025"):
             caption = f"Distance of the platform from its plan ({one.name}), for each drive."
-            drawn.append(Picture(f"replay-{one.task.name}", f"Replay of {one.task.name}", caption, tracking_figure,
-                                 (one.task.title, distances)))  # fmt: skip
-    return drawn
-
-
-def tracking_figure(_: Plans, title: str, distances: Mapping[str, tuple[Any, Any]]) -> Figure:
-    """Draw the distances (N,), m, from a plan over time (N,), s, by drive."""
-    panel = replace(plots.distance_panel("distance from the plan [m]", distances), height=1.8)
-    return plot_time_panels(title, [panel])
+            panel = replace(plots.distance_panel("distance from the plan [m]", distances), height=1.8)
+            draw = partial(plot_time_panels, one.task.title, [panel])
+            yield Picture(f"replay-{one.task.name}", f"Replay of {one.task.name}", caption, draw)

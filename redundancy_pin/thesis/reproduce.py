@@ -214,9 +214,7 @@ def write(folder: Path, results: Results, notify: Callable[[str], None]) -> None
         write_text(folder / "replay.csv", _records_csv(_REPLAY_COLUMNS, rows, digits=4))
     for picture in [picture for chapter in pictures(results).values() for picture in chapter]:
         # drawing takes little time beside the layout and the files
-        writing.append(
-            (save, picture.draw(results), *(folder / f"{picture.stem}{suffix}" for suffix in (".png", ".svg")))
-        )
+        writing.append((save, picture.draw(), *(folder / f"{picture.stem}{suffix}" for suffix in (".png", ".svg"))))
     for _ in parallel(_done, writing, results.extent.jobs):
         notify("files")
     page = report(results)

@@ -159,7 +159,7 @@ def test_reports_show_every_figure_and_link_to_files_that_exist(chapter: str, do
 
 def one_of_each(drawn: list[Picture]) -> list[Picture]:
     """Pictures by functions of their own; the others differ in their case."""
-    return list({picture.function: picture for picture in drawn}.values())
+    return list({picture.draw.func: picture for picture in drawn}.values())  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("choose", [one_of_each, pytest.param(list, marks=pytest.mark.long)], ids=["some", "all"])
@@ -169,7 +169,7 @@ def test_figures_can_be_drawn(chapter: str, choose: Callable[[list[Picture]], li
     drawn = choose(pictures(results)[chapter])
     assert drawn
     for picture in drawn:
-        figure = picture.draw(results)
+        figure = picture.draw()
         assert all(axes.has_data() or axes.texts for axes in figure.axes), picture.stem
         save(figure, tmp_path / f"{picture.stem}.png")
         assert (tmp_path / f"{picture.stem}.png").read_bytes().startswith(b"\x89PNG")
