@@ -112,17 +112,13 @@ def crossing(chapter: Chapter) -> Judged:
     """Two actuated masses carry a 2-RPR through type II singularities with the main actuators off (5.1.1)."""
     crossings, heavy = chapter["crossings"], chapter["heavy_end_effector"]
     inside = [record["case"] for record in crossings if record["status"] == "ok"]
-    here = (
-        f"All {len(crossings)} crossings exist as motions of the massless machine; {len(inside)} keep the carriers' "
-        f"limits ({_names(inside)}). "
-    )
+    here = f"""All {len(crossings)} crossings exist as motions of the massless machine; {len(inside)} keep the
+        carriers' limits ({_names(inside)})."""
     if heavy:
-        here += (
-            f"With an {heavy['what']} none exists: at the singular pose a force of {text(heavy['details']['amount'])} "
-            "N is left that neither set of actuators can carry."
-        )
+        here += f""" With an {heavy['what']} none exists: at the singular pose a force of
+            {text(heavy['details']['amount'])} N is left that neither set of actuators can carry."""
     else:
-        here += "So does that with a massive end-effector."
+        here += " So does that with a massive end-effector."
     return len(inside) + (heavy is None), len(crossings) + 1, here
 
 
@@ -167,11 +163,9 @@ def _corner(chapter: Chapter, motion: str) -> Judged:
 
     lower, total = below(moving, NONE), len(groups)
     factors, parked = (_ratios([(group[what], group[NONE]) for group in groups], "peak") for what in (moving, PARKED))
-    here = (
-        f"Against the machine without carriers the peak is lower in {lower} of {total} working modes "
-        f"({_factors(factors)} times), against the same machine with parked carriers in {below(moving, PARKED)}; "
-        f"parked carriers alone make it {_factors(parked)} times as large."
-    )
+    here = f"""Against the machine without carriers the peak is lower in {lower} of {total} working modes
+        ({_factors(factors)} times), against the same machine with parked carriers in {below(moving, PARKED)}; parked
+        carriers alone make it {_factors(parked)} times as large."""
     for what in groups[0]:
         if what.startswith(moving + ","):
             here += f" With {what.rpartition(', ')[2]} it is lower in {below(what, NONE)}."
@@ -198,11 +192,9 @@ def square(chapter: Chapter) -> Judged:
     pairs = [(group[what], group[NONE]) for group in groups for what in group if what.startswith(MOVING)]
     better = sum(moving["peak"] < none["peak"] for moving, none in pairs)
     broken = sum(moving["status"] != "ok" for moving, _ in pairs)
-    here = (
-        f"Over the whole square, returns included, the peak is {_factors(_ratios(pairs, 'peak'))} times and the rms "
-        f"{_factors(_ratios(pairs, 'rms'))} times that of the machine without carriers; the peak is lower in {better} "
-        f"of {len(pairs)} plans, and {broken} of them break a limit of the carriers on a return."
-    )
+    here = f"""Over the whole square, returns included, the peak is {_factors(_ratios(pairs, 'peak'))} times and the
+        rms {_factors(_ratios(pairs, 'rms'))} times that of the machine without carriers; the peak is lower in
+        {better} of {len(pairs)} plans, and {broken} of them break a limit of the carriers on a return."""
     if not better:
         here += " What is gained in the corners is lost, many times over, in bringing the carriers back."
     return better, len(pairs), here
@@ -215,11 +207,9 @@ def shared(chapter: Chapter) -> Judged:
     pairs = [(group[f"{MOVING}, λ = 0"], group[NONE]) for group in groups]
     relieved = sum(all(moving[key] < none[key] for key in ("peak", "main_energy")) for moving, none in pairs)
     forces, energy = [moving["carrier_force"] for moving, _ in pairs], _ratios(pairs, "energy")
-    here = (
-        f"At both corners with λ = 0 the base actuators move {_factors(_ratios(pairs, 'main_energy'))} times the "
-        f"energy they need without carriers, and are relieved in peak and energy in {relieved} of {len(pairs)} plans. "
-        f"With the carriers' own actuators, which need {_factors(forces)} N, it is {_factors(energy)} times the energy."
-    )
+    here = f"""At both corners with λ = 0 the base actuators move {_factors(_ratios(pairs, 'main_energy'))} times the
+        energy they need without carriers, and are relieved in peak and energy in {relieved} of {len(pairs)} plans.
+        With the carriers' own actuators, which need {_factors(forces)} N, it is {_factors(energy)} times the energy."""
     return relieved, len(pairs), here + " The effort is not shared but multiplied." * (min(energy) >= 1.0)
 
 
@@ -230,10 +220,8 @@ def agreement(chapter: Chapter) -> Judged:
     counts = {mode: sum(entry["modes"][mode]["holds"] for entry in claims) for mode in claims[0]["modes"]}
     best, total = max(counts.values()), len(claims)
     modes = [mode for mode, count in counts.items() if count == best]
-    here = (
-        f"The best working modes ({_names(modes)}) reproduce {best} of the {total} statements made in words; "
-        f"{'one' if best == total else 'no single'} working mode gives them all."
-    )
+    here = f"""The best working modes ({_names(modes)}) reproduce {best} of the {total} statements made in words;
+        {'one' if best == total else 'no single'} working mode gives them all."""
     return sum(count == total for count in counts.values()), len(counts), here
 
 
@@ -256,27 +244,21 @@ def singular(chapter: Chapter) -> Judged:
     sound = sum(map(_both_sound, groups.values()))
     off = {task: group[SWITCH_OFF] for task, group in groups.items()}
     broken = [task for task, record in off.items() if record["exists"] and not record["sound"]]
-    here = (
-        f"Over the whole trajectory {sound} of {len(groups)} motions have plans within every limit, with both "
-        f"objectives. Switching off keeps the limits on {_names(task for task in off if off[task]['sound'])}, breaks "
-        f"them on {_names(broken)}, and has no plan for {_names(task for task in off if not off[task]['exists'])}."
-    )
+    here = f"""Over the whole trajectory {sound} of {len(groups)} motions have plans within every limit, with both
+        objectives. Switching off keeps the limits on {_names(task for task in off if off[task]['sound'])}, breaks
+        them on {_names(broken)}, and has no plan for {_names(task for task in off if not off[task]['exists'])}."""
     for task in broken:
         late = groups[task].get(cases.SWITCH_OFF_LATE)
         if late and late["sound"]:
-            here += (
-                f" Switching off only beyond a condition number of {text(cases.LATE)} keeps them on {task} too, with a "
-                f"largest main force of {peak_text(late)}."
-            )
+            here += f""" Switching off only beyond a condition number of {text(cases.LATE)} keeps them on {task} too,
+                with a largest main force of {peak_text(late)}."""
     both = [(group[EFFORT], off[task]) for task, group in groups.items()]
     both = [(whole, other) for whole, other in both if whole["exists"] and other["exists"]]
     if both:
         before = [whole["worst"] / other["before"] for whole, other in both if not math.isnan(other["before"])]
-        here += (
-            f" Where both have one, the plan of least effort has {_factors(_ratios(both, 'worst'))} times the largest "
-            "main force of switching off (which it reaches as the carriers return), and "
-            f"{_factors(before)} times the largest until the motors are off."
-        )
+        here += f""" Where both have one, the plan of least effort has {_factors(_ratios(both, 'worst'))} times the
+            largest main force of switching off (which it reaches as the carriers return), and {_factors(before)}
+            times the largest until the motors are off."""
     return sound, len(groups), here
 
 
@@ -287,10 +269,8 @@ def heavy(chapter: Chapter) -> Judged:
     good = sum(map(_both_sound, without.values()))
     here = f"Of {len(without)} motions that cannot be crossed with the motors off, {good} have plans within the limits:"
     for task, group in without.items():
-        here += (
-            f" {task} ({text(group[SWITCH_OFF]['missing'])} N would be left that nothing can carry): "
-            f"{peak_text(group[EFFORT])} for the least effort, {peak_text(group[PEAK])} for the least peak."
-        )
+        here += f""" {task} ({text(group[SWITCH_OFF]['missing'])} N would be left that nothing can carry):
+            {peak_text(group[EFFORT])} for the least effort, {peak_text(group[PEAK])} for the least peak."""
     return good, len(without), here
 
 
@@ -329,24 +309,18 @@ def _turn(chapter: Chapter, task: Case) -> Judged:
         rows = [record["rows"] for record in same if record["rows"][STEPWISE]["exists"]]
         return sum(not row[STEPWISE]["worst"] >= row[method]["worst"] for row in rows)
 
-    here = (
-        f"Peaks: without carriers {text(none['worst'])} N·m; stepwise {peak_text(group[STEPWISE])}; over the whole "
-        f"trajectory {peak_text(group[EFFORT])} for least effort, {peak_text(group[PEAK])} for least peak."
-    )
+    here = f"""Peaks: without carriers {text(none['worst'])} N·m; stepwise {peak_text(group[STEPWISE])}; over the
+        whole trajectory {peak_text(group[EFFORT])} for least effort, {peak_text(group[PEAK])} for least peak."""
     if len(same) > 1:
-        here += (
-            f" Over the working modes the least peak is lower in {good} of {len(same)} "
-            f"({_factors([record['ratio'] for record in same])} times). Stepwise planning, which leaves the carriers "
-            f"where they are, has a lower one in {stepwise_lower(PEAK)}; with the end free as well, in "
-            f"{stepwise_lower(cases.PEAK_FREE)}."
-        )
+        here += f""" Over the working modes the least peak is lower in {good} of {len(same)}
+            ({_factors([record['ratio'] for record in same])} times). Stepwise planning, which leaves the carriers
+            where they are, has a lower one in {stepwise_lower(PEAK)}; with the end free as well, in
+            {stepwise_lower(cases.PEAK_FREE)}."""
     for aim, record in aims.items():
         if record["exists"]:
             factors = (_two(record[key] / none[key]) for key in ("worst", "rms", "main_energy", "energy"))
-            here += (
-                f" Least {aim}: {_names(factors)} times the machine without carriers (peak, rms, energy of the base "
-                "motors, of all motors)."
-            )
+            here += f""" Least {aim}: {_names(factors)} times the machine without carriers (peak, rms, energy of the
+                base motors, of all motors)."""
     return good, len(same) or 1, here
 
 
@@ -374,16 +348,12 @@ def cost(chapter: Chapter) -> Judged:
     if not pairs:
         return NO_CASE
     better = sum(record["energy"] < none["energy"] for record, none in pairs)
-    here = (
-        f"With the carriers' own motors counted, {better} of {len(pairs)} plans need less energy than the machine "
-        f"without carriers; they need {_factors(_ratios(pairs, 'energy'))} times as much, and carrier forces of up to "
-        f"{text(max(record['carrier_force'] for record, _ in pairs))} N."
-    )
+    here = f"""With the carriers' own motors counted, {better} of {len(pairs)} plans need less energy than the machine
+        without carriers; they need {_factors(_ratios(pairs, 'energy'))} times as much, and carrier forces of up to
+        {text(max(record['carrier_force'] for record, _ in pairs))} N."""
     if least := [pair for pair in pairs if pair[0]["way"] == cases.ENERGY]:
-        here += (
-            f" Planned for least energy it is {_factors(_ratios(least, 'energy'))} times, at "
-            f"{_factors(_ratios(least, 'worst'))} times the peak torque."
-        )
+        here += f""" Planned for least energy it is {_factors(_ratios(least, 'energy'))} times, at
+            {_factors(_ratios(least, 'worst'))} times the peak torque."""
     return better, len(pairs), here
 
 
@@ -402,12 +372,9 @@ def between(chapter: Chapter) -> Judged:
         return NO_CASE
     worst, good = max(factors, key=factors.__getitem__), sum(factor <= BETWEEN for factor in factors.values())
     early = [name for name, one in existing.items() if one["status"] == ResultStatus.NOT_CONVERGED.value]
-    here = (
-        "On a grid 20 times finer than the nodes, and right beside the singular instants, the peak is at most "
-        f"{text(BETWEEN)} times that at the nodes in {good} of {len(factors)} plans; at worst {factors[worst]:.3f} "
-        f"times ({worst}). {len(early) or 'No'} plans stopped before an optimum"
-        f"{f' ({_names(early)})' if early else ''}."
-    )
+    here = f"""On a grid 20 times finer than the nodes, and right beside the singular instants, the peak is at most
+        {text(BETWEEN)} times that at the nodes in {good} of {len(factors)} plans; at worst {factors[worst]:.3f} times
+        ({worst}). {len(early) or 'No'} plans stopped before an optimum{f' ({_names(early)})' if early else ''}."""
     return good, len(factors), here + (f" No plan was found for {_names(missing)}." if missing else "")
 
 
@@ -420,18 +387,14 @@ def calm(chapter: Chapter) -> Judged:
         return NO_CASE
     worst, good = max(turns, key=turns.__getitem__), sum(not count > CALM for count in turns.values())
     restless = sorted({existing[name]["task"] for name, count in turns.items() if count > CALM})
-    here = (
-        f"In {good} of {len(turns)} plans over the whole trajectory every main effort turns round at most {CALM} "
-        f"times; at worst one does {text(turns[worst])} times ({worst}). Restless are plans of "
-        f"{', '.join(restless) or 'no motion'}; beside a singularity W⁻¹ magnifies every kink of s̈."
-    )
+    here = f"""In {good} of {len(turns)} plans over the whole trajectory every main effort turns round at most {CALM}
+        times; at worst one does {text(turns[worst])} times ({worst}). Restless are plans of
+        {', '.join(restless) or 'no motion'}; beside a singularity W⁻¹ magnifies every kink of s̈."""
     if smooth := [one for one in existing.values() if one["way"] == cases.SMOOTH]:
         peaks = _ratios([(one, groups[one["task"]][EFFORT]) for one in smooth], "worst")
-        here += (
-            f" With a weight of {text(cases.SMOOTHING)} on the rate of the efforts they turn round at most "
-            f"{text(max(one['reversals'] for one in smooth))} times on the crossings, with {_factors(peaks)} times the "
-            "peak of the least effort."
-        )
+        here += f""" With a weight of {text(cases.SMOOTHING)} on the rate of the efforts they turn round at most
+            {text(max(one['reversals'] for one in smooth))} times on the crossings, with {_factors(peaks)} times the
+            peak of the least effort."""
     return good, len(turns), here
 
 
@@ -442,11 +405,9 @@ def backends(chapter: Chapter) -> Judged:
     if not backends:
         return NO_CASE
     worst, good = max(backends, key=lambda record: float(record["worst"])), sum(one["same"] for one in backends)
-    here = (
-        f"{good} of {len(backends)} plans agree to {text(SAME_PLAN)} of the largest value, in status too; the largest "
-        f"difference is {_one(worst['worst'])} ({worst['case']}), and the costs differ by at most "
-        f"{_one(max(record['cost'] for record in backends))}."
-    )
+    here = f"""{good} of {len(backends)} plans agree to {text(SAME_PLAN)} of the largest value, in status too; the
+        largest difference is {_one(worst['worst'])} ({worst['case']}), and the costs differ by at most
+        {_one(max(record['cost'] for record in backends))}."""
     if flat := [one["case"] for one in backends if not one["same"] and one["cost"] <= SAME_PLAN]:
         here += f" Where plans differ and costs do not ({_names(flat)}), the optimum is flat."
     return good, len(backends), here
@@ -459,10 +420,8 @@ def first_guesses(chapter: Chapter) -> Judged:
     if not starts:
         return NO_CASE
     good, tried = sum(record["parked_is_best"] for record in starts), max(len(record["costs"]) for record in starts)
-    here = (
-        f"From {tried} first guesses each, parked carriers lead to the best plan known in {good} of {len(starts)} "
-        "cases."
-    )
+    here = f"""From {tried} first guesses each, parked carriers lead to the best plan known in {good} of {len(starts)}
+        cases."""
     several = [record for record in starts if record["optima"] > 1]
     for record in several:
         here += f" {record['case']} has {record['optima']} optima, up to {_two(100 * record['excess'])} % worse."

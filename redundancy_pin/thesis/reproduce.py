@@ -10,7 +10,7 @@ import importlib.metadata
 import json
 import os
 import platform
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import count
@@ -35,7 +35,7 @@ from redundancy_pin.thesis import beyond, cases, future, planned
 from redundancy_pin.thesis.case import Call, Plans, plan_or_error
 from redundancy_pin.thesis.claims import cost_pairs
 from redundancy_pin.thesis.figures import IN_FRONT, Results, pictures
-from redundancy_pin.thesis.measures import CSV_DIGITS, MotionRun, run
+from redundancy_pin.thesis.measures import CSV_DIGITS, run
 from redundancy_pin.thesis.page import html
 from redundancy_pin.thesis.statements import compare_motions
 from redundancy_pin.thesis.table import Record, Table, grouped, mode_text, span, table
@@ -201,10 +201,12 @@ def made_with() -> dict[str, str]:
 
 def write(folder: Path, results: Results, notify: Callable[[str], None]) -> None:
     """Write everything but the summary: data, plans, figures, and the report, which embeds the figures."""
-    writing: list[tuple[Any, ...]] = [(write_motion, folder, motion) for motion in results.runs]
+    writing: list[tuple[Any, ...]] = [(write_text, folder / f"{run.case.name}.csv", run.csv()) for run in results.runs]
     if "beyond" in results.chapters:
-        records = results.chapters["beyond"]["plans"]
-        writing += [(write_plan, folder / record["file"], plan) for record, plan in saved_plans(results)]
+        records, tasks = results.chapters["beyond"]["plans"], {task.name: task for task in cases.TASKS}
+        for record in (one for one in records if one["file"]):
+            case = cases.by_method(tasks[record["task"]], record["way"], results.extent.coarser)
+            writing.append((write_plan, folder / record["file"], results.plans.plan(case)))
         write_text(folder / "beyond.csv", _records_csv(_BEYOND_COLUMNS, records))
         write_text(folder / "headline.md", beyond.headline(records).markdown() + "\n")
     if "replay" in results.chapters:
@@ -228,20 +230,6 @@ def _done(function: Callable[..., None], *arguments: Any) -> None:
 
 def _records_csv(names: Sequence[str], records: Sequence[Record], digits: int | None = None) -> str:
     return csv_rows({name: ("", np.array([record[name] for record in records])) for name in names}, digits=digits)
-
-
-def write_motion(folder: Path, motion: MotionRun) -> None:
-    """Write the curves of a motion without a planner as CSV."""
-    write_text(folder / f"{motion.case.name}.csv", motion.csv())
-
-
-def saved_plans(results: Results) -> Iterator[tuple[Record, Plan]]:
-    """Give the records of the chapter beyond the thesis that have a file, with their plans."""
-    tasks = {task.name: task for task in cases.TASKS}
-    for record in results.chapters["beyond"]["plans"]:
-        if record["file"]:
-            case = cases.by_method(tasks[record["task"]], record["way"], results.extent.coarser)
-            yield record, results.plans.plan(case)
 
 
 def write_plan(stem: Path, plan: Plan) -> None:
