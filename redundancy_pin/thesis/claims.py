@@ -115,8 +115,8 @@ def crossing(chapter: Chapter) -> Judged:
     here = f"""All {len(crossings)} crossings exist as motions of the massless machine; {len(inside)} keep the
         carriers' limits ({_names(inside)})."""
     if heavy:
-        here += f""" With an {heavy['what']} none exists: at the singular pose a force of
-            {text(heavy['details']['amount'])} N is left that neither set of actuators can carry."""
+        here += f""" With an {heavy["what"]} none exists: at the singular pose a force of
+            {text(heavy["details"]["amount"])} N is left that neither set of actuators can carry."""
     else:
         here += " So does that with a massive end-effector."
     return len(inside) + (heavy is None), len(crossings) + 1, here
@@ -192,8 +192,8 @@ def square(chapter: Chapter) -> Judged:
     pairs = [(group[what], group[NONE]) for group in groups for what in group if what.startswith(MOVING)]
     better = sum(moving["peak"] < none["peak"] for moving, none in pairs)
     broken = sum(moving["status"] != "ok" for moving, _ in pairs)
-    here = f"""Over the whole square, returns included, the peak is {_factors(_ratios(pairs, 'peak'))} times and the
-        rms {_factors(_ratios(pairs, 'rms'))} times that of the machine without carriers; the peak is lower in
+    here = f"""Over the whole square, returns included, the peak is {_factors(_ratios(pairs, "peak"))} times and the
+        rms {_factors(_ratios(pairs, "rms"))} times that of the machine without carriers; the peak is lower in
         {better} of {len(pairs)} plans, and {broken} of them break a limit of the carriers on a return."""
     if not better:
         here += " What is gained in the corners is lost, many times over, in bringing the carriers back."
@@ -207,7 +207,7 @@ def shared(chapter: Chapter) -> Judged:
     pairs = [(group[f"{MOVING}, λ = 0"], group[NONE]) for group in groups]
     relieved = sum(all(moving[key] < none[key] for key in ("peak", "main_energy")) for moving, none in pairs)
     forces, energy = [moving["carrier_force"] for moving, _ in pairs], _ratios(pairs, "energy")
-    here = f"""At both corners with λ = 0 the base actuators move {_factors(_ratios(pairs, 'main_energy'))} times the
+    here = f"""At both corners with λ = 0 the base actuators move {_factors(_ratios(pairs, "main_energy"))} times the
         energy they need without carriers, and are relieved in peak and energy in {relieved} of {len(pairs)} plans.
         With the carriers' own actuators, which need {_factors(forces)} N, it is {_factors(energy)} times the energy."""
     return relieved, len(pairs), here + " The effort is not shared but multiplied." * (min(energy) >= 1.0)
@@ -221,7 +221,7 @@ def agreement(chapter: Chapter) -> Judged:
     best, total = max(counts.values()), len(claims)
     modes = [mode for mode, count in counts.items() if count == best]
     here = f"""The best working modes ({_names(modes)}) reproduce {best} of the {total} statements made in words;
-        {'one' if best == total else 'no single'} working mode gives them all."""
+        {"one" if best == total else "no single"} working mode gives them all."""
     return sum(count == total for count in counts.values()), len(counts), here
 
 
@@ -245,8 +245,8 @@ def singular(chapter: Chapter) -> Judged:
     off = {task: group[SWITCH_OFF] for task, group in groups.items()}
     broken = [task for task, record in off.items() if record["exists"] and not record["sound"]]
     here = f"""Over the whole trajectory {sound} of {len(groups)} motions have plans within every limit, with both
-        objectives. Switching off keeps the limits on {_names(task for task in off if off[task]['sound'])}, breaks
-        them on {_names(broken)}, and has no plan for {_names(task for task in off if not off[task]['exists'])}."""
+        objectives. Switching off keeps the limits on {_names(task for task in off if off[task]["sound"])}, breaks
+        them on {_names(broken)}, and has no plan for {_names(task for task in off if not off[task]["exists"])}."""
     for task in broken:
         late = groups[task].get(cases.SWITCH_OFF_LATE)
         if late and late["sound"]:
@@ -256,7 +256,7 @@ def singular(chapter: Chapter) -> Judged:
     both = [(whole, other) for whole, other in both if whole["exists"] and other["exists"]]
     if both:
         before = [whole["worst"] / other["before"] for whole, other in both if not math.isnan(other["before"])]
-        here += f""" Where both have one, the plan of least effort has {_factors(_ratios(both, 'worst'))} times the
+        here += f""" Where both have one, the plan of least effort has {_factors(_ratios(both, "worst"))} times the
             largest main force of switching off (which it reaches as the carriers return), and {_factors(before)}
             times the largest until the motors are off."""
     return sound, len(groups), here
@@ -269,7 +269,7 @@ def heavy(chapter: Chapter) -> Judged:
     good = sum(map(_both_sound, without.values()))
     here = f"Of {len(without)} motions that cannot be crossed with the motors off, {good} have plans within the limits:"
     for task, group in without.items():
-        here += f""" {task} ({text(group[SWITCH_OFF]['missing'])} N would be left that nothing can carry):
+        here += f""" {task} ({text(group[SWITCH_OFF]["missing"])} N would be left that nothing can carry):
             {peak_text(group[EFFORT])} for the least effort, {peak_text(group[PEAK])} for the least peak."""
     return good, len(without), here
 
@@ -309,11 +309,11 @@ def _turn(chapter: Chapter, task: Case) -> Judged:
         rows = [record["rows"] for record in same if record["rows"][STEPWISE]["exists"]]
         return sum(not row[STEPWISE]["worst"] >= row[method]["worst"] for row in rows)
 
-    here = f"""Peaks: without carriers {text(none['worst'])} N·m; stepwise {peak_text(group[STEPWISE])}; over the
+    here = f"""Peaks: without carriers {text(none["worst"])} N·m; stepwise {peak_text(group[STEPWISE])}; over the
         whole trajectory {peak_text(group[EFFORT])} for least effort, {peak_text(group[PEAK])} for least peak."""
     if len(same) > 1:
         here += f""" Over the working modes the least peak is lower in {good} of {len(same)}
-            ({_factors([record['ratio'] for record in same])} times). Stepwise planning, which leaves the carriers
+            ({_factors([record["ratio"] for record in same])} times). Stepwise planning, which leaves the carriers
             where they are, has a lower one in {stepwise_lower(PEAK)}; with the end free as well, in
             {stepwise_lower(cases.PEAK_FREE)}."""
     for aim, record in aims.items():
@@ -349,11 +349,11 @@ def cost(chapter: Chapter) -> Judged:
         return NO_CASE
     better = sum(record["energy"] < none["energy"] for record, none in pairs)
     here = f"""With the carriers' own motors counted, {better} of {len(pairs)} plans need less energy than the machine
-        without carriers; they need {_factors(_ratios(pairs, 'energy'))} times as much, and carrier forces of up to
-        {text(max(record['carrier_force'] for record, _ in pairs))} N."""
+        without carriers; they need {_factors(_ratios(pairs, "energy"))} times as much, and carrier forces of up to
+        {text(max(record["carrier_force"] for record, _ in pairs))} N."""
     if least := [pair for pair in pairs if pair[0]["way"] == cases.ENERGY]:
-        here += f""" Planned for least energy it is {_factors(_ratios(least, 'energy'))} times, at
-            {_factors(_ratios(least, 'worst'))} times the peak torque."""
+        here += f""" Planned for least energy it is {_factors(_ratios(least, "energy"))} times, at
+            {_factors(_ratios(least, "worst"))} times the peak torque."""
     return better, len(pairs), here
 
 
@@ -374,7 +374,7 @@ def between(chapter: Chapter) -> Judged:
     early = [name for name, one in existing.items() if one["status"] == ResultStatus.NOT_CONVERGED.value]
     here = f"""On a grid 20 times finer than the nodes, and right beside the singular instants, the peak is at most
         {text(BETWEEN)} times that at the nodes in {good} of {len(factors)} plans; at worst {factors[worst]:.3f} times
-        ({worst}). {len(early) or 'No'} plans stopped before an optimum{f' ({_names(early)})' if early else ''}."""
+        ({worst}). {len(early) or "No"} plans stopped before an optimum{f" ({_names(early)})" if early else ""}."""
     return good, len(factors), here + (f" No plan was found for {_names(missing)}." if missing else "")
 
 
@@ -389,11 +389,11 @@ def calm(chapter: Chapter) -> Judged:
     restless = sorted({existing[name]["task"] for name, count in turns.items() if count > CALM})
     here = f"""In {good} of {len(turns)} plans over the whole trajectory every main effort turns round at most {CALM}
         times; at worst one does {text(turns[worst])} times ({worst}). Restless are plans of
-        {', '.join(restless) or 'no motion'}; beside a singularity W⁻¹ magnifies every kink of s̈."""
+        {", ".join(restless) or "no motion"}; beside a singularity W⁻¹ magnifies every kink of s̈."""
     if smooth := [one for one in existing.values() if one["way"] == cases.SMOOTH]:
         peaks = _ratios([(one, groups[one["task"]][EFFORT]) for one in smooth], "worst")
         here += f""" With a weight of {text(cases.SMOOTHING)} on the rate of the efforts they turn round at most
-            {text(max(one['reversals'] for one in smooth))} times on the crossings, with {_factors(peaks)} times the
+            {text(max(one["reversals"] for one in smooth))} times on the crossings, with {_factors(peaks)} times the
             peak of the least effort."""
     return good, len(turns), here
 
@@ -406,8 +406,8 @@ def backends(chapter: Chapter) -> Judged:
         return NO_CASE
     worst, good = max(backends, key=lambda record: float(record["worst"])), sum(one["same"] for one in backends)
     here = f"""{good} of {len(backends)} plans agree to {text(SAME_PLAN)} of the largest value, in status too; the
-        largest difference is {_one(worst['worst'])} ({worst['case']}), and the costs differ by at most
-        {_one(max(record['cost'] for record in backends))}."""
+        largest difference is {_one(worst["worst"])} ({worst["case"]}), and the costs differ by at most
+        {_one(max(record["cost"] for record in backends))}."""
     if flat := [one["case"] for one in backends if not one["same"] and one["cost"] <= SAME_PLAN]:
         here += f" Where plans differ and costs do not ({_names(flat)}), the optimum is flat."
     return good, len(backends), here

@@ -1,4 +1,4 @@
-"""The figures of the report as a list: file, title, caption, function and what it draws; drawn by ``rp.plot``."""
+"""The figures of the report as a list: file, title, caption and a call of a function of ``rp.plot``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A report in Markdown as one HTML page: no network, no file beside it, no script."""
+"""A report in Markdown as one HTML page: no network, no other file, no script."""
 
 from __future__ import annotations
 

@@ -167,7 +167,7 @@ def compute(
 
 
 def run_replays(replayed: cases.Replayed, coarser: float) -> list[Replay] | str:
-    """Replay a plan with each of its drives; return the reason if there is no plan."""
+    """Replay a plan with each of its drives; return the reason why no plan exists."""
     case, motion = replayed.case(coarser), replayed.task.trajectory()
     outcome = plan_or_error(case, case.backends[0])
     if isinstance(outcome, InfeasiblePlanError):

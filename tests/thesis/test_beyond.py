@@ -310,6 +310,7 @@ def test_findings_follow_the_plans(name: str, change: Any, stands: str) -> None:
 
 def test_findings_follow_the_other_tables() -> None:
     assert made(fastest=[SLOW])["speed"]["stands"] == "does not stand"
+    assert made(fastest=[{**SLOW, "effort_limit": 2.8}])["speed"]["stands"] == NOT_JUDGED  # a capped race is another
     flat = {"case": "c", "worst": 1e-3, "cost": 1e-9, "same": False}
     assert made(backends=[flat])["backends"]["stands"] == "does not stand"
     assert "costs do not (c)" in made(backends=[flat])["backends"]["here"]
@@ -347,6 +348,11 @@ def test_numbers_of_findings() -> None:
     two = made(working_modes=[mode, mode])["corner_wide"]["here"]
     assert "lower in 2 of 2 (0.6 times)" in two
     assert "has a lower one in 2; with the end free as well, in 0." in two
+    # peaks between the nodes count where they are larger than those at the nodes
+    assert "has 0.02 times the largest main force" in made(changed(EFFORT, worst=0.56))["singular"]["here"]
+    none = made(changed(PEAK, "square", status=INFEASIBLE, exists=False, sound=False))["between"]["here"]
+    assert none.endswith("No plan was found for square (whole trajectory: peak).")
+    assert "No plan was found" not in entries["between"]["here"]
     early = made(changed(EFFORT, "circle-0.5", **WORSE))["between"]["here"]
     assert "1 plans stopped before an optimum (circle-0.5 (whole trajectory: effort))." in early
 
