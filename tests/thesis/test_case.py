@@ -32,10 +32,18 @@ def test_every_motion_of_the_thesis_is_there_once() -> None:
 
 
 def test_a_case_is_read_with_the_keys_of_a_problem_file() -> None:
-    read = read_case("a", {"robot": "five_bar", "working_mode": "+-", "set": {"carriers": True}, "dt": 0.01, "title": "b",
-                           "trajectory": {"name": "line", "speed": 0.1}, "planner": "switch_off", "threshold": 5.0})  # fmt: skip
-    assert read == Case("a", "five_bar", "line", options(speed=0.1), "switch_off", options(threshold=5.0), (1, -1),
-                        options(carriers=True), 0.01, "b")  # fmt: skip
+    entry = {
+        "robot": "five_bar",
+        "set": {"carriers": True},
+        "working_mode": "+-",
+        "trajectory": {"name": "line", "speed": 0.1},
+        "planner": "switch_off",
+        "threshold": 5.0,
+        "dt": 0.01,
+        "title": "descent",
+    }
+    read = Case("a", "five_bar", "line", options(speed=0.1), "switch_off", options(threshold=5.0), (1, -1))
+    assert read_case("a", entry) == replace(read, arguments=options(carriers=True), dt=0.01, title="descent")
     assert read_case("a", {"robot": "2rpr", "trajectory": {"name": "circle"}}).planner == "parked"
 
 
