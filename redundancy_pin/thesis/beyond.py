@@ -181,33 +181,31 @@ def fastest(plans: Plans, task: Case, extent: Extent, effort: float = math.inf) 
         whole = by_method(task, EFFORT, extent.coarser).with_options(refinements=1, **limit, **changed)
         return cases.at_speed(whole, speed)
 
-    def ramps_fit(speed: float) -> bool:
-        try:
-            case_at(speed).trajectory()
-        except InputError:
-            return False
-        return True
-
-    def tried(speed: float, starts: int = 1) -> Record:
+    def feasible(speed: float, starts: int = 1) -> bool | None:  # None where the ramps do not fit in
+        case = case_at(speed, **({"starts": starts} if starts > 1 else {}))
         if speed not in trials or (starts > 1 and not trials[speed]["feasible"]):
-            trials[speed] = attempt(plans, case_at(speed, **({"starts": starts} if starts > 1 else {})))
-        return trials[speed]
+            try:
+                case.trajectory()
+            except InputError:
+                return None
+            trials[speed] = attempt(plans, case)
+        return bool(trials[speed]["feasible"])
 
     def bracket(low: float, high: float) -> tuple[float, float | None]:
-        while ramps_fit(high) and tried(high)["feasible"]:
+        while found := feasible(high):
             low, high = high, high * GROWTH
-        if not ramps_fit(high):
+        if found is None:
             return low, None
         while high - low > extent.tolerance * low:
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if tried(middle)["feasible"] else (low, middle)
+            low, high = (middle, high) if feasible(middle) else (low, middle)
         return low, high
 
     own = task.option("speed")
     plans.plan(case_at(own))
-    tried(own)
+    feasible(own)
     low, high = bracket(own, own * GROWTH)
-    while high is not None and tried(high, extent.starts)["feasible"]:
+    while high is not None and feasible(high, extent.starts):
         low, high = bracket(high, high * (1.0 + extent.tolerance))
     above = None if high is None else trials[high]
     suffices = None

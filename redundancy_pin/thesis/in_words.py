@@ -15,7 +15,7 @@ from redundancy_pin.thesis import cases, measures
 from redundancy_pin.thesis.case import Mode, Plans
 from redundancy_pin.thesis.cases import MODE_CASES
 from redundancy_pin.thesis.measures import bounds
-from redundancy_pin.thesis.statements import thesis
+from redundancy_pin.thesis.statements import verdict
 from redundancy_pin.thesis.table import Record, mode_text, text
 
 HALF = 0.05
@@ -233,12 +233,11 @@ def judge_in_words(runs: Mapping[Mode, Runs]) -> tuple[list[Record], list[Record
         claims.append({key: entry[key] for key in ("row", "source", "name", "claim", "criterion", "modes")})
         first, holding = next(iter(shown)), [mode for mode, outcome in shown.items() if outcome["holds"]]
         reason = f"in {len(holding) or 'none'} of {len(shown)} working modes"
-        verdicts.append({
-            "row": one.row, "source": one.source, "condition": thesis()["rows"][one.row], "quantity": one.claim,
-            "stated": "in words", "ours": f"{first}: {shown[first]['found']}", "deviation": "", "covered": "",
-            "verdict": "reproduced" if holding else "differs", "as_run": first in holding,
-            "reason": f"{reason}: {', '.join(holding)}" if holding else f"{reason} ({one.criterion})",
-        })  # fmt: skip
+        reason += f": {', '.join(holding)}" if holding else f" ({one.criterion})"
+        ours = f"{first}: {shown[first]['found']}"
+        verdicts.append(
+            verdict(one.row, one.source, one.claim, "in words", ours, bool(holding), reason, first in holding)
+        )
     return claims, verdicts
 
 

@@ -211,13 +211,18 @@ def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
     over = [*map(_named, grids), *([f"step up to {late:g} s"] if late else [])]
     deviations = [text(value - _value(digits), "+.2g") for value, digits in zip(ours, printed, strict=True)]
     covered = ", ".join(span((low, high + late)) for low, high in ranges) + f" over {', '.join(over)}"
-    return {"row": entry["row"], "source": entry["source"], "condition": thesis()["rows"][entry["row"]],
-            "quantity": f"{entry['quantity']} [{unit}]", "stated": ", ".join(printed), "ours": text(ours),
-            "deviation": ", ".join(deviations), "covered": covered, **_verdict(not fails, reason, as_run)}  # fmt: skip
+    return verdict(entry["row"], entry["source"], f"{entry['quantity']} [{unit}]", ", ".join(printed), text(ours),
+                   not fails, reason, as_run, deviation=", ".join(deviations), covered=covered)  # fmt: skip
 
 
-def _verdict(reproduced: bool, reason: str, as_run: bool) -> Record:
-    return {"verdict": "reproduced" if reproduced else "differs", "reason": reason, "as_run": as_run}
+def verdict(
+    row: str, source: str, quantity: str, stated: str, ours: str, holds: bool, reason: str, as_run: bool,
+    *, condition: str = "", deviation: str = "", covered: str = "",
+) -> Record:  # fmt: skip
+    """Return the verdict on a statement; ``as_run``: whether our own run reproduces it, without a variation."""
+    return {"row": row, "source": source, "condition": condition or thesis()["rows"][row], "quantity": quantity,
+            "stated": stated, "ours": ours, "deviation": deviation, "covered": covered,
+            "verdict": "reproduced" if holds else "differs", "reason": reason, "as_run": as_run}  # fmt: skip
 
 
 def _miss(printed: Sequence[str], values: Numbers) -> float:
@@ -229,9 +234,9 @@ def growth_with_threshold(plans: Plans) -> Record:
     """Judge whether the forces on the line grow with threshold and speed."""
     slow, fast, high = (read(plans.plan(case), "entry_forces") for case in CROSSINGS[4:])
     holds, ours = max(slow) < max(fast) < max(high), "; ".join(text(pair, ".2g") for pair in (slow, fast, high))
-    return {"row": "3.21-3.22", "source": "figs 3.19, 3.21, 3.22", "quantity": "forces grow with speed and threshold",
-            "condition": "line, CN 4 at 0.1 m/s, CN 4 and 15 at 0.2 m/s", "stated": "in words", "ours": f"{ours} N",
-            "deviation": "", "covered": "", **_verdict(holds, "forces as they begin to fall", holds)}  # fmt: skip
+    return verdict("3.21-3.22", "figs 3.19, 3.21, 3.22", "forces grow with speed and threshold", "in words",
+                   f"{ours} N", holds, "forces as they begin to fall", holds,
+                   condition="line, CN 4 at 0.1 m/s, CN 4 and 15 at 0.2 m/s")  # fmt: skip
 
 
 def same_before_the_corner(plans: Plans) -> Record:
@@ -242,10 +247,9 @@ def same_before_the_corner(plans: Plans) -> Record:
     apart = float(np.abs(wide.carriers.s[first] - sharp.carriers.s[second]).max())
     met = [read(plan, "first_bound", "speed", 2)[0] for plan in (wide, sharp)]
     reason = f"up to {entered:.2g} s the plans differ by at most {apart:.1g} m: no set-up meets both times"
-    return {"row": "4.10-4.11", "source": "figs 4.9, 4.11", "quantity": "carrier 2 first meets its speed limit [s]",
-            "condition": "both corners, λ 0: the same motion up to the corner", "stated": "0.65 and 0.4",
-            "ours": f"{text(met[0])} and {text(met[1])}", "deviation": "", "covered": "",
-            **_verdict(not apart < 1e-9, reason, False)}  # fmt: skip
+    return verdict("4.10-4.11", "figs 4.9, 4.11", "carrier 2 first meets its speed limit [s]", "0.65 and 0.4",
+                   f"{text(met[0])} and {text(met[1])}", not apart < 1e-9, reason, False,
+                   condition="both corners, λ 0: the same motion up to the corner")  # fmt: skip
 
 
 def sensitivity(plans: Plans, extent: Extent) -> list[Record]:
