@@ -47,6 +47,8 @@ def reproduce(out: str, quick: bool, jobs: int, as_json: bool) -> None:
         done = run_job(out, extent=replace(QUICK if quick else FULL, jobs=require_jobs(jobs)), progress=advance)
     made = tables(done.results)
     shown_tables = [made[name].only(*columns) for name, columns in _SHOWN.items() if name in made]
-    passed = f"cross-check passed: {len(done.results.check.rows)} checks"
-    end = f"{passed}. Results are in {done.folder} (start with report.html or report.md)."
+    end = f"cross-check passed: {len(done.results.check.rows)} checks. "
+    if quick:
+        end += "This is a quick run: numbers and verdicts of the full one differ. "
+    end += f"Results are in {done.folder} (start with report.html or report.md)."
     report(as_json, done.summary, *shown_tables, end)

@@ -8,14 +8,16 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.thesis import cases, measures
 from redundancy_pin.thesis.case import Call, Case, Mode, Plans, call_of, plan_or_error
 from redundancy_pin.thesis.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OFF, TASKS, Extent, by_method
-from redundancy_pin.thesis.claims import BETWEEN, SAME_PLAN, by_task, findings, peak_text
-from redundancy_pin.thesis.planned import Chapter, compare_backends
+from redundancy_pin.thesis.claims import BETWEEN, FINDINGS, SAME_PLAN, by_task, peak_text, verdicts
+from redundancy_pin.thesis.planned import compare_backends
 from redundancy_pin.thesis.table import Record, Table, table
 
 INFEASIBLE = ResultStatus.INFEASIBLE.value
@@ -48,16 +50,10 @@ MODE_METHODS = (NONE, cases.PARKED, STEPWISE, cases.STEPWISE_HALF, EFFORT, PEAK,
 """Plans of the corners in each mode; the last leaves the end free, as stepwise planning does."""
 
 
-def calls(extent: Extent) -> list[Call]:
-    """Return the calls that make races, trade-offs and plans of the chapter."""
-    races = [(f"as fast as the limits allow: {race.task.name}", run_race, race, extent) for race in extent.races]
-    trades = [(f"trade-off: {task.name}", trade_record, task, extent) for task in cases.TRADED]
-    first = [by_method(task, method, extent.coarser) for task in TASKS for method in cases.methods(task)]
+def _methods(extent: Extent) -> list[tuple[Case, Sequence[str]]]:
+    """Return the tasks, and the corners in every working mode, with their methods."""
     moded = [replace(task, working_mode=mode) for task in cases.TURNS[:2] for mode in extent.modes]
-    first += [by_method(task, method, extent.coarser) for task in moded for method in MODE_METHODS]
-    second = [call_of(case, backend) for case in _compared(extent) for backend in case.backends[1:]]
-    # a race takes as long as a hundred plans: it begins before them, so that no process waits for it in the end
-    return [*races, *trades, *map(call_of, (*first, *_started(extent))), *second]
+    return [*((task, cases.methods(task)) for task in TASKS), *((task, MODE_METHODS) for task in moded)]
 
 
 def _compared(extent: Extent) -> list[Case]:
@@ -75,19 +71,31 @@ def _started(extent: Extent) -> list[Case]:
     ]
 
 
-def run_beyond(plans: Plans, extent: Extent) -> Chapter:
+def calls(extent: Extent) -> list[Call]:
+    """Return the calls that make races, trade-offs and plans of the chapter."""
+    races = [(f"as fast as the limits allow: {race.task.name}", run_race, race, extent) for race in extent.races]
+    trades = [(f"trade-off: {task.name}", trade_record, task, extent) for task in cases.TRADED]
+    first = [by_method(task, method, extent.coarser) for task, several in _methods(extent) for method in several]
+    second = [call_of(case, backend) for case in _compared(extent) for backend in case.backends[1:]]
+    # a race takes as long as a hundred plans: it begins before them, so that no process waits for it in the end
+    return [*races, *trades, *map(call_of, (*first, *_started(extent))), *second]
+
+
+def run_beyond(plans: Plans, extent: Extent) -> dict[str, Any]:
     """Return the records of the chapter."""
     records = [plan_record(plans, task, method, extent.coarser) for task in TASKS for method in cases.methods(task)]
     chapter = {
         "plans": records,
         "targets": targets(records),
         "fastest": [plans.result("", run_race, race, extent) for race in extent.races],
-        "working_modes": mode_records(plans, extent.modes, extent.coarser),
+        "working_modes": [
+            mode_record(plans, task, mode, extent.coarser) for task in cases.TURNS[:2] for mode in extent.modes
+        ],
         "backends": [backend_record(plans, case) for case in _compared(extent)],
         "first_guesses": [starts_record(plans, case) for case in _started(extent)],
         "trade_off": [plans.result("", trade_record, task, extent) for task in cases.TRADED],
     }
-    return chapter | {"findings": findings(chapter)}
+    return chapter | {"findings": verdicts(FINDINGS, chapter)}
 
 
 def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> Record:
@@ -98,17 +106,17 @@ def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> 
     """
     case = by_method(task, method, coarser)
     outcome = plans.outcome(case)
-    saved = method not in (NONE, cases.PARKED, STEPWISE, cases.STEPWISE_HALF)
-    record = {"task": task.name, "way": method, "unit": task.unit, "file": f"beyond-{case.name}" if saved else ""}
-    shown = measures.numbers(outcome)
+    saved = method in cases.OBJECTIVES or cases.crosses(task)
+    record = {"task": task.name, "way": method, "unit": task.unit, **measures.numbers(outcome)}
     if isinstance(outcome, InfeasiblePlanError):
         singular = outcome.details.get("constraint") == "singular_pose"
         missing = outcome.details.get("amount", math.nan) if singular else math.nan
-        return {**record, **shown, "dense_peak": math.nan, "worst": math.nan, "file": "", "exists": False,
+        return {**record, "dense_peak": math.nan, "worst": math.nan, "file": "", "exists": False,
                 "sound": False, "why": outcome.message, "missing": missing}  # fmt: skip
     between = float(outcome.peak_effort.max())
-    return {**record, **shown, "dense_peak": between, "worst": max(shown["peak"], between), "exists": True,
-            "sound": outcome.status is ResultStatus.OK, "why": "", "missing": math.nan}  # fmt: skip
+    return {**record, "dense_peak": between, "worst": max(record["peak"], between), "exists": True, "missing": math.nan,
+            "file": f"beyond-{case.name}" if saved else "", "sound": outcome.status is ResultStatus.OK,
+            "why": ""}  # fmt: skip
 
 
 def targets(records: Sequence[Record]) -> list[Record]:
@@ -125,8 +133,7 @@ def targets(records: Sequence[Record]) -> list[Record]:
 
 def headline(records: Sequence[Record]) -> Table:
     """Return the largest main effort of every motion by every planner; the README shows this table."""
-    groups = by_task(records)
-    rows = []
+    groups, rows = by_task(records), []
     for task in TASKS:
         group = groups.get(task.name, {})
         thesis = (SWITCH_OFF, cases.SWITCH_OFF_LATE) if cases.crosses(task) else (STEPWISE,)
@@ -174,33 +181,31 @@ def fastest(plans: Plans, task: Case, extent: Extent, effort: float = math.inf) 
         whole = by_method(task, EFFORT, extent.coarser).with_options(refinements=1, **limit, **changed)
         return cases.at_speed(whole, speed)
 
-    def ramps_fit(speed: float) -> bool:
-        try:
-            case_at(speed).trajectory()
-        except InputError:
-            return False
-        return True
-
-    def tried(speed: float, starts: int = 1) -> Record:
+    def feasible(speed: float, starts: int = 1) -> bool | None:  # None where the ramps do not fit in
+        case = case_at(speed, **({"starts": starts} if starts > 1 else {}))
         if speed not in trials or (starts > 1 and not trials[speed]["feasible"]):
-            trials[speed] = attempt(plans, case_at(speed, **({"starts": starts} if starts > 1 else {})))
-        return trials[speed]
+            try:
+                case.trajectory()
+            except InputError:
+                return None
+            trials[speed] = attempt(plans, case)
+        return bool(trials[speed]["feasible"])
 
     def bracket(low: float, high: float) -> tuple[float, float | None]:
-        while ramps_fit(high) and tried(high)["feasible"]:
+        while found := feasible(high):
             low, high = high, high * GROWTH
-        if not ramps_fit(high):
+        if found is None:
             return low, None
         while high - low > extent.tolerance * low:
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if tried(middle)["feasible"] else (low, middle)
+            low, high = (middle, high) if feasible(middle) else (low, middle)
         return low, high
 
     own = task.option("speed")
     plans.plan(case_at(own))
-    tried(own)
+    feasible(own)
     low, high = bracket(own, own * GROWTH)
-    while high is not None and tried(high, extent.starts)["feasible"]:
+    while high is not None and feasible(high, extent.starts):
         low, high = bracket(high, high * (1.0 + extent.tolerance))
     above = None if high is None else trials[high]
     suffices = None
@@ -237,17 +242,13 @@ def attempt(plans: Plans, case: Case) -> Record:
 # --- working modes, backends, first guesses, trade-off -------------------------------------------------------------
 
 
-def mode_records(plans: Plans, modes: Sequence[Mode], coarser: float) -> list[Record]:
-    """Return both corners in every working mode."""
-    records = []
-    for task in cases.TURNS[:2]:
-        for mode in modes:
-            moded = replace(task, working_mode=mode)
-            rows = {method: plan_record(plans, moded, method, coarser) for method in MODE_METHODS}
-            ratio = rows[PEAK]["worst"] / rows[NONE]["worst"]
-            records.append({"radius": task.option("radius"), "mode": mode, "rows": rows, "ratio": ratio,
-                            "lower": bool(rows[PEAK]["sound"] and ratio < 1.0)})  # fmt: skip
-    return records
+def mode_record(plans: Plans, task: Case, mode: Mode, coarser: float) -> Record:
+    """Return a corner in a working mode by all of ``MODE_METHODS``."""
+    moded = replace(task, working_mode=mode)
+    rows = {method: plan_record(plans, moded, method, coarser) for method in MODE_METHODS}
+    ratio = rows[PEAK]["worst"] / rows[NONE]["worst"]
+    return {"radius": task.option("radius"), "mode": mode, "rows": rows, "ratio": ratio,
+            "lower": bool(rows[PEAK]["sound"] and ratio < 1.0)}  # fmt: skip
 
 
 def backend_record(plans: Plans, case: Case) -> Record:
@@ -263,8 +264,7 @@ def starts_record(plans: Plans, case: Case) -> Record:
     """Return the scaled costs of a case from each first guess, parked carriers first; NaN without a plan."""
     outcome = plans.outcome(case)
     starts: Any = {} if isinstance(outcome, InfeasiblePlanError) else outcome.diagnostics["starts"]
-    given = starts.get("costs", [math.nan] * case.option("starts"))
-    costs = [float(cost) for cost in given]
+    costs = [float(cost) for cost in starts.get("costs", [math.nan] * case.option("starts"))]
     reached = sorted(cost for cost in costs if not math.isnan(cost))
     optima, last = 0, -math.inf
     for cost in reached:
@@ -284,11 +284,18 @@ def trade_record(task: Case, extent: Extent) -> Record:
     case = by_method(task, EFFORT, extent.coarser)
     least = case.plan()
     effort: Mapping[str, Any] = least.diagnostics["objective"]  # type: ignore[assignment]
-    equal = float(effort["effort"]) / measures.square_integral(least)
-    points = [_trade_point(0.0, 0.0, least)]
+    equal = float(effort["effort"]) / _square_integral(least)
+    outcomes: list[tuple[float, Plan | InfeasiblePlanError]] = [(0.0, least)]
     for ratio in extent.ratios:
         weighted = case.with_options(objective=(("effort", 1.0), ("carrier_acceleration", ratio * equal)))
-        points.append(_trade_point(ratio, ratio * equal, plan_or_error(weighted, case.backends[0])))
+        outcomes.append((ratio, plan_or_error(weighted, case.backends[0])))
+    points = []
+    for ratio, outcome in outcomes:
+        shown, acceleration = measures.numbers(outcome), math.nan
+        if isinstance(outcome, Plan):
+            acceleration = float(np.sqrt(_square_integral(outcome) / (outcome.t[-1] - outcome.t[0])))
+        points.append({"ratio": ratio, "weight": ratio * equal, "rms_effort": shown["rms"], "peak": shown["peak"],
+                       "rms_acceleration": acceleration, "status": shown["status"]})  # fmt: skip
     planned = [point for point in points if point["status"] != INFEASIBLE]
     efforts, accelerations = ([point[key] for point in planned] for key in ("rms_effort", "rms_acceleration"))
     # between global optima effort rises and acceleration falls with the weight
@@ -296,11 +303,9 @@ def trade_record(task: Case, extent: Extent) -> Record:
     return {"task": task.name, "title": task.title, "unit": task.unit, "monotone": monotone, "points": points}
 
 
-def _trade_point(ratio: float, weight: float, outcome: Plan | InfeasiblePlanError) -> Record:
-    shown = measures.numbers(outcome)
-    acceleration = measures.rms_acceleration(outcome) if isinstance(outcome, Plan) else math.nan
-    return {"ratio": ratio, "weight": weight, "rms_effort": shown["rms"], "rms_acceleration": acceleration,
-            "peak": shown["peak"], "status": shown["status"]}  # fmt: skip
+def _square_integral(plan: Plan) -> float:
+    """Return ∫ Σ s̈² dt by the trapezoidal rule, m²/s³."""
+    return float(np.trapezoid((plan.carriers.sdd**2).sum(axis=1), plan.t))
 
 
 def rises(values: Sequence[float]) -> bool:

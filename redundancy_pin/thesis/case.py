@@ -33,7 +33,6 @@ Mode: TypeAlias = tuple[int, ...]
 Options: TypeAlias = tuple[tuple[str, Any], ...]
 """Keyword arguments as sorted pairs: cases are hashable and go to other processes."""
 
-
 Planner = Literal["none", "parked", "switch_off", "stepwise", "whole_trajectory", "time_optimal"]
 """What moves the carriers: "none", there are none; "parked", nothing, they stay at s = 0; or a planner."""
 
@@ -50,14 +49,14 @@ def _hashable(value: Any) -> Any:
 
 
 @functools.cache
-def load(robot: str, working_mode: Mode = (), arguments: Options = ()) -> Robot:
-    """Load a robot once per process: constraint models do not pickle, and loading takes longer than many plans."""
+def _load(robot: str, working_mode: Mode, arguments: Options) -> Robot:
+    # once per process: constraint models do not pickle, and loading takes longer than many plans
     return load_with(robot, dict(arguments), working_mode=working_mode or None)
 
 
 @functools.cache
 def _dynamics(backend: str, *machine: Any) -> Dynamics:
-    return BACKENDS[backend](load(*machine))
+    return BACKENDS[backend](_load(*machine))
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class Case:
 
     Attributes:
         name: unique among the cases of a table, and the stem of files.
-        robot: shipped name or path of a declaration.
+        robot: shipped name.
         path: name of the trajectory in ``TRAJECTORIES``.
         path_options: its arguments, m, m/s, s, rad.
         planner: who moves the carriers.
@@ -112,13 +111,15 @@ class Case:
         """Return the case with other options of its trajectory."""
         return replace(self, path_options=options(**{**dict(self.path_options), **changed}))
 
-    def with_planner(self, planner: Planner, dt: float | None = None, **changed: Any) -> Case:
-        """Return the same motion by another planner, with the options of that planner."""
-        return replace(self, planner=planner, options=options(**changed), dt=dt or self.dt)
+    @property
+    def _machine(self) -> tuple[str, Mode, Options]:
+        without = self.planner == "none"
+        arguments = options(**{**dict(self.arguments), "carriers": False}) if without else self.arguments
+        return self.robot, self.working_mode, arguments
 
     def load_robot(self) -> Robot:
         """Return the robot with its own limits, loaded once."""
-        return load(*self._machine)
+        return _load(*self._machine)
 
     def dynamics(self, backend: str | None = None) -> Dynamics:
         """Return its dynamics by a backend (the first of ``backends`` when left out), made once."""
@@ -133,12 +134,12 @@ class Case:
         dynamics, trajectory, given = self.dynamics(backend), self.trajectory(), dict(self.options)
         if self.planner in ("none", "parked"):
             return self._at_rest(dynamics, trajectory)
-        if self.planner == "stepwise" or given.get("lam"):
-            given["baseline"] = self._baseline(backend)
+        # a robot that can be loaded without its carriers is its own baseline
+        if self.planner == "stepwise" and isinstance(self.load_robot().parameters.get("carriers"), bool):
+            given["baseline"] = replace(self, planner="none").dynamics(backend)
         for name in ("objective", "at_most"):
             if not isinstance(given.get(name, ""), str):
                 given[name] = dict(given[name])
-        planner = PLANNERS[self.planner.replace("_", "-")]
         motion: Any = trajectory
         if self.planner == "stepwise":
             motion = trajectory.sample(self.dt)
@@ -148,6 +149,7 @@ class Case:
             given["dt"] = self.dt
         if self.planner == "whole_trajectory":
             given.setdefault("calm", 0.0)  # tables compare least costs and peaks: a calm plan may cost a hundredth more
+        planner = PLANNERS[self.planner.replace("_", "-")]
         return planner(dynamics, motion, **in_groups(planner, given))
 
     def _at_rest(self, dynamics: Dynamics, trajectory: Trajectory) -> Plan:
@@ -172,19 +174,6 @@ class Case:
         return {"robot": self.robot, "arguments": dict(self.arguments), "working_mode": list(self.working_mode),
                 "carriers": self.planner, "path": self.path, "path_options": dict(self.path_options),
                 "options": dict(self.options), "dt": self.dt}  # fmt: skip
-
-    def _baseline(self, backend: str | None) -> Dynamics | None:
-        """Return the dynamics of the machine without carriers, if the robot can be loaded so."""
-        if isinstance(self.load_robot().parameters.get("carriers"), bool):
-            return replace(self, planner="none").dynamics(backend)
-        return None
-
-    @property
-    def _machine(self) -> tuple[str, Mode, Options]:
-        """Arguments of ``load``."""
-        without = self.planner == "none"
-        arguments = options(**{**dict(self.arguments), "carriers": False}) if without else self.arguments
-        return self.robot, self.working_mode, arguments
 
 
 Call: TypeAlias = tuple[Any, ...]

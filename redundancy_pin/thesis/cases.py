@@ -1,14 +1,15 @@
-"""The cases of the reproduction: every motion of the thesis and beyond it, by every method that moves the carriers."""
+"""The cases of the reproduction (``cases.yaml``), the methods that move the carriers, and how much of it all is run."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from redundancy_pin.simulation.replay import DRIVES, Drive
 from redundancy_pin.thesis.case import Case, Mode, options
+from redundancy_pin.thesis.table import Record, data
 
 FIRST_MODE: Mode = (1, 1, 1)
 """Working mode of the 3-RRR in the figures; the thesis does not state it."""
@@ -16,108 +17,23 @@ FIRST_MODE: Mode = (1, 1, 1)
 ALL_MODES: tuple[Mode, ...] = tuple(product((1, -1), repeat=3))
 
 
-# --- motions without a planner -------------------------------------------------------------------------------------
+def read_case(name: str, entry: Mapping[str, Any]) -> Case:
+    """Return a case from an entry of the data file."""
+    rest: Record = dict(entry)
+    path, mode = dict(rest.pop("trajectory")), rest.pop("working_mode", "")
+    own = {key: rest.pop(key) for key in ("robot", "planner", "dt", "title") if key in rest}
+    arguments, trajectory = options(**rest.pop("set", {})), path.pop("name")
+    return Case(name, path=trajectory, path_options=options(**path), arguments=arguments, options=options(**rest),
+                working_mode=tuple(1 if sign == "+" else -1 for sign in mode), **own)  # fmt: skip
 
 
-def _two_rpr(path: str, speed: float) -> Case:
-    title = f"2-RPR, {path} at {speed:g} m/s"
-    return Case(f"{path}-{speed:g}-parked", "2rpr", path, options(speed=speed), working_mode=(1, 1), title=title)
-
-
-def _three_rrr(path: str, **path_options: float) -> tuple[Case, Case]:
-    what = f"corner of radius {path_options['radius']:g} m" if path == "corner" else path
-    name = f"{path}-r{path_options['radius']:g}" if path == "corner" else path
-    parked = Case(f"{name}-parked", "3rrr", path, options(**path_options), working_mode=FIRST_MODE,
-                  title=f"3-RRR, {what}")  # fmt: skip
-    return replace(parked, name=f"{name}-baseline", planner="none"), parked
-
-
-# The 2-RPR of the thesis is massless but for its carriers: without them every force is zero, and there is no baseline.
-MOTIONS: tuple[Case, ...] = (
-    _two_rpr("circle", 0.5),
-    _two_rpr("circle", 0.75),
-    _two_rpr("line", 0.1),
-    _two_rpr("line", 0.2),
-    *_three_rrr("corner", radius=0.025),
-    *_three_rrr("corner", radius=0.013),
-    *_three_rrr("square"),
-)
-"""Every motion of the thesis with carriers parked, and without carriers."""
+def _read(section: str) -> tuple[Case, ...]:
+    return tuple(read_case(*entry) for entry in data("cases")[section].items())
 
 
 def motion_name(case: Case) -> str:
     """Return the name of a motion without what its carriers do: ``"corner-r0.025"``."""
     return case.name.rpartition("-")[0]
-
-
-# --- planned as in the thesis --------------------------------------------------------------------------------------
-
-RETURN_TIME = 0.4
-"""Duration of the carriers' return on circle and line, s; the thesis does not state it."""
-
-SQUARE_RETURN_TIME = 0.6
-"""The same on the square, where 0.65 s lie between the first ramp and the first corner."""
-
-STEP = 5e-3
-"""Time step of the stepwise planner, s; the thesis does not state it."""
-
-
-def _crossing(path: str, speed: float, threshold: float, ramp_down: float) -> Case:
-    name = f"{path}-{speed:g}-cn{threshold:g}"
-    return _switching_off(name, _two_rpr(path, speed), threshold=threshold, ramp_down=ramp_down)
-
-
-def _switching_off(name: str, motion: Case, **parameters: float) -> Case:
-    return replace(motion.with_planner("switch_off", return_time=RETURN_TIME, **parameters), name=name)
-
-
-def corner(radius: float, lam: float = 0.0, mode: Mode = FIRST_MODE) -> Case:
-    """Return a stepwise plan of a corner with the carriers' limits of the thesis (1 m/s, 7 m/s²)."""
-    motion = replace(_three_rrr("corner", radius=radius)[1], working_mode=mode)
-    planned = motion.with_planner("stepwise", STEP, lam=lam, return_time=SQUARE_RETURN_TIME)
-    return replace(planned, name=f"corner-r{radius:g}-lam{lam:g}")
-
-
-def square(lam: float = 0.0, mode: Mode = FIRST_MODE) -> Case:
-    """Return a stepwise plan of the square; carriers return while the platform does not accelerate."""
-    motion = replace(_three_rrr("square")[1], working_mode=mode)
-    planned = motion.with_planner("stepwise", STEP, lam=lam, active="accelerating", return_time=SQUARE_RETURN_TIME)
-    return replace(planned, name=f"square-lam{lam:g}")
-
-
-CROSSINGS: tuple[Case, ...] = (
-    _crossing("circle", 0.5, 5.0, 0.03),
-    _crossing("circle", 0.5, 10.0, 0.03),
-    _crossing("circle", 0.5, 20.0, 0.03),
-    _crossing("circle", 0.75, 5.0, 0.03),
-    _crossing("line", 0.1, 4.0, 0.36),
-    _crossing("line", 0.2, 4.0, 0.36),
-    _crossing("line", 0.2, 15.0, 0.36),
-)
-"""The crossings whose results the thesis shows. Its threshold at 0.1 m/s is not stated: 4 as at 0.2 m/s."""
-
-CORNERS: tuple[Case, ...] = (
-    corner(0.025, 0.0),
-    corner(0.025, 0.5),
-    corner(0.013, 0.0),
-    corner(0.013, 0.5),
-    square(0.5),
-    square(0.0),
-)
-"""The stepwise plans whose results the thesis shows, and λ = 0.5 at the sharper corner."""
-
-HEAVY_CROSSING = replace(CROSSINGS[0], name="circle-0.5-heavy", arguments=options(end_effector_mass=0.5))
-"""The method tried with an end-effector of the mass, kg, of the 3-RRR's platform."""
-
-MODE_CASES: tuple[Case, ...] = (
-    *CORNERS[:4],
-    replace(CORNERS[2].with_options(acceleration=12.0), name="corner-r0.013-lam0-a12"),
-    *CORNERS[4:],
-    replace(CORNERS[5].with_options(speed=1.2), name="square-lam0-v1.2"),
-)
-"""Stepwise plans that are made in every working mode; the thesis raises the limits in two of them."""
-
-BY_NAME: Mapping[str, Case] = {case.name: case for case in (*MOTIONS, *CROSSINGS, *CORNERS)}
 
 
 def without_carriers(case: Case) -> Case:
@@ -130,19 +46,33 @@ def parked(case: Case) -> Case:
     return replace(case, planner="parked", options=())
 
 
-# --- beyond the thesis ---------------------------------------------------------------------------------------------
+MOTIONS, CROSSINGS, CORNERS = _read("motions"), _read("crossings"), _read("corners")
+"""Motions without a planner; crossings by switching off and stepwise plans of corners, as in the thesis."""
 
-NONE = "no carriers"
-PARKED = "carriers parked"
-SWITCH_OFF = "switching off"
-SWITCH_OFF_LATE = "switching off late"
-STEPWISE = "stepwise λ = 0"
-STEPWISE_HALF = "stepwise λ = 0.5"
-EFFORT = "whole trajectory: effort"
-PEAK = "whole trajectory: peak"
-PEAK_FREE = "whole trajectory: peak (end free)"
-ENERGY = "whole trajectory: energy"
-SMOOTH = "whole trajectory: smooth effort"
+SINGULAR, TURNS = _read("singular"), _read("turns")
+"""Motions through singularities, and corners and square far from them, planned in every way."""
+
+TASKS: tuple[Case, ...] = (*SINGULAR, *TURNS)
+
+HEAVY_CROSSING, HEAVY_LINE = _read("others")
+
+MODE_CASES: tuple[Case, ...] = (
+    *CORNERS[:4],
+    replace(CORNERS[2].with_options(acceleration=12.0), name="corner-r0.013-lam0-a12"),
+    *CORNERS[4:],
+    replace(CORNERS[5].with_options(speed=1.2), name="square-lam0-v1.2"),
+)
+"""Stepwise plans that are made in every working mode; the thesis raises the limits in two of them."""
+
+BY_NAME: Mapping[str, Case] = {case.name: case for case in (*MOTIONS, *CROSSINGS, *CORNERS)}
+
+# --- methods -------------------------------------------------------------------------------------------------------
+
+NONE, PARKED, MOVING = "no carriers", "carriers parked", "carriers moving"
+SWITCH_OFF, SWITCH_OFF_LATE = "switching off", "switching off late"
+STEPWISE, STEPWISE_HALF = "stepwise λ = 0", "stepwise λ = 0.5"
+EFFORT, PEAK, PEAK_FREE = "whole trajectory: effort", "whole trajectory: peak", "whole trajectory: peak (end free)"
+ENERGY, SMOOTH = "whole trajectory: energy", "whole trajectory: smooth effort"
 
 SMOOTHING = 0.01
 """Weight of ∫ Σ τ̇² dt beside the effort in smooth plans."""
@@ -159,53 +89,14 @@ OBJECTIVES: Mapping[str, tuple[tuple[str, float], ...]] = {
 LATE = 20.0
 """Condition number, the largest of the thesis, beyond which the motors are off in the second way of switching off."""
 
-_ENERGY_COARSER = 2.0
-"""Factor on the step of plans of least energy: absolute values are many rows for the solver."""
+STEP = 5e-3
+"""Largest step between nodes, s."""
 
 _NODES = {"line-0.1": 2e-2, "line-0.2": 1e-2, "heavy-line-0.2": 1e-2}
-"""Largest step between nodes, s, on slow motions; 5 ms elsewhere."""
+"""The same on slow motions, s."""
 
-_MASSES = options(end_effector_mass=0.5, cylinder_mass=0.3)
-_WITH_MASSES = "2-RPR with masses (end-effector 0.5 kg, cylinders 0.3 kg)"
-
-
-def _cross(name: str, motion: Case, threshold: float = 5.0, ramp_down: float = 0.03) -> Case:
-    if motion.path == "circle":  # ramps of the 3-4-5 shape, not the thesis's overshooting one: v T / 2 with T = 0.2 s
-        motion = motion.with_path(ramp_time=0.2, ramp_length=0.1 * motion.option("speed"))
-    return _switching_off(name, motion, threshold=threshold, ramp_down=ramp_down)
-
-
-def _with_masses(path: str, speed: float) -> Case:
-    return replace(_two_rpr(path, speed), arguments=_MASSES, title=f"{_WITH_MASSES}, {path} at {speed:g} m/s")
-
-
-_DESCENT = Case(
-    "five-bar-0.3", "five_bar", "polygon",
-    options(vertices=((0.25, 0.6), (0.32, 0.3)), radius=0.01, speed=0.3, ramp_time=0.2),  # a line: there is no corner
-    working_mode=(1, -1), arguments=options(carriers=True),
-    title="five-bar, straight down through its singularity at 0.3 m/s",
-)  # fmt: skip
-
-SINGULAR: tuple[Case, ...] = (
-    _cross("circle-0.5", _two_rpr("circle", 0.5)),
-    _cross("circle-0.75", _two_rpr("circle", 0.75)),
-    _cross("heavy-0.5", _with_masses("circle", 0.5)),
-    _cross("line-0.1", _two_rpr("line", 0.1), 4.0, 0.36),
-    _cross("line-0.2", _two_rpr("line", 0.2), 4.0, 0.36),
-    _cross("five-bar-0.3", _DESCENT),
-)
-"""Motions through type II singularities, planned by switching off."""
-
-TURNS: tuple[Case, ...] = (
-    replace(corner(0.025), name="corner-r0.025"),
-    replace(corner(0.013), name="corner-r0.013"),
-    replace(square(), name="square", title="3-RRR, square with corners of radius 0.025 m"),
-)
-"""Motions of chapter 4, far from singularities, planned stepwise."""
-
-TASKS: tuple[Case, ...] = (*SINGULAR, *TURNS)
-
-HEAVY_LINE = _cross("heavy-line-0.2", _with_masses("line", 0.2), 4.0, 0.36)
+_ENERGY_COARSER = 2.0
+"""Factor on the step of plans of least energy: absolute values are many rows for the solver."""
 
 
 def crosses(task: Case) -> bool:
@@ -226,19 +117,19 @@ def by_method(task: Case, method: str, coarser: float = 1.0) -> Case:
 
     ``coarser`` is a factor on the largest step between the nodes of whole-trajectory plans.
     """
-    if method in (NONE, PARKED):
-        return without_carriers(task) if method == NONE else parked(task)
-    if method in (STEPWISE, STEPWISE_HALF):
-        return task.with_options(lam=0.0 if method == STEPWISE else 0.5)
-    if method in (SWITCH_OFF, SWITCH_OFF_LATE):
-        late = task.with_options(threshold=LATE) if method == SWITCH_OFF_LATE else task
-        return replace(late, name=f"{task.name}-{method.replace(' ', '-')}")
-    step = coarser * _NODES.get(task.name, STEP) * (_ENERGY_COARSER if method == ENERGY else 1.0)
-    whole = task.with_planner("whole_trajectory", step, objective=OBJECTIVES[method])
-    name = f"{task.name}-{'-'.join(quantity for quantity, _ in OBJECTIVES[method])}"
-    if method == PEAK_FREE:
-        return replace(whole.with_options(end="free"), name=f"{name}-end-free")
-    return replace(whole, name=name)
+    if method in OBJECTIVES:
+        step = coarser * _NODES.get(task.name, STEP)
+        step *= _ENERGY_COARSER if method == ENERGY else 1.0
+        whole = replace(task, planner="whole_trajectory", dt=step, options=options(objective=OBJECTIVES[method]))
+        name = f"{task.name}-{'-'.join(quantity for quantity, _ in OBJECTIVES[method])}"
+        if method == PEAK_FREE:
+            return replace(whole.with_options(end="free"), name=f"{name}-end-free")
+        return replace(whole, name=name)
+    other = {NONE: without_carriers(task), PARKED: parked(task), STEPWISE: task.with_options(lam=0.0),
+             STEPWISE_HALF: task.with_options(lam=0.5), SWITCH_OFF: task,
+             SWITCH_OFF_LATE: task.with_options(threshold=LATE)}[method]  # fmt: skip
+    off = method in (SWITCH_OFF, SWITCH_OFF_LATE)
+    return replace(other, name=f"{task.name}-{method.replace(' ', '-')}") if off else other
 
 
 def at_speed(case: Case, speed: float) -> Case:
@@ -254,7 +145,6 @@ def at_speed(case: Case, speed: float) -> Case:
 SPARSE = 5e-3
 """Distance of the samples of replayed switch-off plans, s: the same motion of the carriers, five times faster."""
 
-_MASSLESS: tuple[Drive, ...] = ("open loop", "carriers by motion")
 _LIGHT, _HEAVY, _FIVE_BAR = SINGULAR[0], SINGULAR[2], SINGULAR[5]
 
 
@@ -277,7 +167,7 @@ class Replayed(NamedTuple):
 
 
 REPLAYED: tuple[Replayed, ...] = (
-    Replayed(_LIGHT, SWITCH_OFF, _MASSLESS),
+    Replayed(_LIGHT, SWITCH_OFF, ("open loop", "carriers by motion")),
     Replayed(_LIGHT, EFFORT, ("open loop",)),
     *(Replayed(task, method) for task in (_HEAVY, HEAVY_LINE, _FIVE_BAR) for method in (SWITCH_OFF, EFFORT)),
     *(Replayed(TURNS[0], method) for method in (STEPWISE, STEPWISE_HALF, EFFORT)),
@@ -294,11 +184,6 @@ class Race(NamedTuple):
     task: Case
     capped: bool = False
 
-
-RACES = (Race(_LIGHT), Race(_LIGHT, capped=True), Race(_HEAVY), Race(SINGULAR[4]))
-
-STARTED: tuple[Case, ...] = (_LIGHT, _HEAVY, _FIVE_BAR, *TURNS[:2])
-"""Tasks that are planned from several first guesses."""
 
 TRADED: tuple[Case, ...] = (_LIGHT, TURNS[0])
 """Tasks whose effort is traded against the carriers' acceleration."""
@@ -321,14 +206,14 @@ class Extent:
         coarser: factor on the largest step between nodes of every whole-trajectory plan.
         tolerance: width of the bracket of the fastest motion, as a fraction of the speed.
         starts: first guesses in the search for other optima, and for a plan at a speed where one failed.
-        starts_coarser: the factor for plans from several first guesses.
-        started: tasks that are planned from them.
+        starts_coarser, started: factor on the step, and tasks, of plans from several first guesses.
         ratios: weights of the carriers' acceleration in the trade-off, over the one at which both parts of the cost
             would be the same for the plan of least effort.
         races: motions whose fastest is bracketed.
         both_backends: whether both objectives are planned with both backends, or only the first.
         replayed: plans that are replayed.
         jobs: processes; -1 for all cores.
+        name: what results call this extent.
     """
 
     motions: tuple[Case, ...] = MOTIONS
@@ -342,32 +227,22 @@ class Extent:
     tolerance: float = 1e-2
     starts: int = 5
     starts_coarser: float = 2.0
-    started: tuple[Case, ...] = STARTED
+    started: tuple[Case, ...] = (_LIGHT, _HEAVY, _FIVE_BAR, *TURNS[:2])
     ratios: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1e3)
-    races: tuple[Race, ...] = RACES
+    races: tuple[Race, ...] = (Race(_LIGHT), Race(_LIGHT, capped=True), Race(_HEAVY), Race(SINGULAR[4]))
     both_backends: bool = True
     replayed: tuple[Replayed, ...] = REPLAYED
     jobs: int = -1
+    name: str = "full"
 
 
 FULL = Extent()
 
 QUICK = Extent(
-    samples=100,
-    figures=False,
-    parity=(CROSSINGS[0], *CORNERS),
-    modes=(FIRST_MODE,),
-    whole_grids=False,
-    coarser=4.0,
-    tolerance=0.1,
-    starts=2,
-    starts_coarser=6.0,
-    started=STARTED[:1],
-    ratios=(1e-2, 1.0, 100.0),
-    races=RACES[3:],
-    both_backends=False,
-    replayed=(REPLAYED[0], REPLAYED[2], REPLAYED[10]),
-    jobs=1,
-)
+    samples=100, figures=False, parity=(CROSSINGS[0], *CORNERS), modes=(FIRST_MODE,), whole_grids=False, coarser=4.0,
+    tolerance=0.1, starts=2, starts_coarser=6.0, started=(_LIGHT,), ratios=(1e-2, 1.0, 100.0),
+    races=(Race(SINGULAR[4]),), both_backends=False, replayed=(REPLAYED[0], REPLAYED[2], REPLAYED[10]), jobs=1,
+    name="quick",
+)  # fmt: skip
 """Coarse, for a look and for tests: one working mode, the ends of the grids, a massless, a missing and a cornering
 replay, and the figures of the first page."""

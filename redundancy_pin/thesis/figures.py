@@ -1,9 +1,10 @@
-"""Results of the main job, and its figures as a list: file, caption, function and cases."""
+"""The figures of the report as a list: file, title, caption and a call of a function of ``rp.plot``."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -12,19 +13,16 @@ from redundancy_pin.crosscheck import CrossCheckReport
 from redundancy_pin.dynamics.backends import RNEA
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation.replay import Replay
-from redundancy_pin.status import ResultStatus
 from redundancy_pin.thesis import cases, future
 from redundancy_pin.thesis.case import Case, Plans
 from redundancy_pin.thesis.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OFF, TASKS, by_method, without_carriers
-from redundancy_pin.thesis.measures import MotionRun, rms_acceleration, window
-from redundancy_pin.thesis.table import Record, mode_text
+from redundancy_pin.thesis.measures import MotionRun, window
+from redundancy_pin.thesis.table import Record
 from redundancy_pin.visualisation.figures import plots
 from redundancy_pin.visualisation.figures.curves import Curves, curves_of_plan
 from redundancy_pin.visualisation.figures.paths import plot_plane_paths
-from redundancy_pin.visualisation.figures.style import STROKES, figure, legend_above, log_scale
 from redundancy_pin.visualisation.figures.time_panels import (
     Background,
-    Curve,
     Panel,
     plot_panel_grid,
     plot_time_panels,
@@ -33,9 +31,6 @@ from redundancy_pin.visualisation.figures.time_panels import (
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Draw = Callable[..., "Figure"]
-"""Draws results, given what picks a part of them: a run, a task, or cases of plans."""
 
 IN_FRONT = ("beyond-circle-0.5", "beyond-corner-r0.025")
 """Stems of the figures on the first page of the report."""
@@ -62,76 +57,72 @@ class Results:
 
 
 class Picture(NamedTuple):
-    """A figure of the results folder: stem of its files, title and caption in the report, and its function."""
+    """A figure of the results folder: stem of its files, title and caption in the report, and what draws it."""
 
     stem: str
     title: str
     caption: str
-    function: Draw
-    given: tuple[Any, ...] = ()
+    draw: Callable[[], Figure]
 
-    def draw(self, results: Results) -> Figure:
-        """Draw it."""
-        return self.function(results, *self.given)
+
+def pictures(results: Results) -> dict[str, list[Picture]]:
+    """Return all figures of what was run, by chapter; a small extent has only the figures of the first page."""
+    chapters = {"motions": _motions, "planned": _thesis, "beyond": _beyond, "future": _future, "replay": _replays}
+    return {
+        name: [picture for picture in made(results) if results.extent.figures or picture.stem in IN_FRONT]
+        for name, made in chapters.items()
+        if name in ("motions", *results.chapters)
+    }
 
 
 # --- motions without a planner -------------------------------------------------------------------------------------
 
 
-def motion_pictures(results: Results) -> Iterator[Picture]:
-    """Give the figures of the motions without a planner: efforts and path of each, and cases side by side."""
+def _motions(results: Results) -> Iterator[Picture]:
+    """Give efforts and path of each motion, and the same motion with parked carriers and without carriers."""
+    groups: dict[str, list[MotionRun]] = {}
     for run in results.runs:
-        name, title = run.case.name, f"{run.case.title}, {_carriers(run.case)}"
+        groups.setdefault(cases.motion_name(run.case), []).append(run)
+        name, title = run.case.name, f"{run.case.title}, {_moving(run)}"
         caption = f"{title}: efforts. {run.statement}."
-        yield Picture(f"{name}-efforts", f"Efforts of {name}", caption, effort_figure, (run, title))
-        caption = f"{title}: mechanism, path and condition number."
-        yield Picture(f"{name}-path", f"Path of {name}", caption, path_figure, (run, title))
-    for motion in dict.fromkeys(cases.motion_name(run.case) for run in results.runs):
-        same = [run for run in results.runs if cases.motion_name(run.case) == motion]
+        yield Picture(f"{name}-efforts", f"Efforts of {name}", caption, partial(efforts, run, title))
+        caption, draw = f"{title}: mechanism, path and condition number.", partial(plots.path, run.robot, run.motion)
+        yield Picture(f"{name}-path", f"Path of {name}", caption, partial(draw, crossings=run.crossings, title=title))
+    for motion, same in groups.items():
         if len(same) > 1:
             caption = f"{same[0].case.title}: efforts with parked carriers and without carriers."
-            yield Picture(f"{motion}-comparison", f"Comparison of {motion}", caption, comparison_figure, (same,))
+            draw = partial(plots.comparison, {_moving(run): _curves(run) for run in same}, title=same[0].case.title)
+            yield Picture(f"{motion}-comparison", f"Comparison of {motion}", caption, draw)
 
 
-def effort_figure(_: Results, run: MotionRun, title: str) -> Figure:
+def efforts(run: MotionRun, title: str) -> Figure:
     """Draw the efforts of a run at regular samples; tables have differences and missing forces."""
     drawn = _curves(run, title)
     return plots.efforts(replace(drawn, tau=np.where(drawn.regular[:, None], drawn.tau, np.nan)))
-
-
-def path_figure(_: Results, run: MotionRun, title: str) -> Figure:
-    """Return the mechanism, the path and the condition number of a run."""
-    return plots.path(run.robot, run.motion, crossings=run.crossings, title=title)
-
-
-def comparison_figure(_: Results, runs: Sequence[MotionRun]) -> Figure:
-    """Return the efforts of several runs along one motion."""
-    return plots.comparison({_carriers(run.case): _curves(run) for run in runs}, title=runs[0].case.title)
 
 
 def _curves(run: MotionRun, title: str = "") -> Curves:
     return plots.curves(run.robot, run.reduced[RNEA], run.distribution, crossings=run.crossings, title=title)
 
 
-def _carriers(case: Case) -> str:
-    return "no carriers" if case.planner == "none" else "carriers parked"
+def _moving(run: MotionRun) -> str:
+    return "no carriers" if run.case.planner == "none" else "carriers parked"
 
 
 # --- result figures of the thesis ----------------------------------------------------------------------------------
 
 
-def profile(_: Results, case: Case) -> Figure:
+def profile(_: Plans, case: Case) -> Figure:
     """Draw the platform's speed and acceleration (norms)."""
     motion = case.trajectory().sample(_FINE)
     labels = {"speed |ẋ| [m/s]": motion.xd, "acceleration |ẍ| [m/s²]": motion.xdd}
-    panels = [
-        Panel(label, (Curve(label.partition(" ")[0], motion.t, np.linalg.norm(part[:, :2], axis=1), i),))
-        for i, (label, part) in enumerate(labels.items())
-    ]
+    norms = np.stack([np.linalg.norm(part[:, :2], axis=1) for part in labels.values()], axis=1)
+    lines = series([label.partition(" ")[0] for label in labels], motion.t, norms)
+    panels = [Panel(label, (curve,)) for label, curve in zip(labels, lines, strict=True)]
     return plot_time_panels(f"{case.title}: speed and acceleration of the platform", panels)
 
 
-def displacement(_: Results, case: Case) -> Figure:
+def displacement(_: Plans, case: Case) -> Figure:
     """Draw the platform's x and y over time."""
     motion = case.trajectory().sample(_FINE)
     lines = series(("x − x(0)", "y − y(0)"), motion.t, motion.x - motion.x[0])
@@ -139,24 +130,24 @@ def displacement(_: Results, case: Case) -> Figure:
     return plot_time_panels(f"{case.title}: displacement of the platform", panels)
 
 
-def paths(results: Results, *several: Case) -> Figure:
+def paths(plans: Plans, *several: Case) -> Figure:
     """Draw the mechanism and path of a case, with the singular points; the paths alone of several cases."""
     if len(several) == 1:
-        return plots.path(results.plans.plan(several[0]), title=f"{several[0].title}: path and mechanism at the start")
+        return plots.path(plans.plan(several[0]), title=f"{several[0].title}: path and mechanism at the start")
     lines = {f"radius {case.option('radius'):g} m": case.trajectory().sample(_FINE).x[:, :2] for case in several}
     return plot_plane_paths("Corners of the 3-RRR's platform", lines)
 
 
-def condition(results: Results, *several: Case) -> Figure:
+def condition(plans: Plans, *several: Case) -> Figure:
     """Draw the condition number along the motion of cases that differ in their threshold."""
     thresholds = tuple(float(case.option("threshold")) for case in several)
-    drawn, title = curves_of_plan(results.plans.plan(several[0])), f"{several[0].title}: condition number"
+    drawn, title = curves_of_plan(plans.plan(several[0])), f"{several[0].title}: condition number"
     return plots.condition(replace(drawn, thresholds=thresholds, title=title))
 
 
-def forces(results: Results, case: Case) -> Figure:
+def forces(plans: Plans, case: Case) -> Figure:
     """Draw the forces of the main actuators and the condition number of a crossing."""
-    plan = results.plans.plan(case)
+    plan = plans.plan(case)
     drawn, before = curves_of_plan(plan), plan.t <= float(window(plan)["exit"])
     until = series(plan.robot.actuated, plan.t[before], plan.tau[before])
     part = Panel("force τ [N], until\nswitched on", until, height=1.2)
@@ -164,17 +155,17 @@ def forces(results: Results, case: Case) -> Figure:
     return plot_time_panels(f"{_planned(case)}: main actuators", panels, plan=plan, instants=drawn.instants)
 
 
-def carriers(results: Results, case: Case) -> Figure:
+def carriers(plans: Plans, case: Case, title: str = "") -> Figure:
     """Draw position, speed and acceleration of the carriers."""
-    drawn = curves_of_plan(results.plans.plan(case))
-    return plots.carriers(replace(drawn, title=f"{_planned(case)}: carriers"))
+    drawn = curves_of_plan(plans.plan(case))
+    return plots.carriers(replace(drawn, title=title or f"{_planned(case)}: carriers"))
 
 
-def torques(results: Results, case: Case) -> Figure:
+def torques(plans: Plans, case: Case) -> Figure:
     """Draw each base torque of a stepwise plan, of the machine without carriers, and with parked ones."""
     three = {"no carriers": without_carriers(case), "carriers parked": cases.parked(case), "carriers moving": case}
-    plans = {name: results.plans.plan(one) for name, one in three.items()}
-    return plots.comparison(plans, title=f"{_planned(case)}: base torques")
+    drawn = {name: plans.plan(one) for name, one in three.items()}
+    return plots.comparison(drawn, title=f"{_planned(case)}: base torques")
 
 
 def _planned(case: Case) -> str:
@@ -186,7 +177,7 @@ def _planned(case: Case) -> str:
 _C5, _C10, _C20, _F5, _L1, _L2, _L15 = cases.CROSSINGS
 _WIDE, _WIDE_HALF, _SHARP, _, _SQUARE_HALF, _SQUARE = cases.CORNERS
 
-THESIS: tuple[tuple[str, Draw, tuple[Case, ...]], ...] = (
+THESIS: tuple[tuple[str, Callable[..., Figure], tuple[Case, ...]], ...] = (
     ("3.6", profile, (_C5,)), ("3.7", paths, (_C5,)), ("3.8", profile, (_L1,)), ("3.9", paths, (_L1,)),
     ("3.10", condition, (_C5, _C10, _C20)), ("3.11", forces, (_C5,)), ("3.12", carriers, (_C5,)),
     ("3.13", forces, (_C10,)), ("3.14", forces, (_C20,)), ("3.15", carriers, (_C20,)), ("3.16", forces, (_F5,)),
@@ -202,7 +193,7 @@ THESIS: tuple[tuple[str, Draw, tuple[Case, ...]], ...] = (
 )  # fmt: skip
 """Number in the thesis, what is drawn, of which cases. Its 3.1 to 3.5 and 4.1 are flow charts and sketches."""
 
-_CAPTIONS: dict[Draw, str] = {
+_CAPTIONS: dict[Callable[..., Figure], str] = {
     profile: "Speed and acceleration of the platform.",
     displacement: "Displacement of the platform from its start.",
     paths: "Path; of one motion with the mechanism at its start, its singular points and the condition number.",
@@ -213,12 +204,12 @@ _CAPTIONS: dict[Draw, str] = {
 }
 
 
-def thesis_pictures(_results: Results) -> Iterator[Picture]:
-    """Give the result figures of the thesis."""
+def _thesis(results: Results) -> Iterator[Picture]:
     for number, draw, several in THESIS:
         chapter, _, count = number.partition(".")
         caption = f"{_CAPTIONS[draw]} Run: {', '.join(case.name for case in several)}."
-        yield Picture(f"figure-{chapter}-{int(count):02d}", f"Figure {number}", caption, draw, several)
+        stem = f"figure-{chapter}-{int(count):02d}"
+        yield Picture(stem, f"Figure {number}", caption, partial(draw, results.plans, *several))
 
 
 # --- beyond the thesis ---------------------------------------------------------------------------------------------
@@ -227,37 +218,21 @@ _SHOWN = (NONE, STEPWISE, SWITCH_OFF, EFFORT, PEAK, cases.SMOOTH)
 """Methods that the figures of a motion show, left to right, where there is a plan."""
 
 
-def beyond_pictures(_: Results) -> Iterator[Picture]:
-    """Give the figures of the chapter beyond the thesis."""
+def _beyond(results: Results) -> Iterator[Picture]:
     for task in TASKS:
         caption = f"{task.title}: main efforts, and position, speed and acceleration of the carriers with their limits."
         caption += " Dotted: singular instants." if cases.crosses(task) else ""
-        yield Picture(f"beyond-{task.name}", f"Plans of {task.name}", caption, task_figure, (task,))
-    caption = "Largest main force of the plans of least effort over speed: every speed that has a plan (dots), and "
-    caption += "those without (crosses, on the lower edge)."
-    yield Picture("beyond-fastest", "Fastest motions", caption, fastest_figure)
-    for radius in (float(task.option("radius")) for task in cases.TURNS[:2]):
-        title = f"Working modes, radius {radius:g} m"
-        caption = f"Largest |τ| at the corner of radius {radius:g} m in every working mode, at the samples or between "
-        caption += "them. Stepwise plans leave the carriers where they are; the others bring them back."
-        yield Picture(f"beyond-modes-r{radius:g}", title, caption, modes_figure, (radius,))
-    caption = "Main effort against the carriers' acceleration: each point is the optimum for one weight."
-    yield Picture("beyond-trade-off", "Trade-off", caption, trade_figure)
+        draw = partial(plans_of, results.plans, task, results.extent.coarser)
+        yield Picture(f"beyond-{task.name}", f"Plans of {task.name}", caption, draw)
 
 
-def _existing(results: Results, task: Case) -> dict[str, Plan]:
-    """Return the plans of a task that are shown and exist, by method."""
-    methods = {record["way"] for record in results.chapters["beyond"]["plans"] if record["task"] == task.name}
-    shown = {method: by_method(task, method, results.extent.coarser) for method in _SHOWN if method in methods}
-    outcomes = {method: results.plans.outcome(case) for method, case in shown.items()}
-    return {method: outcome for method, outcome in outcomes.items() if isinstance(outcome, Plan)}
-
-
-def task_figure(results: Results, task: Case) -> Figure:
+def plans_of(plans: Plans, task: Case, coarser: float) -> Figure:
     """Draw the plans of a task side by side."""
-    plans = _existing(results, task)
-    instants = curves_of_plan(plans[EFFORT]).instants if EFFORT in plans else ()
-    return side_by_side(task.title, plans, task.unit, instants=instants)
+    own = [method for method in _SHOWN if method in cases.methods(task)]
+    outcomes = {method: plans.outcome(by_method(task, method, coarser)) for method in own}
+    existing = {method: outcome for method, outcome in outcomes.items() if isinstance(outcome, Plan)}
+    instants = curves_of_plan(existing[EFFORT]).instants if EFFORT in existing else ()
+    return side_by_side(task.title, existing, task.unit, instants=instants)
 
 
 def side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, instants: Sequence[float] = ()) -> Figure:
@@ -276,109 +251,19 @@ def side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, instants: 
     return plot_panel_grid(title, columns, (2.0 + 2.6 * len(plans), 8.0), Background(None, instants))
 
 
-def modes_figure(results: Results, radius: float) -> Figure:
-    """Draw the peaks at a corner in every working mode as bars; a missing bar is a missing plan."""
-    records = [record for record in results.chapters["beyond"]["working_modes"] if record["radius"] == radius]
-    bars = zip((NONE, STEPWISE, EFFORT, PEAK), STROKES, ("", "///", "...", "xxx"), strict=False)
-    places = np.arange(len(records))
-    with figure(8.8, 3.6, f"3-RRR, corner of radius {radius:g} m: largest torque in every working mode") as drawn:
-        axes = drawn.subplots()
-        for i, (method, stroke, hatch) in enumerate(bars):
-            peaks = np.nan_to_num([record["rows"][method]["worst"] for record in records])
-            axes.bar(places + 0.2 * (i - 1.5), peaks, 0.2, color=stroke.color, hatch=hatch, label=method)
-        log_scale(axes)
-        axes.set_xticks(places, [mode_text(record["mode"]) for record in records])
-        axes.set(xlabel="working mode", ylabel="largest |τ| [N·m]")
-        legend_above(axes, 8.0)
-        return drawn
-
-
-def fastest_figure(results: Results) -> Figure:
-    """Draw the largest main force over speed, with crosses on the lower edge for speeds without a plan."""
-    with figure(7.0, 4.6, "2-RPR: largest main force over speed, carriers within their limits") as drawn:
-        axes = drawn.subplots()
-        for stroke, race in zip(STROKES, results.chapters["beyond"]["fastest"], strict=False):
-            cap = "" if np.isinf(race["effort_limit"]) else f", up to {race['effort_limit']:.2g} N"
-            planned = [(trial["speed"], trial["peak"]) for trial in race["trials"] if trial["feasible"]]
-            without = [trial["speed"] for trial in race["trials"] if not trial["feasible"]]
-            line: Any = {"color": stroke.color, "linestyle": stroke.dash, "marker": stroke.marker}
-            axes.plot(*np.array(planned).T, label=race["title"] + cap, **line)
-            axes.plot(without, [0.02] * len(without), "x", color=stroke.color, transform=axes.get_xaxis_transform())
-        log_scale(axes)
-        axes.set(xlabel="cruising speed [m/s] (crosses: no plan)", ylabel="largest main force [N]")
-        legend_above(axes, 6.2)
-        return drawn
-
-
-def trade_figure(results: Results) -> Figure:
-    """Draw effort against acceleration, with other plans as marks."""
-    with figure(3.8 * len(cases.TRADED), 3.8, "Main effort against the carriers' acceleration") as drawn:
-        panels = drawn.subplots(1, len(cases.TRADED), squeeze=False)[0]
-        trades = results.chapters["beyond"]["trade_off"]
-        for axes, task, trade in zip(panels, cases.TRADED, trades, strict=True):
-            points = [point for point in trade["points"] if point["status"] != ResultStatus.INFEASIBLE.value]
-            along = np.array([(point["rms_acceleration"], point["rms_effort"]) for point in points])
-            axes.plot(*along.T, marker="o", color=STROKES[0].color, label="whole trajectory, one point a weight")
-            others = {name: plan for name, plan in _existing(results, task).items() if name in _SHOWN[:3]}
-            for stroke, (name, plan) in zip(STROKES[1:], others.items(), strict=False):
-                effort = float(np.linalg.norm(plan.rms_effort))
-                axes.plot([rms_acceleration(plan)], [effort], marker=stroke.marker, color=stroke.color, label=name)
-            axes.set_title(task.title, fontsize=9)
-            axes.set(xlabel="rms of s̈ [m/s²]", ylabel=f"rms of |τ| [{task.unit}]")
-            legend_above(axes, 3.4)
-        return drawn
-
-
-# --- future --------------------------------------------------------------------------------------------------------
-
-
-def future_pictures(_: Results) -> Iterator[Picture]:
-    """Give the figures of spatial machines through singularities."""
+def _future(results: Results) -> Iterator[Picture]:
+    caption = "Motion of the carriers, with their limits; dotted: the singular instant."
     for case in future.SPATIAL:
-        caption = "Motion of the carriers, with their limits; dotted: the singular instant."
-        yield Picture(f"future-{case.name}", case.title, caption, spatial_figure, (case,))
+        draw = partial(carriers, results.plans, future.coarsened(case, results.extent), case.title)
+        yield Picture(f"future-{case.robot}", case.title, caption, draw)
 
 
-def spatial_figure(results: Results, case: Case) -> Figure:
-    """Return the carriers of a plan."""
-    return plots.carriers(results.plans.plan(future.coarsened(case, results.extent)))
-
-
-# --- replay --------------------------------------------------------------------------------------------------------
-
-
-def replay_pictures(results: Results) -> Iterator[Picture]:
+def _replays(results: Results) -> Iterator[Picture]:
     """Give the tracking errors of two plans that all drives replay."""
-    names = {replay.plan for replay in results.replays}
     for one in results.extent.replayed:
-        if one.name in names and one.method == EFFORT and one.task.name in ("heavy-0.5", "corner-r0.025"):
+        distances = {run.drive: (run.t, run.error) for run in results.replays if run.plan == one.name and len(run.t)}
+        if distances and one.method == EFFORT and one.task.name in ("heavy-0.5", "corner-r0.025"):
             caption = f"Distance of the platform from its plan ({one.name}), for each drive."
-            title = f"Replay of {one.task.name}"
-            yield Picture(f"replay-{one.task.name}", title, caption, tracking_figure, (one,))
-
-
-def tracking_figure(results: Results, replayed: cases.Replayed) -> Figure:
-    """Return the distances from a plan for every drive that replayed it."""
-    same = [one for one in results.replays if one.plan == replayed.name and len(one.t)]
-    distances = {one.drive: (one.t, one.error) for one in same}
-    panel = replace(plots.distance_panel("distance from the plan [m]", distances), height=1.8)
-    return plot_time_panels(replayed.task.title, [panel])
-
-
-PICTURES: Mapping[str, Callable[[Results], Iterator[Picture]]] = {
-    "motions": motion_pictures,
-    "planned": thesis_pictures,
-    "beyond": beyond_pictures,
-    "future": future_pictures,
-    "replay": replay_pictures,
-}
-"""Figures by chapter."""
-
-
-def pictures(results: Results) -> dict[str, list[Picture]]:
-    """Return all figures of what was run, by chapter; a small extent has only the figures of the first page."""
-    return {
-        name: [picture for picture in made(results) if results.extent.figures or picture.stem in IN_FRONT]
-        for name, made in PICTURES.items()
-        if name in ("motions", *results.chapters)
-    }
+            panel = replace(plots.distance_panel("distance from the plan [m]", distances), height=1.8)
+            draw = partial(plot_time_panels, one.task.title, [panel])
+            yield Picture(f"replay-{one.task.name}", f"Replay of {one.task.name}", caption, draw)

@@ -24,8 +24,6 @@ from redundancy_pin.thesis.case import Case
 from redundancy_pin.thesis.table import Record, data
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
 
-# --- motions without a planner: carriers parked or absent, singular instants among the samples -----------------------
-
 PARITY_TOLERANCE = 1e-10
 """Largest relative difference between the backends: both are exact, so a thousandth of this is rounding already."""
 
@@ -36,33 +34,9 @@ _SAME_INSTANT = 1e-9
 """Distance from a singular instant, s, below which a sampling time is left out."""
 
 
-@dataclass(frozen=True)
-class PassedSingularity:
-    """A singularity along a motion.
-
-    Attributes:
-        t: time, s.
-        x: platform coordinates there, m and rad.
-        kind: ``"type_ii"`` and so on.
-        uncontrolled: platform velocity that no actuator resists, of unit length in scaled units.
-        missing_force: norm of the part of f that no actuator effort balances, N, scaled. Efforts near the instant are
-            this force over the margin.
-        status: name of the status of the sample.
-        unbounded: whether the efforts grow without bound towards the instant.
-    """
-
-    t: float
-    x: tuple[float, ...]
-    kind: str
-    uncontrolled: tuple[float, ...]
-    missing_force: float
-    status: str
-    unbounded: bool
-
-
 @dataclass(frozen=True, eq=False)
 class MotionRun:
-    """A motion by both backends.
+    """A motion by both backends, carriers parked or absent.
 
     Samples are every dt, two-sided at jumps, and at the singular instants. ``reduced`` (f, W, carrier forces) and
     ``solved`` (main efforts with their statuses) are by backend; ``parity`` has the largest differences of f, W,
@@ -71,8 +45,6 @@ class MotionRun:
 
     case: Case
     robot: Robot
-    duration: float
-    breaks: Array
     crossings: Sequence[Crossing]
     motion: PlatformMotion
     reduced: Mapping[str, ReducedDynamics]
@@ -98,26 +70,29 @@ class MotionRun:
     @property
     def worst_parity(self) -> float:
         """The largest difference of the backends; NaN if one of them is."""
-        return float(np.max(list(self.parity.values())))
+        return float(np.max([*self.parity.values()]))
 
     @property
     def peaks(self) -> Array:
-        """(m,) largest |τ| over the regular samples, N or N·m.
-
-        Near a singularity with unbounded efforts this is the value at the edge of the near-singular interval and no
-        property of the machine; see ``statement``.
-        """
+        """(m,) largest |τ| over the regular samples, N or N·m; arbitrary where efforts are unbounded."""
         return largest(self.distribution.tau[self.regular])
 
     @property
-    def near_singular_windows(self) -> tuple[tuple[float, float], ...]:
-        """First and last time, s, of each interval of near-singular or singular samples."""
-        return tuple((float(self.t[first]), float(self.t[after - 1])) for first, after in runs(~self.regular))
+    def instants(self) -> list[Record]:
+        """Singularities along the motion: time, s, platform coordinates, kind, and what happens to the efforts.
 
-    @property
-    def instants(self) -> tuple[PassedSingularity, ...]:
-        """Singularities along the motion."""
-        return tuple(_instant(crossing, self.motion, self.distribution) for crossing in self.crossings)
+        ``uncontrolled`` is the unit platform velocity that no actuator resists, in scaled units, ``missing_force`` the
+        norm of the part of f that no actuator balances, N, scaled: efforts near the instant are this over the margin.
+        """
+        places, solved = [int(np.argmin(np.abs(self.t - crossing.t))) for crossing in self.crossings], self.distribution
+        statuses = [SampleStatus(solved.status[place]) for place in places]
+        return [
+            {"t": float(self.t[place]), "x": tuple(np.atleast_1d(self.motion.x[place]).tolist()),
+             "kind": crossing.kind.label, "uncontrolled": tuple(solved.uncontrolled[place].tolist()),
+             "missing_force": float(solved.residual[place]), "status": status.label,
+             "unbounded": status is SampleStatus.SINGULAR_INCONSISTENT}
+            for crossing, place, status in zip(self.crossings, places, statuses, strict=True)
+        ]  # fmt: skip
 
     @property
     def statement(self) -> str:
@@ -125,11 +100,11 @@ class MotionRun:
         instants, peaks = self.instants, ", ".join(f"{peak:.3g}" for peak in self.peaks) + f" {self.case.unit}"
         if not instants:
             return f"bounded: peaks {peaks}"
-        unbounded = [instant for instant in instants if instant.unbounded]
-        places = ", ".join(f"{instant.t:.4f} s" for instant in unbounded or instants)
+        unbounded = [instant for instant in instants if instant["unbounded"]]
+        places = ", ".join(f"{instant['t']:.4f} s" for instant in unbounded or instants)
         if not unbounded:
             return f"finite through the singularities at t = {places}: peaks {peaks}"
-        missing = ", ".join(f"{instant.missing_force:.3g}" for instant in unbounded)
+        missing = ", ".join(f"{instant['missing_force']:.3g}" for instant in unbounded)
         return f"unbounded at t = {places}: {missing} N that no actuator can carry there"
 
     def record(self) -> Record:
@@ -137,17 +112,17 @@ class MotionRun:
         return {
             "title": self.case.title,
             "configuration": {**self.case.as_dict(), "source": data("thesis")["sources"][self.case.robot]},
-            "duration": self.duration,
+            "duration": self.case.trajectory().duration,
             "samples": len(self.motion),
-            "bounded": not any(instant.unbounded for instant in self.instants),
+            "bounded": not any(instant["unbounded"] for instant in self.instants),
             "statement": self.statement,
             "effort_unit": self.case.unit,
             "regular_peaks": self.peaks,
             "carrier_force_peaks": largest(self.reduced[RNEA].carrier_force),
             "statuses": self.distribution.status_counts,
             "smallest_margin": self.distribution.margin.min(),
-            "near_singular_windows": self.near_singular_windows,
-            "singular_instants": [vars(instant) for instant in self.instants],
+            "near_singular_windows": [(self.t[first], self.t[after - 1]) for first, after in runs(~self.regular)],
+            "singular_instants": self.instants,
             "parity": {**self.parity, "worst": self.worst_parity},
         }
 
@@ -178,7 +153,10 @@ def run(case: Case) -> MotionRun:
     carriers = CarrierMotion.parked(len(motion), robot.k)
     reduced = {name: BACKENDS[name](robot).reduce(motion, carriers) for name in (RNEA, VIRTUAL_WORK)}
     solved = {name: distribute(reduction) for name, reduction in reduced.items()}
-    parity = _parity(list(reduced.values()), list(solved.values()))
+    (first, second), regular = reduced.values(), solved[RNEA].status == SampleStatus.OK
+    pairs = {name: (getattr(first, name), getattr(second, name)) for name in ("f", "W", "carrier_force")}
+    pairs["tau"] = (solved[RNEA].tau[regular], solved[VIRTUAL_WORK].tau[regular])
+    parity = {name: relative_difference(*pair) for name, pair in pairs.items()}
     if not max(parity.values()) <= PARITY_TOLERANCE:
         listed = ", ".join(f"{name.replace('_', ' ')} {value:.3g}" for name, value in parity.items())
         raise CrossCheckError(
@@ -187,35 +165,13 @@ def run(case: Case) -> MotionRun:
             experiment=case.name,
             parity=parity,
         )
-    return MotionRun(case, robot, trajectory.duration, trajectory.breaks, crossings, motion, reduced, solved, parity)
+    return MotionRun(case, robot, crossings, motion, reduced, solved, parity)
 
 
 def relative_difference(a: Array, b: Array) -> float:
     """Return the largest |a − b| over the largest |a| or |b|; 0 where both are zero or empty, NaN if one has a NaN."""
     size = max(np.abs(a).max(initial=0.0), np.abs(b).max(initial=0.0))
     return float(np.abs(a - b).max() / size) if size != 0.0 else 0.0
-
-
-def _parity(reduced: Sequence[ReducedDynamics], solved: Sequence[Distribution]) -> dict[str, float]:
-    first, second = reduced
-    regular = solved[0].status == SampleStatus.OK
-    pairs = {name: (getattr(first, name), getattr(second, name)) for name in ("f", "W", "carrier_force")}
-    pairs["tau"] = (solved[0].tau[regular], solved[1].tau[regular])
-    return {name: relative_difference(*pair) for name, pair in pairs.items()}
-
-
-def _instant(crossing: Crossing, motion: PlatformMotion, solved: Distribution) -> PassedSingularity:
-    sample = int(np.argmin(np.abs(motion.t - crossing.t)))
-    status = SampleStatus(solved.status[sample])
-    return PassedSingularity(
-        t=float(motion.t[sample]),
-        x=tuple(np.atleast_1d(motion.x[sample]).tolist()),
-        kind=crossing.kind.label,
-        uncontrolled=tuple(solved.uncontrolled[sample].tolist()),
-        missing_force=float(solved.residual[sample]),
-        status=status.label,
-        unbounded=status is SampleStatus.SINGULAR_INCONSISTENT,
-    )
 
 
 # --- measures: one number or several, NaN where there is none ------------------------------------------------------
@@ -294,10 +250,10 @@ MEASURES: Mapping[str, Callable[..., Any]] = {
     "bound_nearest": _bound_nearest,
     # motions without a planner: total time, when the speed begins to fall for the last time, first and last jump of the
     # acceleration, s; x where it is singular, m; largest |τ| of each actuator, N·m or N
-    "duration": lambda run: run.duration,
+    "duration": lambda run: run.case.trajectory().duration,
     "deceleration_start": _deceleration_start,
-    "arc_times": lambda run: (run.breaks[0], run.breaks[-1]),
-    "crossing_abscissae": lambda run: [instant.x[0] for instant in run.instants],
+    "arc_times": lambda run: run.case.trajectory().breaks[[0, -1]],
+    "crossing_abscissae": lambda run: [instant["x"][0] for instant in run.instants],
     "peak_efforts": lambda run: run.peaks,
     # when the threshold is met and left, and one ramp before it is met the time, s, and |τ| of each actuator, N
     "threshold_met": lambda run, threshold: _threshold_times(run, threshold)[0],
@@ -308,34 +264,10 @@ MEASURES: Mapping[str, Callable[..., Any]] = {
 """Measures by the name that the data file has for them."""
 
 
-# --- switch-off plans ----------------------------------------------------------------------------------------------
-
-
 def window(plan: Plan) -> Mapping[str, Any]:
     """Return what a switch-off plan reports of its (first) window."""
     first: Mapping[str, Any] = plan.diagnostics["windows"][0]  # type: ignore[index]
     return first
-
-
-def rms_acceleration(plan: Plan) -> float:
-    """Return the root mean square over time of the norm of s̈, m/s²."""
-    return float(np.sqrt(square_integral(plan) / (plan.t[-1] - plan.t[0])))
-
-
-def square_integral(plan: Plan) -> float:
-    """Return ∫ Σ s̈² dt by the trapezoidal rule, m²/s³."""
-    return float(np.trapezoid((plan.carriers.sdd**2).sum(axis=1), plan.t))
-
-
-def broken_limits(plan: Plan) -> str:
-    """Return the limits broken, the worst of each carrier and quantity: ``"track of carrier_1 by 0.05 at 0.9 s"``."""
-    return "; ".join(
-        f"{event.quantity} of {event.joint} by {event.amount:.3g} at {event.worst:.2f} s"
-        for event in worst_events(plan.limits.violated)
-    )
-
-
-# --- limits that a stepwise plan meets -----------------------------------------------------------------------------
 
 
 def bounds(plan: Plan, kind: str | None = None, carrier: int | None = None) -> list[tuple[int, str, float, float]]:
@@ -349,51 +281,49 @@ def bounds(plan: Plan, kind: str | None = None, carrier: int | None = None) -> l
     return [event for event in met if kind in (None, event[1]) and carrier in (None, event[0])]
 
 
-def limits_met(plan: Plan) -> str:
-    """Return which carriers meet which limit first when: ``"2 speed 0.34 s, 2 acceleration 0.82 s"``."""
-    first: dict[tuple[int, str], float] = {}
-    for carrier, kind, start, _ in bounds(plan):
-        first.setdefault((carrier, kind), start)
-    return ", ".join(f"{carrier} {kind} {start:.2f} s" for (carrier, kind), start in first.items()) or "none"
-
-
 # --- plans in numbers ----------------------------------------------------------------------------------------------
 
 
-NUMBERS = ("peak", "before", "reversals", "rms", "carrier_force", "main_energy", "carrier_energy", "energy", "position",
-           "speed", "acceleration", "track", "speed_limit", "acceleration_limit")  # fmt: skip
-
-
-def numbers(plan: Plan | InfeasiblePlanError) -> dict[str, Any]:
+def numbers(plan: Plan | InfeasiblePlanError) -> Record:
     """Return a plan in numbers: efforts, energies, carriers against their limits; all NaN without a plan.
 
     ``before`` is the largest |τ| before the motors are off, NaN if a plan does not switch off; ``rms`` is of the norm
     of τ; energies are ∫ Σ |power| dt, J, what motors that recover nothing would draw; ``position``, ``speed`` and
-    ``acceleration`` are the largest of any carrier; ``track``, ``speed_limit``, ``acceleration_limit`` their limits.
+    ``acceleration`` are the largest of any carrier; ``track``, ``speed_limit``, ``acceleration_limit`` their limits;
+    ``broken`` the worst of each broken limit.
     """
     if isinstance(plan, InfeasiblePlanError):
         return {**dict.fromkeys(NUMBERS, math.nan), "status": ResultStatus.INFEASIBLE.value, "broken": "", "solver": ""}
+    broken = [
+        f"{event.quantity} of {event.joint} by {event.amount:.3g} at {event.worst:.2f} s"
+        for event in worst_events(plan.limits.violated)
+    ]
+    shown = {name: float(measure(plan)) for name, measure in NUMBERS.items()}
+    return {"status": plan.status.value, **shown, "broken": "; ".join(broken), "solver": plan.findings.solver}
+
+
+def _before(plan: Plan) -> float:
     off = plan.phase == plan.phases.index("off") if plan.planner == "switch_off" else np.zeros(1, dtype=bool)
-    carriers, limits = plan.carriers, plan.limits.judged_by
-    return {
-        "status": plan.status.value,
-        "peak": float(plan.peak_effort_at_samples.max()),
-        "before": float(largest(plan.tau[: int(off.argmax())]).max()) if off.any() else math.nan,
-        "reversals": float(plan.reversals.max()),
-        "rms": float(np.linalg.norm(plan.rms_effort)),
-        "carrier_force": float(np.abs(plan.carrier_force).max(initial=0.0)),
-        "main_energy": plan.main_energy,
-        "carrier_energy": plan.carrier_energy,
-        "energy": plan.main_energy + plan.carrier_energy,
-        "position": float(np.abs(carriers.s).max(initial=0.0)),
-        "speed": float(np.abs(carriers.sd).max(initial=0.0)),
-        "acceleration": float(np.abs(carriers.sdd).max(initial=0.0)),
-        "track": max(limits.track[:, 1], default=math.nan),
-        "speed_limit": max(limits.speed, default=math.nan),
-        "acceleration_limit": max(limits.acceleration, default=math.nan),
-        "broken": broken_limits(plan),
-        "solver": plan.findings.solver,
-    }
+    return float(largest(plan.tau[: int(off.argmax())]).max()) if off.any() else math.nan
+
+
+NUMBERS: Mapping[str, Callable[[Plan], Any]] = {
+    "peak": lambda plan: plan.peak_effort_at_samples.max(),
+    "before": _before,
+    "reversals": lambda plan: plan.reversals.max(),
+    "rms": lambda plan: np.linalg.norm(plan.rms_effort),
+    "carrier_force": lambda plan: np.abs(plan.carrier_force).max(initial=0.0),
+    "main_energy": lambda plan: plan.main_energy,
+    "carrier_energy": lambda plan: plan.carrier_energy,
+    "energy": lambda plan: plan.main_energy + plan.carrier_energy,
+    "position": lambda plan: np.abs(plan.carriers.s).max(initial=0.0),
+    "speed": lambda plan: np.abs(plan.carriers.sd).max(initial=0.0),
+    "acceleration": lambda plan: np.abs(plan.carriers.sdd).max(initial=0.0),
+    "track": lambda plan: max(plan.limits.judged_by.track[:, 1], default=math.nan),
+    "speed_limit": lambda plan: max(plan.limits.judged_by.speed, default=math.nan),
+    "acceleration_limit": lambda plan: max(plan.limits.judged_by.acceleration, default=math.nan),
+}
+"""Numbers of a plan, by name."""
 
 
 def plan_differences(first: Plan, second: Plan) -> dict[str, float]:

@@ -6,28 +6,25 @@ and as one HTML file.
 
 from __future__ import annotations
 
-import base64
 import importlib.metadata
 import json
 import os
 import platform
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import count, pairwise
+from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import numpy as np
-from markdown_it import MarkdownIt
-from markdown_it.common.utils import escapeHtml
 
 import redundancy_pin
 from redundancy_pin import crosscheck
 from redundancy_pin.crosscheck import CrossCheckReport
 from redundancy_pin.dynamics.default import as_dynamics
-from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError, OutputError
+from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
 from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
 from redundancy_pin.io.json_data import json_data
 from redundancy_pin.parallel import parallel
@@ -36,9 +33,10 @@ from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.simulation.replay import Replay, replay
 from redundancy_pin.thesis import beyond, cases, future, planned
 from redundancy_pin.thesis.case import Call, Plans, plan_or_error
-from redundancy_pin.thesis.claims import environment
+from redundancy_pin.thesis.claims import cost_pairs
 from redundancy_pin.thesis.figures import IN_FRONT, Results, pictures
-from redundancy_pin.thesis.measures import CSV_DIGITS, MotionRun, run
+from redundancy_pin.thesis.measures import CSV_DIGITS, run
+from redundancy_pin.thesis.page import html
 from redundancy_pin.thesis.statements import compare_motions
 from redundancy_pin.thesis.table import Record, Table, grouped, mode_text, span, table
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
@@ -48,8 +46,6 @@ CROSS_CHECK_SEED = 0
 
 _CROSS_CHECK_STEPS = 10
 """Steps of the progress bar that the cross-check counts for: about its share of the time."""
-
-PICTURE_SUFFIXES = (".png", ".svg")
 
 _CLOCK = ("seconds", "solver_seconds")
 """Diagnostics that differ from run to run; without them the same run writes the same bytes."""
@@ -65,9 +61,6 @@ _REPLAY_COLUMNS = (
 
 Progress = Callable[[int, int, str], None]
 """Called with steps done, steps in all, and what is being done."""
-
-Notify = Callable[[str], None]
-"""Called with the name of each step that is done."""
 
 NOTES = (
     "Efforts are positive when they do positive work on the joint rate; the thesis has the opposite sign.",
@@ -87,10 +80,7 @@ class Reproduction:
 
 
 def reproduce(
-    folder: str | Path,
-    extent: cases.Extent = cases.FULL,
-    *,
-    progress: Progress | None = None,
+    folder: str | Path, extent: cases.Extent = cases.FULL, *, progress: Progress | None = None
 ) -> Reproduction:
     """Cross-check the backends, run experiments, and write the results.
 
@@ -132,21 +122,20 @@ def require_agreement(
 ) -> CrossCheckReport:
     """Run the cross-check with the seed of the job; CrossCheckError, with the failed rows, where a check fails."""
     check = crosscheck.run(robots, samples, CROSS_CHECK_SEED, progress, jobs if jobs > 0 else os.cpu_count() or 1)
-    if not check.passed:
-        failed = [row for row in check.rows if row.verdict == "FAILED"]
-        what = f"finds nothing to judge {', '.join(check.unjudged)} by"
-        if failed:
-            first = failed[0]
-            what = (
-                f"fails {len(failed)} of {len(check.rows)} checks; the first is {first.check!r} on {first.robot}: "
-                f"worst {first.worst:.3g}, allowed {first.tolerance:.3g}"
-            )
-        raise CrossCheckError(
-            f"The cross-check {what}. Nothing was written.",
-            remedy="Run `redundancy-pin validate` for the whole table.",
-            failed=tuple(failed),
+    if check.passed:
+        return check
+    what = f"finds nothing to judge {', '.join(check.unjudged)} by"
+    if failed := [row for row in check.rows if row.verdict == "FAILED"]:
+        first = failed[0]
+        what = (
+            f"fails {len(failed)} of {len(check.rows)} checks; the first is {first.check!r} on {first.robot}: "
+            f"worst {first.worst:.3g}, allowed {first.tolerance:.3g}"
         )
-    return check
+    message, remedy = (
+        f"The cross-check {what}. Nothing was written.",
+        "Run `redundancy-pin validate` for the whole table.",
+    )
+    raise CrossCheckError(message, remedy=remedy, failed=tuple(failed))
 
 
 def calls(extent: cases.Extent) -> list[Call]:
@@ -158,20 +147,16 @@ def calls(extent: cases.Extent) -> list[Call]:
     return [call for name, needed in chapters.items() if name in ("motions", *extent.chapters) for call in needed]
 
 
-def compute(extent: cases.Extent, check: CrossCheckReport, todo: Sequence[Call], notify: Notify) -> Results:
+def compute(
+    extent: cases.Extent, check: CrossCheckReport, todo: Sequence[Call], notify: Callable[[str], None]
+) -> Results:
     """Make all calls, and the records of the chapters from their results."""
     plans = Plans()
     plans.prepare(todo, extent.jobs, notify)
     runs = tuple(plans.result("", run, case) for case in extent.motions)
+    makers = {"planned": planned.run_planned, "beyond": beyond.run_beyond, "future": future.run_future}
+    chapters: dict[str, Any] = {name: make(plans, extent) for name, make in makers.items() if name in extent.chapters}
     replays: list[Replay] = []
-    chapters: dict[str, dict[str, Any]] = {}
-    for name, chapter in (
-        ("planned", planned.run_planned),
-        ("beyond", beyond.run_beyond),
-        ("future", future.run_future),
-    ):
-        if name in extent.chapters:
-            chapters[name] = chapter(plans, extent)
     if "replay" in extent.chapters:
         outcomes = {one.name: plans.result("", run_replays, one, extent.coarser) for one in extent.replayed}
         missing = {name: outcome for name, outcome in outcomes.items() if isinstance(outcome, str)}
@@ -182,7 +167,7 @@ def compute(extent: cases.Extent, check: CrossCheckReport, todo: Sequence[Call],
 
 
 def run_replays(replayed: cases.Replayed, coarser: float) -> list[Replay] | str:
-    """Replay a plan with each of its drives; return the reason if there is no plan."""
+    """Replay a plan with each of its drives; return the reason why no plan exists."""
     case, motion = replayed.case(coarser), replayed.task.trajectory()
     outcome = plan_or_error(case, case.backends[0])
     if isinstance(outcome, InfeasiblePlanError):
@@ -195,12 +180,12 @@ def summary(results: Results, files: Sequence[str]) -> dict[str, Any]:
 
     ``files`` are all of the results folder: a later run replaces the folder only if there are no others.
     """
+    about = {"format": "redundancy_pin results", "format_version": 1, "extent": results.extent.name,
+             "versions": made_with()}  # fmt: skip
     experiments = {one.case.name: one.record() for one in results.runs}
-    about = {"format": "redundancy_pin results", "format_version": 1, "versions": made_with()}
+    shown = {"cross_check": results.check.as_dict(), "experiments": experiments, "thesis": results.compared}
     chapters = {name: results.chapters.get(name) for name in cases.CHAPTERS}
-    checked, compared = results.check.as_dict(), results.compared
-    shown = {"cross_check": checked, "experiments": experiments, "thesis": compared, **chapters}
-    return dict(json_data({**about, **shown, "notes": NOTES, "files": sorted(files)}))
+    return dict(json_data({**about, **shown, **chapters, "notes": NOTES, "files": sorted(files)}))
 
 
 def made_with() -> dict[str, str]:
@@ -214,12 +199,14 @@ def made_with() -> dict[str, str]:
 # --- files ---------------------------------------------------------------------------------------------------------
 
 
-def write(folder: Path, results: Results, notify: Notify) -> None:
+def write(folder: Path, results: Results, notify: Callable[[str], None]) -> None:
     """Write everything but the summary: data, plans, figures, and the report, which embeds the figures."""
-    writing: list[tuple[Any, ...]] = [(write_motion, folder, motion) for motion in results.runs]
+    writing: list[tuple[Any, ...]] = [(write_text, folder / f"{run.case.name}.csv", run.csv()) for run in results.runs]
     if "beyond" in results.chapters:
-        records = results.chapters["beyond"]["plans"]
-        writing += [(write_plan, folder / record["file"], plan) for record, plan in saved_plans(results)]
+        records, tasks = results.chapters["beyond"]["plans"], {task.name: task for task in cases.TASKS}
+        for record in (one for one in records if one["file"]):
+            case = cases.by_method(tasks[record["task"]], record["way"], results.extent.coarser)
+            writing.append((write_plan, folder / record["file"], results.plans.plan(case)))
         write_text(folder / "beyond.csv", _records_csv(_BEYOND_COLUMNS, records))
         write_text(folder / "headline.md", beyond.headline(records).markdown() + "\n")
     if "replay" in results.chapters:
@@ -229,8 +216,7 @@ def write(folder: Path, results: Results, notify: Notify) -> None:
         write_text(folder / "replay.csv", _records_csv(_REPLAY_COLUMNS, rows, digits=4))
     for picture in [picture for chapter in pictures(results).values() for picture in chapter]:
         # drawing takes little time beside the layout and the files
-        paths = [folder / f"{picture.stem}{suffix}" for suffix in PICTURE_SUFFIXES]
-        writing.append((save, picture.draw(results), *paths))
+        writing.append((save, picture.draw(), *(folder / f"{picture.stem}{suffix}" for suffix in (".png", ".svg"))))
     for _ in parallel(_done, writing, results.extent.jobs):
         notify("files")
     page = report(results)
@@ -244,20 +230,6 @@ def _done(function: Callable[..., None], *arguments: Any) -> None:
 
 def _records_csv(names: Sequence[str], records: Sequence[Record], digits: int | None = None) -> str:
     return csv_rows({name: ("", np.array([record[name] for record in records])) for name in names}, digits=digits)
-
-
-def write_motion(folder: Path, motion: MotionRun) -> None:
-    """Write the curves of a motion without a planner as CSV."""
-    write_text(folder / f"{motion.case.name}.csv", motion.csv())
-
-
-def saved_plans(results: Results) -> Iterator[tuple[Record, Plan]]:
-    """Give the records of the chapter beyond the thesis that have a file, with their plans."""
-    tasks = {task.name: task for task in cases.TASKS}
-    for record in results.chapters["beyond"]["plans"]:
-        if record["exists"] and record["file"]:
-            case = cases.by_method(tasks[record["task"]], record["way"], results.extent.coarser)
-            yield record, results.plans.plan(case)
 
 
 def write_plan(stem: Path, plan: Plan) -> None:
@@ -274,19 +246,28 @@ def write_plan(stem: Path, plan: Plan) -> None:
     write_text(f"{stem}.csv", csv_rows(columns, digits=CSV_DIGITS))
 
 
+# --- the report ----------------------------------------------------------------------------------------------------
+
+
 def report(results: Results) -> str:
     """Return the report as Markdown; pictures and files are links into the folder."""
-    template = environment(jinja2.PackageLoader("redundancy_pin.thesis", "")).get_template("report.md.j2")
-    shown = {"tables": tables(results), "pictures": pictures(results), "versions": made_with(), "notes": NOTES}
-    chapters = {name: results.chapters.get(name) for name in cases.CHAPTERS}
-    found = {one["name"]: one["numbers"] for one in results.chapters.get("beyond", {}).get("findings", ())}
-    return template.render(results=results, mode_text=mode_text, in_front=IN_FRONT, found=found, **shown, **chapters)
-
-
-# --- tables --------------------------------------------------------------------------------------------------------
-
-RANGED = ("peak", "rms", "carrier_force", "main_energy", "energy")
-"""Columns that the comparison of machines shows as ranges over the working modes."""
+    loader, chapters = jinja2.PackageLoader("redundancy_pin.thesis", ""), results.chapters
+    settings: Any = dict.fromkeys(("trim_blocks", "lstrip_blocks", "keep_trailing_newline"), True)
+    made = jinja2.Environment(loader=loader, undefined=jinja2.StrictUndefined, **settings)
+    made.filters["factors"] = partial(span, form=".2g")
+    findings = chapters.get("beyond", {}).get("findings", ())
+    return made.get_template("report.md.j2").render(
+        results=results,
+        tables=tables(results),
+        pictures=pictures(results),
+        versions=made_with(),
+        notes=NOTES,
+        mode_text=mode_text,
+        in_front=IN_FRONT,
+        found={one["name"]: one for one in findings},
+        cost=[one["energy"] / none["energy"] for one, none in cost_pairs(chapters["beyond"])] if findings else (),
+        **{name: chapters.get(name) for name in cases.CHAPTERS},
+    )
 
 
 def tables(results: Results) -> dict[str, Table]:
@@ -308,8 +289,9 @@ def tables(results: Results) -> dict[str, Table]:
 
 def _planned(chapter: Mapping[str, Any], extent: cases.Extent) -> dict[str, Table]:
     machines, modes = chapter["fair_comparison"], [mode_text(mode) for mode in extent.modes]
+    ranged = ("peak", "rms", "carrier_force", "main_energy", "energy")
     moded = grouped([record for record in machines if record["mode"]], "motion", "what")
-    over_modes = [same[0] | {key: span([one[key] for one in same]) for key in RANGED} for same in moded.values()]
+    over_modes = [same[0] | {key: span([one[key] for one in same]) for key in ranged} for same in moded.values()]
     sensitive = [
         {**same[0], "ranges": "; ".join(f"{one['parameter']}: {span((one['low'], one['high']))}" for one in same)}
         for same in grouped(chapter["sensitivity"], "case", "quantity").values()
@@ -329,10 +311,12 @@ def _planned(chapter: Mapping[str, Any], extent: cases.Extent) -> dict[str, Tabl
 
 
 def _beyond(chapter: Mapping[str, Any]) -> dict[str, Table]:
+    def worst(row: Record) -> str:
+        shown = f"{row['worst']:.2f}" if row["exists"] else ""
+        return shown if row["sound"] else f"{shown} ({row['status']})".strip()
+
     plans, modes = chapter["plans"], chapter["working_modes"]
-    peaks = {
-        name: (lambda record, name=name: _worst(record["rows"][name])) for name in (modes[0]["rows"] if modes else ())
-    }
+    peaks = {name: (lambda record, name=name: worst(record["rows"][name])) for name in beyond.MODE_METHODS if modes}
     ratio = {"least peak over no carriers": lambda record: f"{record['ratio']:.2f}"}
     shown = {name: table(name, chapter[name]) for name in ("targets", "fastest", "backends", "first_guesses")}
     for name, tasks in (("singular", cases.SINGULAR), ("turns", cases.TURNS)):
@@ -345,62 +329,3 @@ def _beyond(chapter: Mapping[str, Any]) -> dict[str, Table]:
         "beyond_modes": table("beyond_modes", modes, more={**peaks, **ratio}),
         "trade_off": table("trade_off", [{**one, **point} for one in chapter["trade_off"] for point in one["points"]]),
     }
-
-
-def _worst(row: Record) -> str:
-    shown = f"{row['worst']:.2f}" if row["exists"] else ""
-    return shown if row["sound"] else f"{shown} ({row['status']})".strip()
-
-
-# --- one HTML file: no network, no file beside it, no script --------------------------------------------------------
-
-VERDICTS = {
-    **dict.fromkeys(("reproduced", "met", "stands"), "good"),
-    **dict.fromkeys(("reproduced:", "stands with conditions"), "partly"),
-    **dict.fromkeys(("differs:", "missed", "does not stand"), "bad"),
-}
-"""Class of a cell by its text; a colon is followed by a condition or a reason."""
-
-
-def html(markdown: str, folder: Path) -> str:
-    """Return a report as one HTML page: its pictures, of the folder, embedded, links to other files as text."""
-    renderer = MarkdownIt("commonmark", {"html": False}).enable("table")
-    # rules of a renderer get the tokens, the index of theirs, options and an environment
-    rules: dict[str, Callable[..., str]] = {
-        "image": lambda tokens, index, *_: _image(folder / str(tokens[index].attrs["src"]), tokens[index].content),
-        "text": lambda tokens, index, *_: _words(tokens[index].content),
-        "link_open": lambda *_: "",
-        "link_close": lambda *_: "",
-        "table_open": lambda *_: '<div class="scroll"><table>\n',
-        "table_close": lambda *_: "</table></div>\n",
-    }
-    renderer.renderer.rules.update(rules)  # type: ignore[attr-defined]
-    tokens = renderer.parse(markdown)
-    headings: list[tuple[str, str]] = []
-    title = "Report"
-    for index, (token, inner) in enumerate(pairwise(tokens)):
-        if token.type == "td_open":
-            verdict, colon, _ = inner.content.partition(":")
-            kind = VERDICTS.get(verdict + colon)
-            token.attrs = {"class": kind} if kind else {}
-        elif token.tag == "h1":
-            title = inner.content or title
-        elif token.type == "heading_open" and token.tag == "h2":
-            headings.append((f"s{index}", inner.content))
-            token.attrSet("id", f"s{index}")
-    body = renderer.renderer.render(tokens, renderer.options, {})
-    page = jinja2.Environment(loader=jinja2.PackageLoader("redundancy_pin.thesis", ""), autoescape=True)
-    return page.get_template("page.html.j2").render(title=title, headings=headings, body=body)
-
-
-def _words(content: str) -> str:
-    """Return text with working modes that no line break splits."""
-    return re.sub("([+\u2212]{2,})", r'<span class="mode">\1</span>', escapeHtml(content))
-
-
-def _image(path: Path, title: str) -> str:
-    try:
-        content = base64.b64encode(path.read_bytes()).decode("ascii")
-    except OSError as error:
-        raise OutputError(f"Cannot read {path}: {error.strerror or error}.", path=str(path)) from error
-    return f'<img src="data:image/png;base64,{content}" alt="{escapeHtml(title)}" loading="lazy">'

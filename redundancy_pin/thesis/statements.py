@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -25,6 +25,9 @@ _RAMP_DOWN = 0.03
 
 _LATE = 0.01
 """Largest delay with which the thesis notices an instant, s: its times have two decimals, its step may be 10 ms."""
+
+Grid = Mapping[str, Sequence[Any]]
+"""Values of unstated parameters, by parameter; all combinations of them."""
 
 
 @functools.cache
@@ -55,14 +58,25 @@ def thesis() -> Mapping[str, Any]:
     return {**stated, "motions": motions, "planned": [*planned, *stated["planned"]], "rows": rows | stated["rows"]}
 
 
+def compare_motions(runs: Sequence[MotionRun]) -> list[Record]:
+    """Return every statement about the motions that were run, with our numbers; no verdict."""
+    by_name = {run.case.name: run for run in runs}
+    return [
+        {"source": entry["source"], "experiment": entry["case"], "quantity": entry["quantity"], "unit": entry["unit"],
+         "stated": entry["stated"], "computed": read(by_name[entry["case"]], *entry["measure"]),
+         "note": entry.get("note", "")}
+        for entry in thesis()["motions"]
+        if entry["case"] in by_name
+    ]  # fmt: skip
+
+
 # --- the rule ------------------------------------------------------------------------------------------------------
 
 
 def interval(printed: str) -> tuple[float, float]:
     """Return what printed digits can stand for: ± half a unit of the last one; with a ``~``, a factor of √10."""
     if printed.startswith("~"):
-        value = float(printed[1:])
-        return value / math.sqrt(10.0), value * math.sqrt(10.0)
+        return _value(printed) / math.sqrt(10.0), _value(printed) * math.sqrt(10.0)
     half = 0.5 * 10.0 ** -len(printed.partition(".")[2])
     return float(printed) - half, float(printed) + half
 
@@ -88,6 +102,10 @@ def given_by(printed: Sequence[str], values: Numbers, late: float = 0.0) -> bool
     return max(excesses) <= ROUNDING
 
 
+def _value(printed: str) -> float:
+    return float(printed.removeprefix("~"))
+
+
 # --- what is unstated ----------------------------------------------------------------------------------------------
 
 _RAMP_TIME = {"circle": 0.2, "line": 1.0, "corner": 0.4, "square": 0.2}
@@ -97,93 +115,55 @@ _CORNER_SPEED = 0.2
 """Cruising speed v of the 3-RRR, m/s; the 2-RPR's cases have their own."""
 
 _PARAMETERS = {
-    "ramp_length": ("ramp length p", "v T"),
-    "return_time": ("return time", "s"),
-    "dt": ("step δt", "ms"),
-    "ramp_down": ("sample at which the ramp starts", "s before the threshold"),
-    "threshold": ("threshold", ""),
+    "ramp_length": ("ramp length p", "{:g} v T"),
+    "return_time": ("return time", "{:g} s"),
+    "dt": ("step δt", "{:g} ms"),
+    "ramp_down": ("sample at which the ramp starts", "{:g} s before the threshold"),
+    "threshold": ("threshold", "{:g}"),
     "working_mode": ("working mode", ""),
-    "alpha": ("orientation α", "rad"),
+    "alpha": ("orientation α", "{:g} rad"),
 }
-"""What the parameters of a grid are called, and their units."""
+"""What the parameters of a grid are called, and how a value is shown."""
 
 
-def vary(case: Case, parameter: str, value: Any) -> Case:
+def vary(case: Case, name: str, value: Any) -> Case:
     """Return a case with another value of one unstated parameter, all others as they are."""
-    match parameter:
-        case "ramp_length":
-            return case.with_path(ramp_length=value * case.option("speed", _CORNER_SPEED) * _RAMP_TIME[case.path])
-        case "alpha":
-            return case.with_path(alpha=value)
-        case "working_mode":
-            return replace(case, working_mode=value)
-        case "dt":
-            return replace(case, dt=value)
-    return case.with_options(**{parameter: value})
+    if name in ("dt", "working_mode"):
+        return replace(case, **{name: value})
+    if name == "ramp_length":
+        value = value * case.option("speed", _CORNER_SPEED) * _RAMP_TIME[case.path]
+    return (case.with_path if name in ("ramp_length", "alpha") else case.with_options)(**{name: value})
 
 
-@dataclass(frozen=True)
-class ParameterGrid:
-    """Values of unstated parameters, by parameter; all combinations of them."""
-
-    values: Mapping[str, Sequence[Any]]
-
-    @property
-    def parameter(self) -> str:
-        """Names of the parameters."""
-        return " and ".join(_PARAMETERS[name][0] for name in self.values)
-
-    @property
-    def shown(self) -> str:
-        """The values, as text."""
-        modes = self.values.get("working_mode")
-        return f"{len(modes)} modes" if modes else "; ".join(_quantity(*pair) for pair in self.values.items())
-
-    def cases(self, case: Case) -> list[tuple[Case, str]]:
-        """Return the variations of a case, each with a label of the change."""
-        variations = []
-        for combination in product(*self.values.values()):
-            changed, labels = case, []
-            for name, value in zip(self.values, combination, strict=True):
-                before, changed = changed, vary(changed, name, value)
-                shown = f"mode {mode_text(value)}" if name == "working_mode" else _named(name, value)
-                labels += [shown] if changed != before else []
-            variations.append((changed, ", ".join(labels)))
-        return variations
+def variations(case: Case, values: Grid) -> list[tuple[Case, str]]:
+    """Return a case with each combination of values, each with a label of the change."""
+    varied = []
+    for combination in product(*values.values()):
+        changed, labels = case, []
+        for name, value in zip(values, combination, strict=True):
+            before, changed = changed, vary(changed, name, value)
+            labels += [_label(name, value)] if changed != before else []
+        varied.append((changed, ", ".join(labels)))
+    return varied
 
 
-def _named(name: str, value: float) -> str:
-    return f"{_PARAMETERS[name][0]} = {_quantity(name, [value])}"
+def _label(name: str, value: Any) -> str:
+    if name == "working_mode":
+        return f"mode {mode_text(value)}"
+    called, form = _PARAMETERS[name]
+    return f"{called} = {form.format(1e3 * value if name == 'dt' else value)}"
 
 
-def _quantity(name: str, values: Sequence[float]) -> str:
-    """Return values of a parameter with its unit."""
-    unit = _PARAMETERS[name][1]
-    return (", ".join(f"{1e3 * value if unit == 'ms' else value:g}" for value in values) + f" {unit}").rstrip()
+def _named(values: Grid) -> str:
+    return " and ".join(_PARAMETERS[name][0] for name in values)
 
 
-def grid(name: str, extent: Extent) -> ParameterGrid:
+def grid(name: str, extent: Extent) -> Grid:
     """Return a grid of the data file; only the ends of its values unless whole grids are run."""
-    values = {
+    return {
         parameter: list(extent.modes) if entry == "all" else entry if extent.whole_grids else [entry[0], entry[-1]]
         for parameter, entry in thesis()["grids"][name].items()
     }
-    return ParameterGrid(values)
-
-
-# --- verdicts ------------------------------------------------------------------------------------------------------
-
-
-def compare_motions(runs: Sequence[MotionRun]) -> list[Record]:
-    """Return every statement about the motions that were run, with our numbers; no verdict."""
-    by_name = {run.case.name: run for run in runs}
-    return [
-        {"source": entry["source"], "experiment": entry["case"], "quantity": entry["quantity"], "unit": entry["unit"],
-         "stated": entry["stated"], "computed": read(by_name[entry["case"]], *entry["measure"]),
-         "note": entry.get("note", "")}
-        for entry in thesis()["motions"]
-        if entry["case"] in by_name
-    ]  # fmt: skip
 
 
 def needed(extent: Extent) -> list[Case]:
@@ -191,38 +171,35 @@ def needed(extent: Extent) -> list[Case]:
     judged = [(BY_NAME[entry["case"]], entry["grids"]) for entry in thesis()["planned"]]
     ranged = [(case, thesis()["sensitivity"][case.path]["grids"]) for case in _ranged(extent)]
     grids = [(case, grid(name, extent)) for case, names in (*judged, *ranged) for name in names]
-    return [varied for case, over in grids for varied, _ in over.cases(case)]
+    return [varied for case, over in grids for varied, _ in variations(case, over)]
 
 
 def _ranged(extent: Extent) -> tuple[Case, ...]:
     return (*(CROSSINGS[:4] if extent.whole_grids else CROSSINGS[:1]), *CORNERS)
 
 
+# --- verdicts ------------------------------------------------------------------------------------------------------
+
+
 def judge_all(plans: Plans, extent: Extent) -> list[Record]:
     """Judge every number, and every joint statement, about the planned cases."""
-    tests = {"growth_with_threshold": growth_with_threshold, "same_before_the_corner": same_before_the_corner}
-    jointly = [
-        {"deviation": "", "covered": "", **entry, **tests[entry["test"]](plans)} for entry in thesis()["jointly"]
-    ]
-    return [*(_judged(entry, plans, extent) for entry in thesis()["planned"]), *jointly]
+    numbers = [_judged(entry, plans, extent) for entry in thesis()["planned"]]
+    return [*numbers, growth_with_threshold(plans), same_before_the_corner(plans)]
 
 
 def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
     case, late = BY_NAME[entry["case"]], entry.get("late", 0.0)
     printed, unit = [str(digits) for digits in entry["stated"]], entry["unit"]
     grids = [grid(name, extent) for name in entry["grids"]]
-    outcomes = [(plans.outcome(varied), label) for over in grids for varied, label in over.cases(case)]
+    outcomes = [(plans.outcome(varied), label) for over in grids for varied, label in variations(case, over)]
     plan = plans.plan(case)
-    variations = [
-        (read(one, *entry["measure"]), label) for one, label in [(plan, ""), *outcomes] if isinstance(one, Plan)
-    ]
-    ours = variations[0][0]
+    found = [(read(one, *entry["measure"]), label) for one, label in [(plan, ""), *outcomes] if isinstance(one, Plan)]
+    ours = found[0][0]
     as_run = given_by(printed, ours, late)
     # the nearest run: one that gives the numbers before one that does not
-    fails, _, nearest = min(
-        (not given_by(printed, varied, late), _miss(printed, varied), label) for varied, label in variations
-    )
-    ranges = [limits_of(column) for column in zip(*(values for values, _ in variations), strict=True)]
+    ranked = [(not given_by(printed, values, late), _miss(printed, values), label) for values, label in found]
+    fails, _, nearest = min(ranked)
+    ranges = [limits_of(column) for column in zip(*(values for values, _ in found), strict=True)]
     beyond = max(excess(digits, low, high + late) for digits, (low, high) in zip(printed, ranges, strict=True))
     if not fails:
         reason = "" if as_run else f"with {nearest}"
@@ -231,20 +208,21 @@ def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
     else:
         reason = f"{beyond:.2g} {unit} beyond the range" if math.isfinite(beyond) else "never happens here"
         reason += "; " + entry["why"].format(*read(plan, *entry["of"])) if "why" in entry else ""
-    over = [varied.parameter for varied in grids] + ([f"step up to {late:g} s"] if late else [])
+    over = [*map(_named, grids), *([f"step up to {late:g} s"] if late else [])]
     deviations = [text(value - _value(digits), "+.2g") for value, digits in zip(ours, printed, strict=True)]
     covered = ", ".join(span((low, high + late)) for low, high in ranges) + f" over {', '.join(over)}"
-    return {"row": entry["row"], "source": entry["source"], "condition": thesis()["rows"][entry["row"]],
-            "quantity": f"{entry['quantity']} [{unit}]", "stated": ", ".join(printed), "ours": text(ours),
-            "deviation": ", ".join(deviations), "covered": covered, **_verdict(not fails, reason, as_run)}  # fmt: skip
+    return verdict(entry["row"], entry["source"], f"{entry['quantity']} [{unit}]", ", ".join(printed), text(ours),
+                   not fails, reason, as_run, deviation=", ".join(deviations), covered=covered)  # fmt: skip
 
 
-def _verdict(reproduced: bool, reason: str, as_run: bool) -> Record:
-    return {"verdict": "reproduced" if reproduced else "differs", "reason": reason, "as_run": as_run}
-
-
-def _value(printed: str) -> float:
-    return float(printed.removeprefix("~"))
+def verdict(
+    row: str, source: str, quantity: str, stated: str, ours: str, holds: bool, reason: str, as_run: bool,
+    *, condition: str = "", deviation: str = "", covered: str = "",
+) -> Record:  # fmt: skip
+    """Return the verdict on a statement; ``as_run``: whether our own run reproduces it, without a variation."""
+    return {"row": row, "source": source, "condition": condition or thesis()["rows"][row], "quantity": quantity,
+            "stated": stated, "ours": ours, "deviation": deviation, "covered": covered,
+            "verdict": "reproduced" if holds else "differs", "reason": reason, "as_run": as_run}  # fmt: skip
 
 
 def _miss(printed: Sequence[str], values: Numbers) -> float:
@@ -256,7 +234,9 @@ def growth_with_threshold(plans: Plans) -> Record:
     """Judge whether the forces on the line grow with threshold and speed."""
     slow, fast, high = (read(plans.plan(case), "entry_forces") for case in CROSSINGS[4:])
     holds, ours = max(slow) < max(fast) < max(high), "; ".join(text(pair, ".2g") for pair in (slow, fast, high))
-    return {"ours": f"{ours} N", **_verdict(holds, "forces as they begin to fall", holds)}
+    return verdict("3.21-3.22", "figs 3.19, 3.21, 3.22", "forces grow with speed and threshold", "in words",
+                   f"{ours} N", holds, "forces as they begin to fall", holds,
+                   condition="line, CN 4 at 0.1 m/s, CN 4 and 15 at 0.2 m/s")  # fmt: skip
 
 
 def same_before_the_corner(plans: Plans) -> Record:
@@ -267,29 +247,22 @@ def same_before_the_corner(plans: Plans) -> Record:
     apart = float(np.abs(wide.carriers.s[first] - sharp.carriers.s[second]).max())
     met = [read(plan, "first_bound", "speed", 2)[0] for plan in (wide, sharp)]
     reason = f"up to {entered:.2g} s the plans differ by at most {apart:.1g} m: no set-up meets both times"
-    return {"ours": f"{text(met[0])} and {text(met[1])}", **_verdict(not apart < 1e-9, reason, False)}
-
-
-# --- sensitivity ---------------------------------------------------------------------------------------------------
+    return verdict("4.10-4.11", "figs 4.9, 4.11", "carrier 2 first meets its speed limit [s]", "0.65 and 0.4",
+                   f"{text(met[0])} and {text(met[1])}", not apart < 1e-9, reason, False,
+                   condition="both corners, λ 0: the same motion up to the corner")  # fmt: skip
 
 
 def sensitivity(plans: Plans, extent: Extent) -> list[Record]:
     """Vary every unstated parameter, one at a time; NaN where a number exists nowhere on the grid."""
-    return [
-        record
-        for case in _ranged(extent)
-        for name in thesis()["sensitivity"][case.path]["grids"]
-        for record in _ranges(case, grid(name, extent), plans)
-    ]
-
-
-def _ranges(case: Case, over: ParameterGrid, plans: Plans) -> list[Record]:
-    outcomes = [plans.outcome(varied) for varied, _ in over.cases(case)]
-    existing = [outcome for outcome in outcomes if isinstance(outcome, Plan)]
     records = []
-    for quantity, reading in thesis()["sensitivity"][case.path]["quantities"].items():
-        low, high = limits_of([value for plan in existing for value in read(plan, *reading)])
-        records.append({"case": case.name, "quantity": quantity, "parameter": over.parameter, "grid": over.shown,
-                        "ours": max(read(plans.plan(case), *reading)), "low": low, "high": high,
-                        "plans": len(outcomes), "without": len(outcomes) - len(existing)})  # fmt: skip
+    for case in _ranged(extent):
+        stated = thesis()["sensitivity"][case.path]
+        for over in (grid(name, extent) for name in stated["grids"]):
+            outcomes = [plans.outcome(varied) for varied, _ in variations(case, over)]
+            existing = [outcome for outcome in outcomes if isinstance(outcome, Plan)]
+            for quantity, reading in stated["quantities"].items():
+                low, high = limits_of([value for plan in existing for value in read(plan, *reading)])
+                records.append({"case": case.name, "quantity": quantity, "parameter": _named(over), "grid": over,
+                                "ours": max(read(plans.plan(case), *reading)), "low": low, "high": high,
+                                "plans": len(outcomes), "without": len(outcomes) - len(existing)})  # fmt: skip
     return records

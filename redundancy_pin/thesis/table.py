@@ -30,7 +30,7 @@ Cell: TypeAlias = Callable[[Record], Any]
 
 @functools.cache
 def data(name: str) -> Mapping[str, Any]:
-    """Return the content of a data file of this package: "tables", "thesis" or "claims"."""
+    """Return the content of a data file of this package: "tables" or "thesis"."""
     content: Mapping[str, Any] = read_yaml(Path(__file__).with_name(f"{name}.yaml"), InputError).data
     return content
 

@@ -13,7 +13,7 @@ from command_line import call, refused
 from redundancy_pin.cli import reproduce as command
 from redundancy_pin.crosscheck import CheckRow, CrossCheckReport, run
 from redundancy_pin.thesis import reproduce as job
-from redundancy_pin.thesis.cases import BY_NAME, FULL
+from redundancy_pin.thesis.cases import BY_NAME, FULL, QUICK
 from redundancy_pin.thesis.figures import Picture
 
 
@@ -24,7 +24,7 @@ def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(job.crosscheck, "run", lambda *_: CrossCheckReport(rows, 0))
     small = tuple(replace(BY_NAME[name], dt=0.02) for name in ("circle-0.5-parked", "corner-r0.025-baseline"))
     monkeypatch.setattr(command, "FULL", replace(FULL, motions=small, chapters=()))
-    monkeypatch.setattr(command, "QUICK", replace(FULL, motions=small[1:], chapters=()))
+    monkeypatch.setattr(command, "QUICK", replace(QUICK, motions=small[1:], chapters=()))
     monkeypatch.setattr(Picture, "draw", lambda *_: None)
     monkeypatch.setattr(job, "save", lambda _, *paths: [path.write_bytes(b"") for path in paths])
 
@@ -46,7 +46,19 @@ def test_json_is_the_summary(tmp_path: Path) -> None:
 
 def test_quick_runs_the_quick_extent(tmp_path: Path) -> None:
     result = call("reproduce", "--quick", "--jobs", "1", "--out", str(tmp_path / "results"), "--json")
-    assert list(json.loads(result.stdout)["experiments"]) == ["corner-r0.025-baseline"]
+    summary = json.loads(result.stdout)
+    assert list(summary["experiments"]) == ["corner-r0.025-baseline"]
+    assert summary["extent"] == "quick"
+
+
+@pytest.mark.parametrize("quick", [True, False])
+def test_quick_results_are_called_so(quick: bool, tmp_path: Path) -> None:
+    result = call("reproduce", *(["--quick"] if quick else []), "--jobs", "1", "--out", str(tmp_path / "results"))
+    assert ("This is a quick run" in result.stdout) is quick
+    for name in ("report.md", "report.html"):
+        assert ("This is a quick run" in (tmp_path / "results" / name).read_text()) is quick
+    summary = json.loads((tmp_path / "results" / "summary.json").read_text())
+    assert summary["extent"] == ("quick" if quick else "full")
 
 
 def test_a_log_shows_how_far_it_is(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ def motion_run(name: str, dt: float = 0.01) -> MotionRun:
 
 def spare(patched: pytest.MonkeyPatch) -> None:
     """Let the job do nothing that has a test of its own: pictures, which cost most of its time, and the cross-check."""
-    patched.setattr(Picture, "draw", lambda self, results: None)
+    patched.setattr(Picture, "draw", lambda self: None)
     patched.setattr(job, "save", lambda figure, *paths: [path.write_bytes(b"\x89PNG") for path in paths])
     patched.setattr(job.crosscheck, "run", lambda *_: PASSED)
     patched.setattr(job, "run", run_once)

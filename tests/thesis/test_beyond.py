@@ -40,7 +40,7 @@ from redundancy_pin.thesis.cases import (
     TURNS,
     by_method,
 )
-from redundancy_pin.thesis.claims import CALM, NOT_JUDGED, findings
+from redundancy_pin.thesis.claims import CALM, FINDINGS, NOT_JUDGED, verdicts
 from redundancy_pin.thesis.table import Record
 
 chapter = functools.partial(quick_results.chapter, "beyond")
@@ -273,7 +273,7 @@ def made(change: Any = lambda r: r, **parts: Any) -> dict[str, dict[str, Any]]:
         "first_guesses": [{"case": "c", "costs": [1.0], "parked_is_best": True, "optima": 1, "excess": 0.0}],
         **parts,
     }
-    return {entry["name"]: entry for entry in findings(given)}
+    return {entry["name"]: entry for entry in verdicts(FINDINGS, given)}
 
 
 SLOW = {"task": "circle-0.5", "title": "circle", "unit": "N", "effort_limit": math.inf,
@@ -310,9 +310,10 @@ def test_findings_follow_the_plans(name: str, change: Any, stands: str) -> None:
 
 def test_findings_follow_the_other_tables() -> None:
     assert made(fastest=[SLOW])["speed"]["stands"] == "does not stand"
+    assert made(fastest=[{**SLOW, "effort_limit": 2.8}])["speed"]["stands"] == NOT_JUDGED  # a capped race is another
     flat = {"case": "c", "worst": 1e-3, "cost": 1e-9, "same": False}
     assert made(backends=[flat])["backends"]["stands"] == "does not stand"
-    assert made(backends=[flat])["backends"]["numbers"]["apart"] == ["c"]
+    assert "costs do not (c)" in made(backends=[flat])["backends"]["here"]
     better = {"case": "c", "costs": [1.1, 1.0], "parked_is_best": False, "optima": 2, "excess": 0.1}
     assert made(first_guesses=[better])["first_guesses"]["stands"] == "does not stand"
     lost = [
@@ -337,14 +338,23 @@ def test_what_was_not_run_is_not_judged() -> None:
 
 def test_numbers_of_findings() -> None:
     entries = made()
-    assert entries["singular"]["numbers"]["without"] == ["heavy-0.5"]
-    assert entries["singular"]["numbers"]["factors"] == pytest.approx([0.01] * 5)
-    assert entries["singular"]["numbers"]["before"] == pytest.approx([0.1] * 5)
-    assert entries["corner_wide"]["numbers"]["stepwise_lower"] == 1
-    assert entries["corner_wide"]["numbers"]["stepwise_lower_free"] == 0
+    singular = entries["singular"]["here"]
+    assert "has no plan for heavy-0.5." in singular
+    assert "plan of least effort has 0.01 times the largest main force" in singular
+    assert "0.1 times the largest until the motors are off" in singular
     assert "0.25 N" in entries["heavy"]["here"]
-    early = made(changed(EFFORT, "circle-0.5", **WORSE))["between"]["numbers"]["early"]
-    assert early == ["circle-0.5 (whole trajectory: effort)"]
+    peaks = ((STEPWISE, 1.0), (PEAK, 1.7), (PEAK_FREE, 0.5))
+    mode = {"radius": 0.025, "ratio": 0.6, "lower": True, "rows": {m: record("c", m, p) for m, p in peaks}}
+    two = made(working_modes=[mode, mode])["corner_wide"]["here"]
+    assert "lower in 2 of 2 (0.6 times)" in two
+    assert "has a lower one in 2; with the end free as well, in 0." in two
+    # peaks between the nodes count where they are larger than those at the nodes
+    assert "has 0.02 times the largest main force" in made(changed(EFFORT, worst=0.56))["singular"]["here"]
+    none = made(changed(PEAK, "square", status=INFEASIBLE, exists=False, sound=False))["between"]["here"]
+    assert none.endswith("No plan was found for square (whole trajectory: peak).")
+    assert "No plan was found" not in entries["between"]["here"]
+    early = made(changed(EFFORT, "circle-0.5", **WORSE))["between"]["here"]
+    assert "1 plans stopped before an optimum (circle-0.5 (whole trajectory: effort))." in early
 
 
 def test_targets_are_met_by_sound_plans_that_hold_between_nodes() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.thesis.case import Plans, call_of
+from redundancy_pin.thesis.case import Case, Plans, call_of, options
 from redundancy_pin.thesis.cases import (
     CORNERS,
     HEAVY_CROSSING,
@@ -17,6 +17,7 @@ from redundancy_pin.thesis.cases import (
     at_speed,
     motion_name,
     parked,
+    read_case,
     without_carriers,
 )
 
@@ -28,6 +29,22 @@ def test_every_motion_of_the_thesis_is_there_once() -> None:
         "circle-0.5", "circle-0.75", "line-0.1", "line-0.2", "corner-r0.025", "corner-r0.013", "square",
     }  # fmt: skip
     assert max(case.dt for case in MOTIONS) <= 1e-3
+
+
+def test_a_case_is_read_with_the_keys_of_a_problem_file() -> None:
+    entry = {
+        "robot": "five_bar",
+        "set": {"carriers": True},
+        "working_mode": "+-",
+        "trajectory": {"name": "line", "speed": 0.1},
+        "planner": "switch_off",
+        "threshold": 5.0,
+        "dt": 0.01,
+        "title": "descent",
+    }
+    read = Case("a", "five_bar", "line", options(speed=0.1), "switch_off", options(threshold=5.0), (1, -1))
+    assert read_case("a", entry) == replace(read, arguments=options(carriers=True), dt=0.01, title="descent")
+    assert read_case("a", {"robot": "2rpr", "trajectory": {"name": "circle"}}).planner == "parked"
 
 
 def test_at_another_speed_the_ramps_last_as_long() -> None:

@@ -27,7 +27,7 @@ def test_circle_is_singular_where_it_meets_the_base_line(name: str) -> None:
     half = math.sqrt(0.2**2 - 0.185**2)
     instants = quick_results.motion_run(name).instants
     np.testing.assert_allclose(
-        [instant.x for instant in instants], [[0.25 - half, 0.0], [0.25 + half, 0.0]], atol=ROOT_TOLERANCE
+        [instant["x"] for instant in instants], [[0.25 - half, 0.0], [0.25 + half, 0.0]], atol=ROOT_TOLERANCE
     )
 
 
@@ -35,9 +35,9 @@ def test_circle_is_singular_where_it_meets_the_base_line(name: str) -> None:
 def test_line_is_singular_after_the_way_to_the_base_line(name: str, speed: float, ramp: float) -> None:
     """From (0.15, 0.4) to (0.25, −0.7): y = 0 after 4/11 of the way; a ramp of length v T/2 costs T/2."""
     (instant,) = quick_results.motion_run(name).instants
-    assert instant.x[0] == pytest.approx(0.15 + 0.1 * 4.0 / 11.0, abs=ROOT_TOLERANCE)
+    assert instant["x"][0] == pytest.approx(0.15 + 0.1 * 4.0 / 11.0, abs=ROOT_TOLERANCE)
     length = math.hypot(0.1, 1.1) * 4.0 / 11.0
-    assert instant.t == pytest.approx(length / speed + ramp / 2.0, abs=ROOT_TOLERANCE)
+    assert instant["t"] == pytest.approx(length / speed + ramp / 2.0, abs=ROOT_TOLERANCE)
 
 
 def _missing_force(x: float, v: tuple[float, float], a_y: float) -> float:
@@ -58,19 +58,19 @@ def test_missing_force_at_the_singular_instants_of_the_circle() -> None:
     """At constant speed on the circle: v tangential, a = v²/r towards the centre."""
     result = quick_results.motion_run("circle-0.5-parked")
     for instant in result.instants:
-        outward = (np.array(instant.x) - [0.25, 0.185]) / 0.2
+        outward = (np.array(instant["x"]) - [0.25, 0.185]) / 0.2
         v = 0.5 * np.array([-outward[1], outward[0]])
         a = -(0.5**2) / 0.2 * outward
-        expected = _missing_force(instant.x[0], (v[0], v[1]), a[1])
-        assert instant.missing_force == pytest.approx(expected, rel=1e-6)  # the pose is on the line to 1e-13
-        assert instant.unbounded
-        assert instant.t in result.t
-        np.testing.assert_allclose(np.abs(instant.uncontrolled), [0.0, 1.0], atol=1e-9)
+        expected = _missing_force(instant["x"][0], (v[0], v[1]), a[1])
+        assert instant["missing_force"] == pytest.approx(expected, rel=1e-6)  # the pose is on the line to 1e-13
+        assert instant["unbounded"]
+        assert instant["t"] in result.t
+        np.testing.assert_allclose(np.abs(instant["uncontrolled"]), [0.0, 1.0], atol=1e-9)
 
 
 def test_missing_force_scales_with_the_speed_squared() -> None:
     slow, fast = quick_results.motion_run("circle-0.5-parked"), quick_results.motion_run("circle-0.75-parked")
-    ratios = [b.missing_force / a.missing_force for a, b in zip(slow.instants, fast.instants, strict=True)]
+    ratios = [b["missing_force"] / a["missing_force"] for a, b in zip(slow.instants, fast.instants, strict=True)]
     np.testing.assert_allclose(ratios, 1.5**2, rtol=1e-6)
 
 
@@ -80,13 +80,13 @@ def test_efforts_grow_as_missing_force_over_margin() -> None:
     d = result.distribution
     product = np.linalg.norm(d.tau, axis=1) * d.margin
     for instant in result.instants:
-        sample = int(np.searchsorted(result.t, instant.t))
+        sample = int(np.searchsorted(result.t, instant["t"]))
         assert np.isnan(d.tau[sample]).all()
         assert d.status[sample] == SampleStatus.SINGULAR_INCONSISTENT
         beside = [sample - 1, sample + 1]
         # interpolated over 1 ms, an 80th of the time in which the product changes by its own size
-        between = np.interp(instant.t, result.t[beside], product[beside])
-        assert between == pytest.approx(instant.missing_force, rel=1e-3)
+        between = np.interp(instant["t"], result.t[beside], product[beside])
+        assert between == pytest.approx(instant["missing_force"], rel=1e-3)
 
 
 def test_peaks_leave_out_near_singular_samples_and_the_statement_says_unbounded() -> None:
@@ -96,10 +96,10 @@ def test_peaks_leave_out_near_singular_samples_and_the_statement_says_unbounded(
     assert not result.record()["bounded"]
     assert "unbounded at t = 0.5194 s, 0.8312 s" in result.statement
     assert sum(result.distribution.status_counts.values()) == len(result.t)
-    windows = result.near_singular_windows
+    windows = result.record()["near_singular_windows"]
     assert len(windows) == 2
     for (start, end), instant in zip(windows, result.instants, strict=True):
-        assert start < instant.t < end
+        assert start < instant["t"] < end
 
 
 @pytest.mark.parametrize(

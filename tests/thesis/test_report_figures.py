@@ -7,16 +7,23 @@ from typing import Any
 import numpy as np
 import quick_results
 
-from redundancy_pin.thesis.cases import SINGULAR
-from redundancy_pin.thesis.figures import effort_figure, path_figure, side_by_side
+from redundancy_pin.thesis.case import Plans
+from redundancy_pin.thesis.cases import FULL, SINGULAR
+from redundancy_pin.thesis.figures import Results, pictures, side_by_side
+from redundancy_pin.thesis.measures import MotionRun
 
-RESULTS: Any = None
-"""Figures of a run, and of plans that are given, need no other results."""
+
+def draw(kind: str) -> tuple[MotionRun, Any]:
+    """Draw a figure of a motion without a planner."""
+    run = quick_results.motion_run("circle-0.5-parked")
+    results = Results(FULL, quick_results.PASSED, (run,), (), {}, Plans())
+    (picture,) = (picture for picture in pictures(results)["motions"] if picture.stem.endswith(kind))
+    return run, picture.draw()
 
 
 def test_efforts_are_drawn_at_regular_samples() -> None:
-    run = quick_results.motion_run("circle-0.5-parked")
-    axes = effort_figure(RESULTS, run, "title").axes[0]
+    run, figure = draw("efforts")
+    axes = figure.axes[0]
     shown = np.asarray(axes.lines[0].get_ydata())
     regular = run.distribution.status == 0
     np.testing.assert_array_equal(shown[regular], run.distribution.tau[regular, 0])
@@ -25,8 +32,8 @@ def test_efforts_are_drawn_at_regular_samples() -> None:
 
 
 def test_the_path_is_that_of_the_run() -> None:
-    run = quick_results.motion_run("circle-0.5-parked")
-    drawn = path_figure(RESULTS, run, "title").axes[0]
+    run, figure = draw("path")
+    drawn = figure.axes[0]
     paths = [line for line in drawn.lines if len(line.get_xdata()) == len(run.t)]
     # traced by the mechanism, through the kinematics
     np.testing.assert_allclose(paths[0].get_xydata(), run.motion.x, rtol=0.0, atol=1e-14)

@@ -23,7 +23,8 @@ from redundancy_pin.thesis import reproduce as job
 from redundancy_pin.thesis.case import Case
 from redundancy_pin.thesis.cases import CHAPTERS, FULL
 from redundancy_pin.thesis.figures import THESIS, Picture, pictures
-from redundancy_pin.thesis.reproduce import Reproduction, html
+from redundancy_pin.thesis.page import html
+from redundancy_pin.thesis.reproduce import Reproduction
 from redundancy_pin.visualisation.figures import style
 from redundancy_pin.visualisation.figures.style import save
 
@@ -86,8 +87,8 @@ def test_summary_is_strict_json_with_versions(done: Reproduction) -> None:
         raise AssertionError(text)
 
     data = json.loads((done.folder / "summary.json").read_text(), parse_constant=refuse)
-    assert list(data) == ["format", "format_version", "versions", "cross_check", "experiments", "thesis", "planned",
-                          "beyond", "future", "replay", "notes", "files"]  # fmt: skip
+    assert list(data) == ["format", "format_version", "extent", "versions", "cross_check", "experiments", "thesis",
+                          "planned", "beyond", "future", "replay", "notes", "files"]  # fmt: skip
     assert data["format_version"] == 1
     assert {"redundancy_pin", "python", "pin", "numpy"} <= set(data["versions"])
     assert data["cross_check"]["passed"]
@@ -158,7 +159,7 @@ def test_reports_show_every_figure_and_link_to_files_that_exist(chapter: str, do
 
 def one_of_each(drawn: list[Picture]) -> list[Picture]:
     """Pictures by functions of their own; the others differ in their case."""
-    return list({picture.function: picture for picture in drawn}.values())
+    return list({picture.draw.func: picture for picture in drawn}.values())  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("choose", [one_of_each, pytest.param(list, marks=pytest.mark.long)], ids=["some", "all"])
@@ -168,7 +169,7 @@ def test_figures_can_be_drawn(chapter: str, choose: Callable[[list[Picture]], li
     drawn = choose(pictures(results)[chapter])
     assert drawn
     for picture in drawn:
-        figure = picture.draw(results)
+        figure = picture.draw()
         assert all(axes.has_data() or axes.texts for axes in figure.axes), picture.stem
         save(figure, tmp_path / f"{picture.stem}.png")
         assert (tmp_path / f"{picture.stem}.png").read_bytes().startswith(b"\x89PNG")
