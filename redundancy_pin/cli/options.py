@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import LARGEST, decimal, frozen
 from redundancy_pin.cli.errors import print_line
 from redundancy_pin.errors import InputError, did_you_mean, shown
+from redundancy_pin.io.reading import is_file
 
 if TYPE_CHECKING:
     from redundancy_pin.dynamics.base import Dynamics
@@ -501,7 +502,7 @@ class MotionOptions:
     def file(self) -> str | None:
         """The file that the motion is read from; None for a trajectory by name."""
         name = self._parts[0]
-        return name if isinstance(name, str) and (Path(name).suffix or Path(name).is_file()) else None
+        return name if isinstance(name, str) and (Path(name).suffix or is_file(Path(name))) else None
 
     @functools.cached_property
     def is_sampled(self) -> bool:

@@ -370,6 +370,9 @@ def _cut_ends(
     question, suggests = _which_meet(asked, at_zero, tree)
     words = _CUTS if is_driven else _CUTS | _ENDS  # where every joint is driven, other marks are frames
     if asked and (at_zero or (suggests and not is_driven) or any(_has(mark, words) for mark in asked)):
+        frames = [mark for mark in marks if mark not in used and _is_frame(mark)]
+        if len(asked) == 1 and frames:  # its other end is named for another use, as a tool is
+            question, _ = _which_meet([*asked, *frames], at_zero, tree)
         questions.append(question)
         at_zero = []
     pairs |= dict.fromkeys(at_zero, _MEETING)

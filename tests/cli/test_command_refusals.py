@@ -27,6 +27,7 @@ BASES = {
     "LIGHT": "simulate --robot 2rpr --motion timed.csv",
     "TURN": "inverse-dynamics --robot 3rrr --out o.csv --dt 0.01 --motion",
     "ROUND": "circle:radius=0.02,centre=1 0.45",
+    "LONG": "a" * 300,
     "SING": "singularities --robot 2rpr",
     "WALK": "singularities --robot 2rpr --motion",
     "SPACE": "workspace --robot five_bar",
@@ -70,6 +71,7 @@ online --robot 3rrr --set carriers=false --motion corner => 3rrr has no carriers
 online --robot 2rpr => On-line planning needs a motion
 plan stepwise --robot 3rrr => A plan needs a motion
 {LINE} --motion m.csv => m.csv cannot be read
+{LINE} --motion {LONG} => The trajectory is 'aaaa
 {LINE} --motion lien => The trajectory is 'lien'
 {LINE} --motion line:radius=0.1 => The trajectory line has no key 'radius'
 {LINE} --motion line:sped=0.1 => The trajectory line has no key 'sped'

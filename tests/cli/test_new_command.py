@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -270,3 +271,11 @@ def test_a_refused_platform_leaves_the_earlier_file_as_it_was(tmp_path):
     assert (tmp_path / "robot.yaml").read_bytes() == before
     facts = json.loads(call("new", tmp_path / "bar.urdf", *decided, "--json").stdout)
     assert facts["independent"] == list(rp.load_robot(tmp_path).independent_joints)
+
+
+def test_a_tool_is_offered_as_the_other_end_of_the_only_one(tmp_path):
+    named = {"tip_l": "tool", "tip_r": "right_end"}
+    joints = [replace(each, child=named.get(each.child, each.child)) for each in TWO_CRANKS]
+    (tmp_path / "bar.urdf").write_text(urdf_of(joints))
+    asked = call("new", tmp_path / "bar.urdf", "--actuate", "left,right", "--platform", "tool")
+    assert "which of the links right_end, tool close loops: --close right_end,tool (the only two)" in asked.stderr
