@@ -101,7 +101,7 @@ class EventFunctions:
         self,
         chain: ClosedChain,
         stop_at: tuple[str, ...],
-        start: Array | None = None,
+        start: Array,
         push_back: tuple[str, ...] = (),
         at: Sequence[int] = (),
         held: Sequence[int] = (),
@@ -109,19 +109,16 @@ class EventFunctions:
         robot = chain.robot
         self.nq, self.stop_at, self.push_back = robot.model.nq, stop_at, push_back
         labels, stops, slack = _stops(robot)
-        self.stops = stops
-        """(4, l) index in q and in v, side and bound of each stop; they come first among the functions."""
-        indices = stops[:2].astype(np.intp)
-        self._position, self._rate, self._side, self._bound = indices[0], self.nq + indices[1], stops[2], stops[3]
-        self.slack = slack
-        self._limit = stops[3].copy()
-        if start is not None:
-            # a joint that starts at its limit is within it, however it was rounded, and may stay there
-            at_limit = np.abs(self._side * (self._bound - start[self._position])) <= slack
-            self._bound += np.where(at_limit, _HELD * self._side * slack, 0.0)
-            beyond = np.maximum(self._side * (start[self._position] - self._bound) + _NOT_AT * slack, 0.0)
-            self._bound[list(at)] += (self._side * beyond)[list(at)]
-            self._bound[list(held)] = np.inf * self._side[list(held)]
+        self.stops, self.slack, self.held = stops, slack, list(held)
+        self._position, self.columns = stops[:2].astype(np.intp)
+        self.side, self._bound = stops[2:]
+        self._limit = self._bound.copy()
+        # a joint that starts at its limit is within it, however it was rounded, and may stay there
+        at_limit = np.abs(self.side * (self._bound - start[self._position])) <= slack
+        self._bound += np.where(at_limit, _HELD * self.side * slack, 0.0)
+        beyond = np.maximum(self.side * (start[self._position] - self._bound) + _NOT_AT * slack, 0.0)
+        self._bound[list(at)] += (self.side * beyond)[list(at)]
+        self._bound[self.held] = np.inf * self.side[self.held]
         legs = 0 if robot.working_modes is None else len(robot.working_modes.joints)
         self._by_legs = legs > 0
         self._square = robot.m == robot.n
@@ -150,7 +147,7 @@ class EventFunctions:
             rows[i] = K[:r]
             if self._square:
                 by_actuators[i, :r], by_actuators[i, r:] = rows[i], self._actuated
-        parts = [self._side * (self._bound - q.take(self._position, 1))]
+        parts = [self.side * (self._bound - q.take(self._position, 1))]
         type_i = mode_indicator(chain.robot, q) if self._by_legs else np.linalg.det(by_platform)[:, None]
         parts.append(type_i)
         if self._square:
@@ -184,7 +181,7 @@ class EventFunctions:
 
     def touching(self, q: Array) -> BoolArray:
         """Return (l,) which stops joints are at, or beyond, at a configuration (nq,)."""
-        result: BoolArray = self._side * (self._limit - q.take(self._position)) <= self.slack
+        result: BoolArray = self.side * (self._limit - q.take(self._position)) <= self.slack
         return result
 
     def sign_changes(self, before: Array, after: Array) -> BoolArray:
@@ -198,7 +195,7 @@ class EventFunctions:
 
     def approach(self, y: Array) -> Array:
         """Return (N, l) the rates at which joints move away from their stops, for states y (N, nq + nv)."""
-        rates: Array = -self._side * y.take(self._rate, 1)
+        rates: Array = -self.side * y.take(self.nq + self.columns, 1)
         return rates
 
     def turns(self, y: Array, length: Array) -> BoolArray:
@@ -206,7 +203,7 @@ class EventFunctions:
 
         y (N + 1, nq + nv) are the states at the ends of the parts, length (N,) their durations, s.
         """
-        away, rate = self._side * (self._bound - y.take(self._position, 1)), self.approach(y)
+        away, rate = self.side * (self._bound - y.take(self._position, 1)), self.approach(y)
         reach = length[:, None] * np.maximum(np.abs(rate[:-1]), np.abs(rate[1:]))
         turning: BoolArray = (rate[:-1] < 0.0) & (rate[1:] > 0.0) & (np.minimum(away[:-1], away[1:]) < reach)
         return turning

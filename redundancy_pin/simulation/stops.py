@@ -24,11 +24,9 @@ from scipy.optimize import brentq, nnls
 from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.errors import IllPosedModelError, SingularPoseError
 from redundancy_pin.robot.scales import velocity_unit
-from redundancy_pin.simulation.controllers.base import Command
-from redundancy_pin.simulation.events import RELEASE, Event, EventFunctions, Step
-from redundancy_pin.simulation.problem import InitialValueProblem, SimulationProgress, SimulationRecord
+from redundancy_pin.simulation.events import RELEASE, Event, Step
+from redundancy_pin.simulation.problem import InitialValueProblem, SimulationProgress
 from redundancy_pin.simulation.rank_loss import NEAR
-from redundancy_pin.simulation.system import Machine
 from redundancy_pin.status import ResultStatus
 
 _ROUNDING = 1e-12
@@ -50,57 +48,44 @@ _RELEASE_LOOKS = (0.25, 0.5, 0.75, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """What the stops make of a state.
+    """Effect of the stops on a state.
 
     Attributes:
         y: (nq + nv,) the state after the impact.
-        machine: the machine with the joints held that stops push.
         at: (l,) stops that joints are at, by their places among the event functions.
         held: (h,) those of them that push.
-        events: an impact each, with its impulse.
+        events: one per impact, with its impulse.
     """
 
     y: Array
-    machine: Machine
     at: IntArray
     held: IntArray
     events: tuple[Event, ...]
 
 
 def resolve_contact(
-    free: Machine,
-    functions: EventFunctions,
-    t: float,
-    y: Array,
-    hold: Command | None,
-    time: float,
-    reached: Sequence[int] = (),
-    released: int | None = None,
+    progress: SimulationProgress, time: float, reached: Sequence[int], released: int | None
 ) -> Contact | None:
-    """Return what the stops make of a closed state; None where no joint is at one.
+    """Return the effect of the stops on the state of a simulation; None if no joint is at one.
 
     Args:
-        free: the machine without stops.
-        functions: the event functions of the machine at this configuration.
-        t: time, s.
-        y: (nq + nv,) the state, from before an impact.
-        hold: command that is held; None where the controller answers at this instant.
+        progress: the simulation, before an impact.
         time: time scale, s, for what is rounding.
-        reached: stops that joints are at all the same, though an integration step was off: one that was just met, and
-            those that have held.
+        reached: stops that joints are at although an integration step was off: the one just met, and those that held.
         released: a stop that has just let go.
 
     Raises:
         IllPosedModelError, SingularPoseError: as ``Machine.rate``.
     """
+    free, functions = progress.machine.free, progress.functions
     nq = functions.nq
-    at = functions.touching(y[:nq]) & functions.pushes[: functions.stops.shape[1]]
+    at = functions.touching(progress.y[:nq]) & functions.pushes[: len(functions.slack)]
     at[list(reached)] = True
     if not at.any():
         return None
     stops = np.flatnonzero(at)
-    columns, side = functions.stops[1, stops].astype(np.intp), functions.stops[2, stops]
-    q, v = y[:nq], y[nq:].copy()
+    columns, side = functions.columns[stops], functions.side[stops]
+    q, v = progress.y[:nq], progress.y[nq:].copy()
     basis, inertia = free.dynamics.reduced_inertia(q, v)
     moves = -side[:, None] * basis[columns]
     nothing = _ROUNDING * velocity_unit(free.robot)[columns] / time
@@ -108,14 +93,12 @@ def resolve_contact(
     hit = impulse > 0.0
     v += basis @ step
     v[columns[hit]] = 0.0
-    y = np.concatenate([q, v])
     events = tuple(
-        Event(functions.kinds[i], functions.names[i], t, terminal=False, impulse=float(size))
+        Event(functions.kinds[i], functions.names[i], progress.t, terminal=False, impulse=float(size))
         for i, size in zip(stops[hit], impulse[hit], strict=True)
     )
-    state = free.state(t, y)
-    command = free.amplifiers.command(state) if hold is None else hold
-    a = free.rate(state, command)[-len(v) :]
+    state = free.state(progress.t, np.concatenate([q, v]))
+    a = free.rate(state, free.command(state, progress.hold))[-len(v) :]
     # a bar that rocks from stop to stop meets them infinitely often in finite time: what comes back from within the
     # slack is at rest
     outward = np.maximum(side * a[columns], 0.0)
@@ -128,7 +111,7 @@ def resolve_contact(
         response = np.linalg.solve(inertia, own.T)
         v -= basis @ (response @ np.linalg.solve(own @ response, -side[pushed] * v[held]))
         v[held] = 0.0
-    return Contact(np.concatenate([q, v]), free.holding(held, q), stops, stops[pushed], events)
+    return Contact(np.concatenate([q, v]), stops, stops[pushed], events)
 
 
 def _rounded(rate: Array, nothing: Array) -> Array:
@@ -172,83 +155,64 @@ def least_constraint(inertia: Array, moves: Array, rate: Array) -> tuple[Array, 
     return solve_triangular(lower, responses @ scaled, lower=True, trans=1), scaled / length
 
 
-def past_stop(
-    problem: InitialValueProblem,
-    progress: SimulationProgress,
-    hold: Command | None,
-    record: SimulationRecord,
-    *,
-    at_start: bool = False,
-) -> tuple[InitialValueProblem, SimulationProgress] | None:
-    """Return how to go on at a stop that pushes back, or lets go; None elsewhere."""
-    functions, last = problem.functions, record.events[-1:]
-    stopped = bool(last) and progress.status is ResultStatus.STOPPED and last[0].kind in (*functions.push_back, RELEASE)
-    if not functions.push_back or not (stopped or at_start):
+def past_stop(problem: InitialValueProblem, progress: SimulationProgress) -> SimulationProgress | None:
+    """Return how to go on at a stop that pushes back or lets go, or from a start at one; None elsewhere."""
+    functions, events = progress.functions, progress.record.events
+    last = events[-1] if progress.status is ResultStatus.STOPPED else None
+    if not functions.push_back or (last is not None and last.kind not in (*functions.push_back, RELEASE)):
         return None
-    met = functions.names.index(last[0].name) if stopped and last[0].name else None
-    released = met if stopped and last[0].kind == RELEASE else None
-    is_release = stopped and last[0].kind == RELEASE
-    reached = [*problem.held.tolist(), *(() if met is None else (met,))]
+    met = functions.names.index(last.name) if last is not None and last.name else None
+    released = met if last is not None and last.kind == RELEASE else None
     switches = progress.switches + 1 if progress.t <= progress.switched + problem.shortest else 1
     if switches > _MOST_SWITCHES:
-        return problem, progress.failed("joints meet their stops and leave them again, without end")
+        return progress.failed("joints meet their stops and leave them again, without end")
+    reached = [*functions.held, *(() if met is None else (met,))]
     try:
-        contact = resolve_contact(
-            problem.free, functions, progress.t, progress.y, hold, problem.time, reached, released
-        )
+        contact = resolve_contact(progress, problem.time, reached, released)
     except (IllPosedModelError, SingularPoseError) as error:
-        return problem, progress.failed(str(error))
+        return progress.failed(str(error))
     if contact is None:
         return None
-    if stopped:
-        record.events.pop()
-    hit = {event.name for event in contact.events}
-    if stopped and not is_release and last[0].name not in hit:
-        record.events.append(replace(last[0], terminal=False))
-    record.events.extend(contact.events)
-    let_go = [functions.names[i] for i in problem.held.tolist() if i not in contact.held]
-    record.events.extend(Event(RELEASE, name, progress.t, terminal=False) for name in let_go)
-    q = contact.y[: functions.nq]
-    machine, at, held = contact.machine, contact.at.tolist(), contact.held.tolist()
-    functions = EventFunctions(machine.chain, functions.stop_at, q, functions.push_back, at, held)
-    going_on = replace(progress, y=contact.y, values=functions.at_start(q), status=None, reason="", next_step=None)
-    going_on = replace(going_on, short=0, switches=switches, switched=progress.t)
-    if held:  # the motion that the closures leave is another one
+    if last is not None:
+        events.pop()
+        if last.kind != RELEASE and last.name not in [event.name for event in contact.events]:
+            events.append(replace(last, terminal=False))
+    events.extend(contact.events)
+    let_go = [functions.names[i] for i in functions.held if i not in contact.held]
+    events.extend(Event(RELEASE, name, progress.t, terminal=False) for name in let_go)
+    machine = progress.machine.holding(functions.columns[contact.held], contact.y[: functions.nq])
+    going_on = replace(progress, y=contact.y, switches=switches, switched=progress.t)
+    if len(contact.held):  # the motion that the closures leave is another one
         going_on = replace(going_on, sheet=None, near=NEAR)
-    return replace(problem, machine=machine, functions=functions, held=contact.held), going_on
+    return going_on.restarted(machine, contact.at.tolist(), contact.held.tolist())
 
 
-def first_release(problem: InitialValueProblem, step: Step, hold: Command | None) -> Event | None:
+def first_release(progress: SimulationProgress, step: Step) -> Event | None:
     """Return the event at which a stop would first have to pull the joint that it holds in a step, if it does.
 
     It names the stop where that comes to it in the step, not where it pulls from the start.
     """
-    machine, functions = problem.machine, problem.functions
-    side = functions.stops[2, problem.held]
+    machine, functions = progress.machine, progress.functions
+    side = functions.side[functions.held]
 
     def push(fraction: float) -> Array:
-        return _pushing(machine, step.time(fraction), step.at(fraction), hold, side)
+        """Return (h,) the inward forces of stops on held joints, N or N·m; negative where they would pull."""
+        state = machine.state(step.time(fraction), step.at(fraction))
+        inward: Array = -side * machine.solve(state, machine.command(state, progress.hold)).stop_force[machine.held]
+        return inward
 
     left, before = 0.0, push(0.0)
     for right in _RELEASE_LOOKS:
         after = push(right)
-        if (after < 0.0).any():
+        pulls = np.flatnonzero(after < 0.0)
+        if len(pulls):
             roots = [
                 float(brentq(lambda x, i=i: push(x)[i], left, right, xtol=1e-12)) if before[i] > 0.0 else left
-                for i in np.flatnonzero(after < 0.0)
+                for i in pulls
             ]
             first = int(np.argmin(roots))
-            i = int(np.flatnonzero(after < 0.0)[first])
             # where efforts have jumped, which of them lets go is not known from their signs alone
-            name = functions.names[problem.held[i]] if before[i] > 0.0 else ""
+            name = functions.names[functions.held[pulls[first]]] if before[pulls[first]] > 0.0 else ""
             return Event(RELEASE, name, step.time(roots[first]), terminal=False)
         left, before = right, after
     return None
-
-
-def _pushing(machine: Machine, t: float, y: Array, hold: Command | None, side: Array) -> Array:
-    """Return (h,) the forces with which stops push held joints inward, N or N·m; negative where they would pull."""
-    state = machine.state(t, y)
-    command = machine.amplifiers.command(state) if hold is None else hold
-    inward: Array = -side * machine.solve(state, command).stop_force[machine.held]
-    return inward

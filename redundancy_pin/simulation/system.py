@@ -51,6 +51,8 @@ class Machine:
         self.robot = robot
         self.kernel = kernel
         self.dynamics = ForwardDynamics(robot, prescribed=carrier_law is not None, held=held, q=q, basis=basis)
+        self.free = self
+        """The machine without stops."""
         self.held, self.chain = self.dynamics.held, self.dynamics.chain
         self.manifold = Manifold(self.chain, held)
         self.amplifiers, self._law, self._external = amplifiers, carrier_law, external
@@ -73,11 +75,15 @@ class Machine:
         return machine
 
     def holding(self, held: IntArray, q: Array) -> Machine:
-        """Return the machine with joints at rest at q (nq,) that stops hold, by their tree velocities (h,)."""
+        """Return this machine without stops except those that hold joints, by their tree velocities (h,), at q (nq,)."""
+        free = self.free
         if not len(held):
-            return self
-        basis = self.chain.basis
-        return Machine(self.robot, self.amplifiers, self._law, self._external, None, held.tolist(), q, basis)
+            return free
+        machine = Machine(
+            self.robot, self.amplifiers, self._law, self._external, None, held.tolist(), q, free.chain.basis
+        )
+        machine.free = free
+        return machine
 
     def state(self, t: float, y: Array) -> State:
         """Return the state of y = (q, v) at time t, carriers where the law wants them."""
@@ -86,6 +92,10 @@ class Machine:
         q, v = y[: self._split].copy(), y[self._split :].copy()
         q[self.robot.carrier_position], v[self.robot.carrier_velocity], _ = self._law(t)
         return State(self.chain, t, q, v, self.kernel)
+
+    def command(self, state: State, hold: Command | None) -> Command:
+        """Return the command at a state: the one on hold, or else the controller's answer."""
+        return self.amplifiers.command(state) if hold is None else hold
 
     def rate(self, state: State, command: Command, sheet: Sheet | None = None) -> Array:
         """Return ẏ (nq + nv,) at a state under a command; ``sheet``: see ``ForwardDynamics.acceleration``.
@@ -121,7 +131,7 @@ class Machine:
         motion = None if sheet is None else sheet.at(state.q, state.v)
         if motion is not None:
             return np.concatenate([motion.q, motion.v]), self._gap(state.q), self._gap(motion.q)
-        if self.kernel is not None and motion is None:
+        if self.kernel is not None:
             projected = self.kernel.project(np.concatenate([state.q, state.v]), self.manifold.tolerance)
             if projected is not None:
                 y, before, left = projected
@@ -162,7 +172,7 @@ class Machine:
             q[self.robot.carrier_position], v[self.robot.carrier_velocity], _ = law
         state = State(self.chain, t, q, v, self.kernel)
         try:
-            return self._force(state, self.amplifiers.command(state) if hold is None else hold), law
+            return self._force(state, self.command(state, hold)), law
         except InputError:  # a trial step that is too long may leave a controller without an answer
             return np.full(len(v), np.nan), law
 
