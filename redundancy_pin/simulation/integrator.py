@@ -6,9 +6,9 @@ stabilisation. Integration starts anew where efforts jump, for no Runge-Kutta me
 step control would spend dozens of steps on finding it. And a digital controller is read between steps only, in order of
 time.
 
-What changes along the way is one value, ``SimulationProgress``. A step (``_step``) is four functions, in order:
-``_advance`` takes it, ``_locate_events`` finds what happens in it, ``_project`` closes its end, ``_record`` notes it.
-The second and third may return ``Retry`` in place of a result: the step is then taken again.
+All that changes is one value, ``SimulationProgress``. A step (``_step``) has four functions, in order: ``_advance``
+integrates, ``_locate_events`` finds the events in it, ``_project`` closes its end, ``_record`` adds samples and events.
+The second and third may return the progress at the start of the step: the step is then taken again.
 
 Where the machine has forward dynamics in machine code, that takes the ordinary steps, in which nothing happens, by the
 same method and rules; it stops before any other one, which is then taken here.
@@ -113,21 +113,6 @@ def _resumed(problem: InitialValueProblem, progress: SimulationProgress) -> Simu
     return past_stop(problem, renewed) or renewed
 
 
-@dataclass(frozen=True, eq=False)
-class Retry:
-    """Instruction to take a step again from its start.
-
-    Attributes:
-        length: largest length of the step, s.
-        sheet: solution branch for it, or None.
-        reason: cause of the failure if no shorter step is possible; empty where the step is certain to succeed.
-    """
-
-    length: float
-    sheet: Sheet | None
-    reason: str
-
-
 def _integrate_interval(
     problem: InitialValueProblem,
     progress: SimulationProgress,
@@ -144,20 +129,14 @@ def _integrate_interval(
             if progress.t >= interval.end:
                 break
         stepper, rate = solver(problem, progress, interval)
-        progress = replace(progress, restarts=progress.restarts + 1)
-        again: Retry | None = None
-        while stepper.status == "running" and progress.status is None and again is None:
+        progress, retried = replace(progress, restarts=progress.restarts + 1), False
+        while stepper.status == "running" and progress.status is None and not retried:
             result = _step(problem, progress, stepper, rate)
-            if isinstance(result, Retry):
-                again = result
-            else:
-                progress = result
-                _report(problem, progress)
+            progress, retried = result, result.t == progress.t
+            _report(problem, progress)
             if ordinary is not None and progress.sheet is None:
                 break  # the next one may be ordinary
-        progress = replace(progress, next_step=stepper.h_abs, evaluations=progress.evaluations + rate.evaluations)
-        if again is not None:
-            progress = _retried(problem, progress, again)
+        progress = replace(progress, evaluations=progress.evaluations + rate.evaluations)
     return progress
 
 
@@ -166,17 +145,28 @@ def _report(problem: InitialValueProblem, progress: SimulationProgress) -> None:
         problem.report(progress.t, float(problem.grid[-1]))
 
 
-def _retried(problem: InitialValueProblem, progress: SimulationProgress, again: Retry) -> SimulationProgress:
-    """Return from where a step is taken again, or why it cannot be."""
-    if again.sheet is not None and len(progress.machine.held):
+def _retry(
+    problem: InitialValueProblem, progress: SimulationProgress, length: float, sheet: Sheet | None, reason: str
+) -> SimulationProgress:
+    """Return the start of a step that is taken again.
+
+    Args:
+        problem: the problem that is integrated.
+        progress: the start of the step.
+        length: largest length of the next try, s.
+        sheet: solution branch for it, or None.
+        reason: cause of the failure if it cannot be that short; empty if it cannot fail.
+    """
+    if sheet is not None and len(progress.machine.held):
         return progress.failed("its closures lose rank while a joint is held by its stop")
-    progress = replace(progress, sheet=again.sheet, next_step=again.length)
-    return progress.failed(again.reason) if again.reason and again.length < problem.shortest else progress
+    if reason and length < problem.shortest:
+        return progress.failed(reason)
+    return replace(progress, sheet=sheet, next_step=length)
 
 
 def _step(
     problem: InitialValueProblem, progress: SimulationProgress, stepper: OdeSolver, rate: Rate
-) -> SimulationProgress | Retry:
+) -> SimulationProgress:
     """Take one step: integrate, locate events in it, project its end onto the closures, record what happened."""
     before = stepper.y, stepper.f
     stepped = _advance(problem, progress, stepper, rate)
@@ -185,10 +175,10 @@ def _step(
     # events and samples come from the interpolant, which is that of the step before its end is projected
     step = Step(stepper, before)
     located = _locate_events(problem, progress, step)
-    if isinstance(located, Retry):
+    if isinstance(located, SimulationProgress):
         return located
-    projected = _project(problem, stepped, step)
-    if isinstance(projected, Retry):
+    projected = _project(problem, progress, stepped, step)
+    if projected.t == progress.t:
         return projected
     _record(problem, progress, step, located)
     if located.end is not None:
@@ -218,7 +208,9 @@ def _advance(
         return progress.failed(why if progress.sheet is None else _at_pose(progress, progress.y, why))
     is_short = stepper.step_size < problem.shortest and stepper.status == "running"  # the last one may have to be
     short = progress.short + 1 if is_short else 0
-    stepped = replace(progress, t=stepper.t, y=stepper.y, steps=progress.steps + 1, short=short)
+    stepped = replace(
+        progress, t=stepper.t, y=stepper.y, next_step=stepper.h_abs, steps=progress.steps + 1, short=short
+    )
     if short >= _MOST_SHORT:
         _require_answers(rate)
         return stepped.failed(f"the steps have shrunk to {stepper.step_size:.2g} s: {_why(progress)}")
@@ -245,12 +237,17 @@ class Located:
     at_rest: bool = False
 
 
-def _locate_events(problem: InitialValueProblem, progress: SimulationProgress, step: Step) -> Located | Retry:
-    """Return the events in a step that began at ``progress``: zeros of the event functions, rest, and release."""
+def _locate_events(
+    problem: InitialValueProblem, progress: SimulationProgress, step: Step
+) -> Located | SimulationProgress:
+    """Return the events in a step from ``progress``: zeros of the event functions, rest, and release.
+
+    Or ``progress``, with what it takes to take the step again.
+    """
     sheet, near = progress.sheet, progress.near
     events, values, ratios = find_events(progress.functions, progress.values, step, problem.time, sheet)
     if sheet is None and may_touch_zero(ratios, near):
-        retry = retry_at_rank_loss(progress, step)
+        retry = retry_at_rank_loss(problem, progress, step)
         if retry is not None:
             return retry
         near = 0.5 * float(ratios.min())  # a look ahead takes as long as some steps: the next one from nearer by
@@ -267,8 +264,13 @@ def _locate_events(problem: InitialValueProblem, progress: SimulationProgress, s
     return Located(events, values, near, end, at_rest)
 
 
-def _project(problem: InitialValueProblem, stepped: SimulationProgress, step: Step) -> SimulationProgress | Retry:
-    """Project the end of a step onto the closures; a velocity that jumps there is one of another branch."""
+def _project(
+    problem: InitialValueProblem, progress: SimulationProgress, stepped: SimulationProgress, step: Step
+) -> SimulationProgress:
+    """Project the end of a step onto the closures.
+
+    A velocity that jumps there is one of another branch: the step is taken again from ``progress``.
+    """
     machine, nq = stepped.machine, stepped.functions.nq
     y, before, left = machine.project(stepped.t, stepped.y, stepped.sheet)
     v, unit = stepped.y[nq:], velocity_unit(machine.robot)
@@ -276,12 +278,11 @@ def _project(problem: InitialValueProblem, stepped: SimulationProgress, step: St
     largest = max(float((np.abs(part) / unit).max(initial=0.0)) for part in (step.at(0.0)[nq:], v))
     if not float(jumps.max(initial=0.0)) <= VELOCITY_CHANGE * largest + VELOCITY_FLOOR / problem.time:
         i = int(jumps.argmax())
-        return Retry(
-            0.25 * (step.end - step.start),
-            stepped.sheet,
+        why = (
             f"the velocity of {_joint_of(machine, i)} would jump from {v[i]:.3g} to {y[nq + i]:.3g}: the step leads "
-            "to another branch of the motion",
+            "to another branch of the motion"
         )
+        return _retry(problem, progress, 0.25 * (step.end - step.start), progress.sheet, why)
     projected = replace(stepped, y=y, largest_correction=max(stepped.largest_correction, before))
     if left > machine.manifold.largest_residual:
         return projected.failed(f"the closures leave a gap of {left:.3g} m")
@@ -320,11 +321,13 @@ def _rest(functions: EventFunctions, step: Step, sheet: Sheet, time: float) -> f
 
     turns = speed(0.0) * speed(1.0) < 0.0
     fraction = float(brentq(speed, 0.0, 1.0, xtol=1e-6)) if turns else 1.0
-    lost = functions(step.at(fraction)[None, : functions.nq])[0, -1] < _AT
+    lost = functions.rank(step.states([fraction]))[0] < _AT
     return step.time(fraction) if lost and (turns or abs(speed(1.0)) * time < _AT_REST) else None
 
 
-def retry_at_rank_loss(progress: SimulationProgress, step: Step) -> Retry | None:
+def retry_at_rank_loss(
+    problem: InitialValueProblem, progress: SimulationProgress, step: Step
+) -> SimulationProgress | None:
     """Return how to take a step again in which the closures lose rank: on the sheet that leads across, or shorter."""
     machine, functions, length = progress.machine, progress.functions, step.end - step.start
     robot, (q, v) = machine.robot, np.split(progress.y, [functions.nq])
@@ -334,22 +337,25 @@ def retry_at_rank_loss(progress: SimulationProgress, step: Step) -> Retry | None
     if travel < _STILL:
         return None
     if travel > _FARTHEST:  # the way ahead is followed point by point
-        return Retry(0.5 * length, None, _at_pose(progress, q, "its closures may lose rank within a step of turns"))
+        turns = _at_pose(progress, q, "its closures may lose rank within a step of turns")
+        return _retry(problem, progress, 0.5 * length, None, turns)
     ahead = sheet_ahead(machine.chain, q, v, 1.2 * travel + WIDEST)
     if isinstance(ahead, Sheet):
-        return Retry(min(length, 0.5 * ahead.half / max(abs(ahead.speed(v)), 1e-300)), ahead, "")
+        length = min(length, 0.5 * ahead.half / max(abs(ahead.speed(v)), 1e-300))
+        return _retry(problem, progress, length, ahead, "")
     if ahead is None and functions.least_rank(step) > max(_TOUCHED[0], _TOUCHED[1] * travel):
         return None
     if ahead is None or ahead <= 1.1 * travel:
         lost = "its closures lose rank just ahead, or nearly so, and no smooth motion is known to lead across"
-        return Retry(0.5 * length if travel > _LEAST_TRAVEL else 0.0, None, _at_pose(progress, q, lost))
+        length = 0.5 * length if travel > _LEAST_TRAVEL else 0.0
+        return _retry(problem, progress, length, None, _at_pose(progress, q, lost))
     return None
 
 
 def _at_pose(progress: SimulationProgress, y: Array, why: str) -> str:
     """Return a reason with the pose q, the first nq of y, and the singular values of the closures there."""
     q = y[: progress.functions.nq]
-    pose, ratio = (np.round(q, 6) + 0.0).tolist(), float(progress.functions(q[None])[0, -1])
+    pose, ratio = (np.round(q, 6) + 0.0).tolist(), float(progress.functions.rank(q[None])[0])
     return f"{why} (q = {pose}, ratio of singular values {ratio:.2g})"
 
 
