@@ -186,7 +186,7 @@ def _step(
     stepped = replace(projected, values=located.values, near=located.near)
     if stepped.status is not None:
         return stepped
-    if stepped.sheet is not None and _leaves(stepped.sheet, stepped.y):
+    if stepped.sheet is not None and _leaves(stepped.sheet, *np.split(stepped.y, [stepped.functions.nq])):
         stepped, rate.sheet = replace(stepped, sheet=None), None
     # the integrator goes on from the projected state, with the rate there: its first stage
     stepper.y = stepped.y
@@ -202,17 +202,17 @@ def _advance(
     if progress.steps >= problem.max_steps:
         return progress.failed(f"{progress.steps} steps did not reach the end")
     message = stepper.step()
-    if stepper.status == "failed":
-        _require_answers(rate)
+    failed, is_last = stepper.status == "failed", stepper.status == "finished"  # the last step may have to be short
+    short = progress.short + 1 if not (failed or is_last) and stepper.step_size < problem.shortest else 0
+    if isinstance(rate.failure, InputError) and (failed or short >= _MOST_SHORT):
+        raise rate.failure  # what the controller returned in place of efforts
+    if failed:
         why = f"no step is short enough: {rate.failure or message}"
         return progress.failed(why if progress.sheet is None else _at_pose(progress, progress.y, why))
-    is_short = stepper.step_size < problem.shortest and stepper.status == "running"  # the last one may have to be
-    short = progress.short + 1 if is_short else 0
     stepped = replace(
         progress, t=stepper.t, y=stepper.y, next_step=stepper.h_abs, steps=progress.steps + 1, short=short
     )
     if short >= _MOST_SHORT:
-        _require_answers(rate)
         return stepped.failed(f"the steps have shrunk to {stepper.step_size:.2g} s: {_why(progress)}")
     rate.failure = None
     return stepped
@@ -306,11 +306,10 @@ def _stopped(stepped: SimulationProgress, step: Step, end: float, at_rest: bool)
     return stopped.failed(_at_pose(stopped, y, why)) if at_rest else stopped
 
 
-def _leaves(sheet: Sheet, y: Array) -> bool:
-    """Return whether a state y (nq + nv) moves away from a rank loss, far enough to go on without its sheet."""
-    q, v = np.split(y, [sheet.solver.robot.model.nq])
+def _leaves(sheet: Sheet, q: Array, v: Array) -> bool:
+    """Return whether a state moves away from a rank loss, far enough to go on without its sheet."""
     place = sheet.position(q)
-    return abs(place) > BEYOND * sheet.half and place * sheet.speed(v) > 0.0
+    return abs(place) > BEYOND * sheet.passage.half and place * sheet.speed(v) > 0.0
 
 
 def _rest(functions: EventFunctions, step: Step, sheet: Sheet, time: float) -> float | None:
@@ -341,7 +340,7 @@ def retry_at_rank_loss(
         return _retry(problem, progress, 0.5 * length, None, turns)
     ahead = sheet_ahead(machine.chain, q, v, 1.2 * travel + WIDEST)
     if isinstance(ahead, Sheet):
-        length = min(length, 0.5 * ahead.half / max(abs(ahead.speed(v)), 1e-300))
+        length = min(length, 0.5 * ahead.passage.half / max(abs(ahead.speed(v)), 1e-300))
         return _retry(problem, progress, length, ahead, "")
     if ahead is None and functions.least_rank(step) > max(_TOUCHED[0], _TOUCHED[1] * travel):
         return None
@@ -357,12 +356,6 @@ def _at_pose(progress: SimulationProgress, y: Array, why: str) -> str:
     q = y[: progress.functions.nq]
     pose, ratio = (np.round(q, 6) + 0.0).tolist(), float(progress.functions.rank(q[None])[0])
     return f"{why} (q = {pose}, ratio of singular values {ratio:.2g})"
-
-
-def _require_answers(rate: Rate) -> None:
-    """Raise what the controller returned in place of efforts, if that is why no step is short enough."""
-    if isinstance(rate.failure, InputError):
-        raise rate.failure
 
 
 def _why(before: SimulationProgress) -> str:

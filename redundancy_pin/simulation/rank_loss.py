@@ -80,42 +80,34 @@ class Sheet:
     """A smooth branch of closed configurations across a rank loss, d joints independent.
 
     Attributes:
-        solver: follower of the robot with these joints in place of its platform.
-        passage: the branch across the rank loss.
+        passage: the branch across the rank loss, of the robot with these joints in place of its platform.
         independent, dependent: (d,) and (r,) velocity indices.
-        basis: of the closure rows in use, see ``ClosedChain``.
     """
 
-    solver: Follower
     passage: Passage
     independent: IntArray
     dependent: IntArray
-    basis: Array | None
-
-    @property
-    def half(self) -> float:
-        """Half of the length of the passage, rad or characteristic lengths."""
-        return self.passage.half
 
     def position(self, q: Array) -> float:
         """Return where on the passage a configuration (nq,) is, from its middle, rad or characteristic lengths."""
-        return self.passage.position(self.solver.coordinates_at(q)) * self.passage.spacing
+        return self.passage.position(self.passage.solver.coordinates_at(q)) * self.passage.spacing
 
     def speed(self, v: Array) -> float:
         """Return the speed along the passage, 1/s."""
-        unit = self.solver.unit
+        unit = self.passage.solver.unit
         return float((v[self.independent] / unit).dot(self.passage.step / unit)) / self.passage.spacing
 
     def at(self, q: Array, v: Array) -> BranchMotion | None:
         """Return the state on the branch that has the z and ż of q (nq,) and v (nv,); None beyond the passage."""
-        robot, x = self.solver.robot, self.solver.coordinates_at(q)
-        if not abs(self.position(q)) <= 1.05 * self.half:
+        if not abs(self.position(q)) <= 1.05 * self.passage.half:
             return None
-        rated = self.passage.at(x, v[self.independent], np.zeros(len(self.independent)))
+        solver = self.passage.solver
+        rated = self.passage.at(solver.coordinates_at(q), v[self.independent], np.zeros(len(self.independent)))
         if rated is None:
             return None
-        columns, closed, speed = self.solver.chain.pose_columns, np.array(rated.state.q), v.copy()
-        closed[robot.carrier_position] = q[robot.carrier_position]
+        carriers, columns = solver.robot.carrier_position, solver.chain.pose_columns
+        closed, speed = np.array(rated.state.q), v.copy()
+        closed[carriers] = q[carriers]
         speed[columns] = rated.v[columns]
         return BranchMotion(closed, speed, rated.state.gamma, rated.a)
 
@@ -128,10 +120,10 @@ class Sheet:
             fractions: (m,) from 0 to 1.
             configurations: (m, nq) there.
         """
-        values = []
+        solver, basis = self.passage.solver, self.passage.nodes[0].basis
+        blocks, values = solver.blocks_of(basis), []
         for q in configurations:
-            K = self.solver.matrix(q, self.basis)[0]
-            blocks = self.solver.blocks_of(self.basis)
+            K = solver.matrix(q, basis)[0]
             values.append([np.linalg.det(K[rows[:, None], columns]) for rows, columns in blocks])
         scaled = np.array(values) / np.abs(values).max(axis=0)
         fits = (Chebyshev.fit(fractions, column, len(fractions) - 1, [0.0, 1.0]) for column in scaled.T)
@@ -191,7 +183,7 @@ def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet |
     for spacing in SPACINGS:
         passage = _passage(own, here, ahead, along * spacing) if abs(ahead) <= WITHIN * 4.0 * spacing else None
         if passage is not None:
-            return Sheet(own, passage, independent, np.setdiff1d(columns, independent), chain.basis)
+            return Sheet(passage, independent, np.setdiff1d(columns, independent))
     # a narrower passage than reaches here may be smooth: it is tried from nearer by
     return ahead if ahead > WITHIN * 4.0 * SPACINGS[-1] else None
 

@@ -8,8 +8,8 @@ without stops (Gauss's principle of least constraint):
 
 g the inward velocities, or accelerations, of the stopped joints without the stops. The multipliers μ ≥ 0 are the
 impulses, or the forces, of the stops (J. J. Moreau, Unilateral contact and dry friction in finite freedom dynamics,
-1988). It is Lawson and Hanson's problem of least distance, which scipy's ``nnls`` solves. Stops that push hold their
-joints (``Machine.held``) until they would have to pull.
+1988). With g = G γ, the motion γ to the nearest rest, they solve a non-negative least-squares problem (scipy's
+``nnls``). Stops that push hold their joints (``Machine.held``) until they would have to pull.
 """
 
 from __future__ import annotations
@@ -35,9 +35,6 @@ _ROUNDING = 1e-12
 _NO_PUSH = 1e-9
 """Force of a stop, relative to the largest, that is none: where one redundant stop takes over from another, both are
 zero but for rounding."""
-
-_CONSISTENT = 1e-6
-"""Contradiction between rates of stopped joints, relative to the largest, that is none."""
 
 _MOST_SWITCHES = 50
 """Changes of what stops hold at one time, after which the integration is given up."""
@@ -125,10 +122,8 @@ def least_constraint(inertia: Array, moves: Array, rate: Array) -> tuple[Array, 
     Args:
         inertia: (d, d) of the free motions.
         moves: (l, d) inward rates of the stopped joints that go with them.
-        rate: (l,) their inward rates as they are.
-
-    Raises:
-        SingularPoseError: no motion keeps all of the stops.
+        rate: (l,) their inward rates as they are, which are those of a motion, so that rest keeps all stops; what
+            squares of small speeds add to accelerations of redundant stops is left out.
     """
     if not len(rate) or (rate >= 0.0).all():
         return np.zeros(len(inertia)), np.zeros(len(rate))
@@ -136,22 +131,9 @@ def least_constraint(inertia: Array, moves: Array, rate: Array) -> tuple[Array, 
     responses = solve_triangular(lower, moves.T, lower=True)
     length = np.linalg.norm(responses, axis=0)
     length[length == 0.0] = 1.0
-    wanted = -rate / length
-    size = np.abs(wanted).max()
     responses /= length
-    motion = np.linalg.lstsq(responses.T, -wanted, rcond=None)[0]
-    if np.abs(responses.T @ motion + wanted).max() <= _CONSISTENT * size:
-        # the rates are of a motion, which rest stops: of redundant stops but for squares of speeds that count as rest
-        scaled, _ = nnls(responses, -motion)
-        return solve_triangular(lower, responses @ scaled, lower=True, trans=1), scaled / length
-    weights, _ = nnls(np.vstack([responses, wanted / size]), np.append(np.zeros(len(inertia)), 1.0))
-    slack = 1.0 - float(wanted @ weights) / size
-    if not slack > np.finfo(float).eps:
-        raise SingularPoseError(
-            "Joints are driven into their stops: no motion keeps all of them.",
-            remedy="Limit what is driven by motion, or drive it by forces.",
-        )
-    scaled = weights * (size / slack)
+    motion = np.linalg.lstsq(responses.T, rate / length, rcond=None)[0]
+    scaled, _ = nnls(responses, -motion)
     return solve_triangular(lower, responses @ scaled, lower=True, trans=1), scaled / length
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, IntArray
-from redundancy_pin.dynamics.forward import ForwardKernel
+from redundancy_pin.dynamics.forward import Accelerations, ForwardKernel
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_energy, tree_loads
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
 from redundancy_pin.robot import Robot, Wrench
@@ -75,13 +75,12 @@ class Machine:
         return machine
 
     def holding(self, held: IntArray, q: Array) -> Machine:
-        """Return this machine without stops except those that hold joints, by their tree velocities (h,), at q (nq,)."""
+        """Return the machine with joints at rest at q (nq,) that stops hold, by their tree velocities (h,)."""
         free = self.free
         if not len(held):
             return free
-        machine = Machine(
-            self.robot, self.amplifiers, self._law, self._external, None, held.tolist(), q, free.chain.basis
-        )
+        basis = free.chain.basis
+        machine = Machine(self.robot, self.amplifiers, self._law, self._external, None, held.tolist(), q, basis)
         machine.free = free
         return machine
 
@@ -103,8 +102,12 @@ class Machine:
         Raises:
             IllPosedModelError, SingularPoseError: there is none.
         """
-        acceleration = self._acceleration(state, self._force(state, command), sheet)
-        model, q, v = self.robot.model, state.q, state.v
+        model, q, v, force = self.robot.model, state.q, state.v, self._force(state, command)
+        solved = self._by_code(state, force, sheet)
+        if solved is None:
+            acceleration = self.dynamics.acceleration(q, v, force, self._given(state.t), sheet=sheet)
+        else:
+            acceleration = solved.a
         # defined off the unit circle and the unit sphere too, where the inner stages of an integrator are
         rate = v if model.nq == model.nv else pin.tangentMap(model, q) @ v
         return np.concatenate([rate, acceleration])
@@ -112,15 +115,13 @@ class Machine:
     def solve(self, state: State, command: Command, sheet: Sheet | None = None) -> Acceleration:
         """Return accelerations and forces at a closed state under a command; raises like ``rate``."""
         force = self._force(state, command)
-        solved = None
-        if self.kernel is not None and sheet is None:
-            solved = self.kernel.accelerations(state.q, state.v, force, self._given(state.t))
-        if solved is not None:
+        solved = self._by_code(state, force, sheet)
+        if solved is None:
+            a = self.dynamics.acceleration(state.q, state.v, force, self._given(state.t), sheet=sheet)
+            loads = self.dynamics.forces(state.q, state.v, force, a, sheet=sheet)
+        else:
             carrier_force = solved.missing[self.robot.carrier_velocity]
             loads = Acceleration(solved.a, solved.closure_force, carrier_force, np.zeros(len(solved.a)))
-        else:
-            a = self._acceleration(state, force, sheet)
-            loads = self.dynamics.forces(state.q, state.v, force, a, sheet=sheet)
         if self._law is None:  # what the actuators give, without friction and other external forces on the carriers
             loads = replace(loads, carrier_force=command[1])
         return loads
@@ -194,13 +195,11 @@ class Machine:
         """Return kinetic and potential energy with that of rotors and springs, J (zero height at the world origin)."""
         return tree_energy(self.robot, self.chain.data, state.q, state.v)
 
-    def _acceleration(self, state: State, force: Array, sheet: Sheet | None) -> Array:
-        given = self._given(state.t)
-        if self.kernel is not None and sheet is None:
-            solved = self.kernel.accelerations(state.q, state.v, force, given)
-            if solved is not None:
-                return solved.a
-        return self.dynamics.acceleration(state.q, state.v, force, given, sheet=sheet)
+    def _by_code(self, state: State, force: Array, sheet: Sheet | None) -> Accelerations | None:
+        """Return what machine code computes; None without it, on a sheet, and where it refuses."""
+        if self.kernel is None or sheet is not None:
+            return None
+        return self.kernel.accelerations(state.q, state.v, force, self._given(state.t))
 
     def _given(self, t: float) -> Array | None:
         return None if self._law is None else self._law(t)[2]

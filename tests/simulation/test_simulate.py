@@ -401,6 +401,22 @@ def test_what_runs_away_is_named_and_a_controller_is_blamed_only_where_there_is_
     assert ("no actuator gives any effort" in run.reason) is not driven
 
 
+def test_external_forces_that_are_no_numbers_from_a_time_on_end_the_simulation_there() -> None:
+    robot, last = rp.load_robot("four_bar"), 0.05
+
+    class Idle(Constant):
+        breaks = np.array([last])
+
+    def broken(state: State) -> Array:
+        return np.full(len(state.v), np.nan if state.t > last else 0.0)
+
+    run = rp.simulate(robot, Idle(np.zeros(1), np.zeros(0)), duration=0.2, external=broken)
+    assert run.status is ResultStatus.NOT_CONVERGED
+    assert run.reason.startswith("At t = 0.05 s no step is short enough")
+    assert run.t[-1] == last
+    assert np.isfinite(run.q).all()
+
+
 class From:
     """Efforts that a spring gives, and from a time on something else."""
 

@@ -403,7 +403,7 @@ def test_a_sheet_is_the_closed_form_through_the_flat_pose() -> None:
 def test_a_sheet_of_two_freedoms_is_closed_beside_its_line_too() -> None:
     robot, rng = parallelogram("pendulum"), np.random.default_rng(3)
     sheet = sheet_through(robot, [0.1, 0.4], [-2.0, 0.3])
-    chain = sheet.solver.chain
+    chain = sheet.passage.solver.chain
     for crank in (0.05, 1e-3, 0.0, -0.1):
         q, v = np.array([crank, -crank, 0.9, crank]), rng.uniform(-3.0, 3.0, robot.model.nv)
         off = np.where(np.isin(np.arange(4), sheet.independent), 0.0, 0.2)
