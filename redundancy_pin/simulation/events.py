@@ -1,9 +1,9 @@
 """Event detection: limits of tracks and joints, singularities of type I and II, rank losses of the closures.
 
-An event is a zero of a scalar function of the configuration. Each step is looked at on the cubic through its ends,
-which takes no evaluation of the dynamics; where a function changes sign there, its root is found on the integrator's
-own interpolant. A sign that changes twice between two looks does not show; for the stops, which must not be missed, the
-turning points of the joints are looked at too.
+An event is a zero of a scalar function of the configuration. The functions are evaluated on the cubic through the ends
+of a step, which takes no evaluation of the dynamics; if one changes sign there, its root is found on the integrator's
+interpolant. A sign that changes twice between two evaluations does not show; for the stops, which must not be missed,
+the turning points of the joints are evaluated too.
 """
 
 from __future__ import annotations
@@ -30,41 +30,40 @@ velocity does not determine the joints; actuators that do not hold the platform;
 rank."""
 
 ONE_SIDED = ("track", "joint_limit")
-"""Kinds that stand for a stop: only leaving the allowed side counts."""
+"""Kinds of stops: only leaving the allowed side counts."""
 
 RELEASE = "release"
-"""Kind of the event at which a stop lets go of a joint that it held."""
+"""Kind of the event at which a stop lets go of a joint."""
 
 _ROUNDING = 1e-12
-"""Values of functions other than stops, which have no unit, that are taken for zero at the start."""
+"""Values of functions other than stops, no unit, that count as zero at the start."""
 
 _HELD = 0.9
 """Part of its slack by which a joint that starts at its limit may exceed it: a run then stops within the slack."""
 
 _NOT_AT = 1e-3
-"""Part of its slack that a joint at a stop that pushes is from where it leaves it: more than rounding, and too little
-to creep."""
+"""Part of its slack that a joint at a stop that pushes may move outward: more than rounding, too little to creep."""
 
 _UNLIMITED = 1e6
-"""rad, or characteristic lengths; URDF writers put large numbers where there is no limit."""
+"""rad, or characteristic lengths; URDF writers put larger numbers for no limit."""
 
 _LOOKS = (0.25, 0.5, 0.75, 1.0)
-"""Where in a step the functions are looked at."""
+"""Fractions of a step at which the functions are evaluated."""
 
 BRIEF = 0.02
-"""rad; where joints move less than this in a step, at the speeds of its ends, only its end is looked at, and where they
-turn back. A tenth of ``BETWEEN``."""
+"""rad; if joints move less than this in a step, at the speeds of its ends, the functions are evaluated only at its end
+and at turning points. A tenth of ``BETWEEN``."""
 
 BETWEEN = 0.2
-"""rad; no joint of the pose moves farther than this from look to look at the rank of the closures."""
+"""rad; largest travel of a joint of the pose between two evaluations of the rank of the closures."""
 
 _SAME = 2e-3
 """Share of a step to which the time of a zero of third order is known: a hundred cube roots of 1e-14, the rounding of a
 determinant."""
 
 _TURN = 1e-6
-"""Part of a step to which it is known where a joint turns back: what it moves meanwhile is of second order in it. Rank
-losses that are nearer to each other are one."""
+"""Accuracy of a turning point, part of a step: the error of the position is of second order in it. Rank losses nearer
+to each other are one."""
 
 _POINTS = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 12))
 """Fractions of a step on a sheet, of a third of a radian at most, between which closure rows are interpolated."""
@@ -96,15 +95,15 @@ class EventFunctions:
         chain: evaluator of the robot.
         stop_at: kinds of events that end a simulation.
         start: (nq,) configuration; joints that are at a limit there may exceed it by nearly its slack.
-        push_back: kinds of stops that push back: a step ends there, whatever ``stop_at`` says.
-        at: indices of stops that joints may be beyond at the start, by as much as an integration step was off.
+        push_back: kinds of stops that push back: a step ends there, whatever is in ``stop_at``.
+        at: indices of stops that joints may exceed at the start, by the error of an integration step.
         held: indices of stops that joints cannot leave.
 
     Attributes:
         kinds, names: of each function.
         stops: (4, l) index in q and in v, side and bound of each stop; ``columns`` and ``side`` are two of the rows.
         slack: (l,) by which a joint at its limit may exceed it.
-        determinants: kinds of those functions that are determinants with the closure rows in them.
+        determinants: kinds whose functions are determinants with the closure rows in them.
     """
 
     def __init__(
@@ -174,8 +173,8 @@ class EventFunctions:
     def at_start(self, q: Array) -> Array:
         """Return (w,) the functions at the start (nq,), rounding taken for zero.
 
-        A machine that starts at a stop stops again if it goes on outward, whichever way its position was rounded; and
-        one that starts at a singular pose has not come to it.
+        A machine that starts at a stop stops again if it moves outward, whichever way its position was rounded. A
+        machine that starts at a singular pose has not come to it.
 
         Raises:
             InputError: a stop at which the simulation ends has been passed already.
@@ -201,7 +200,7 @@ class EventFunctions:
     def sign_changes(self, before: Array, after: Array) -> BoolArray:
         """Return (..., w) which functions changed sign, or came to zero, between two points of time.
 
-        A stop is passed where its function turns negative; leaving zero is an event for stops only.
+        A stop is passed if its function becomes negative; leaving zero is an event for stops only.
         """
         leaves = (before >= 0.0) & (after < 0.0)
         swaps = ((before > 0.0) & (after <= 0.0)) | ((before < 0.0) & (after >= 0.0))
@@ -227,7 +226,7 @@ class EventFunctions:
         return speeds
 
     def ratios(self, step: Step, count: int) -> Array:
-        """Return (count + 1,) the ratio of singular values of the closures at equidistant looks at a step."""
+        """Return (count + 1,) the ratio of singular values of the closures at equidistant points of a step."""
         return self.rank(step.states(np.linspace(0.0, 1.0, count + 1)))
 
     def least_rank(self, step: Step) -> float:
@@ -267,7 +266,7 @@ def _stops(robot: Robot) -> tuple[list[tuple[str, str]], Array, Array]:
 
 
 class Step:
-    """An accepted step of an integrator, as a function of time; good until the integrator is changed or goes on.
+    """An accepted step of an integrator, as a function of time; valid until the integrator takes the next one.
 
     ``before`` is y and ẏ at the start of the step.
     """
@@ -279,7 +278,7 @@ class Step:
 
     @cached_property
     def _dense(self) -> Callable[[float], Array]:
-        # three more evaluations: made only where something needs it
+        # three more evaluations: only if needed
         interpolant: Callable[[float], Array] = self._solver.dense_output()
         return interpolant
 
@@ -325,7 +324,7 @@ def find_events(
 
     Returns:
         The events in order of time, up to the first terminal one; the functions; and the ratios of singular values at
-        the start of the step, at equidistant looks and at its end.
+        equidistant points, from the start of the step to its end.
     """
     length = step.end - step.start
     is_brief = length * float(functions.speeds(step.states((0.0, 1.0))).max(initial=1.0 / time)) < BRIEF
@@ -343,7 +342,7 @@ def find_events(
 
 
 def may_touch_zero(values: Array, near: float) -> bool:
-    """Return whether a function like |t − t₀| may come to zero between equidistant looks at it, or below ``near``."""
+    """Return whether a function like |t − t₀| may come to zero between equidistant values of it, or below ``near``."""
     lowest = int(values.argmin())
     if lowest and values[lowest] < near:
         return True
@@ -356,8 +355,7 @@ def _with_rank_loss(
 ) -> list[Event]:
     """Return events with the rank losses of the closures that a motion on a sheet comes to in this step.
 
-    The determinants of type I and type II vanish there too, as often as rank is lost, and with a sign or without: they
-    are events there whatever their sign does.
+    The determinants of type I and type II vanish there too, with or without a change of sign: both are events.
     """
     places = step.states(_POINTS)
     ratios = functions.rank(places)
@@ -385,7 +383,7 @@ def _until_terminal(events: list[Event]) -> list[Event]:
 
 
 def _find_exactly(functions: EventFunctions, before: Array, step: Step, looks: Sequence[float]) -> list[Event]:
-    """Find events on the integrator's own interpolant, which costs more."""
+    """Return the events on the integrator's interpolant, which costs more."""
     ends = [0.0, *looks]
     turning = functions.turns(step.states(ends), np.diff(ends) * (step.end - step.start))
     turns = [

@@ -1,17 +1,16 @@
-"""Integration in time: a library's integrator, a projection after every step, restarts where efforts jump.
+"""Integration in time: scipy's solvers, a projection after every step, restarts where efforts jump.
 
-Three things are done between the steps of scipy's solvers, which ``solve_ivp`` would not let us do. Each step is
-projected onto the closures, at the level of positions and of rates, so constraints do not drift and need no
-stabilisation. Integration starts anew where efforts jump, for no Runge-Kutta method keeps its order across a jump, and
-step control would spend dozens of steps on finding it. And a digital controller is read between steps only, in order of
-time.
+``solve_ivp`` allows nothing between two steps. Here each step is projected onto the closures, at the level of positions
+and of rates: constraints do not drift and need no stabilisation. Integration restarts where efforts jump: no
+Runge-Kutta method keeps its order across a jump, and step control would spend dozens of steps on finding it. A digital
+controller reads the state between steps only, in order of time.
 
 All that changes is one value, ``SimulationProgress``. A step (``_step``) has four functions, in order: ``_advance``
 integrates, ``_locate_events`` finds the events in it, ``_project`` closes its end, ``_record`` adds samples and events.
 The second and third may return the progress at the start of the step: the step is then taken again.
 
-Where the machine has forward dynamics in machine code, that takes the ordinary steps, in which nothing happens, by the
-same method and rules; it stops before any other one, which is then taken here.
+Forward dynamics in machine code take the ordinary steps, those without events, by the same method and rules; they stop
+before any other step, which is then taken here.
 """
 
 from __future__ import annotations
@@ -42,26 +41,25 @@ from redundancy_pin.simulation.system import Machine
 from redundancy_pin.status import ResultStatus
 
 _MOST_SHORT = 20
-"""Steps in a row that are shorter than the shortest ordinary one, after which the integration is given up."""
+"""Number of successive steps shorter than the shortest ordinary one at which the integration fails."""
 
 _LITTLE_INERTIA = 1e-3
-"""Share of the largest inertia below which an inertia is blamed for a motion that blows up."""
+"""Share of the largest inertia below which an inertia is the reported cause of a motion that blows up."""
 
 _TOUCHED = 1e-4, 0.05
-"""Ratio of singular values of J_c below which a step has come through a rank loss, as far as it is resolved: at least,
-and for each rad that it moves."""
+"""Ratio of singular values of J_c below which a step comes through a rank loss: absolute, and per rad of travel."""
 
 _FARTHEST = 4.0 * np.pi
 """rad; a step that moves farther and may come to a rank loss is taken again, shorter."""
 
 _STILL = 1e-12
-"""rad; a step that moves less, as where stops hold all there is, comes to no rank loss."""
+"""rad; a step that moves less, as with all joints at stops, comes to no rank loss."""
 
 _LEAST_TRAVEL = 0.01
-"""rad; a rank loss that is nearer, and cannot be carried across, is given up."""
+"""rad; the integration fails at a nearer rank loss that no smooth branch passes."""
 
 _AT_REST, _AT = 1e-10, 1e-8
-"""Speed, per time scale, and ratio of singular values at which a motion may go on on either sheet."""
+"""Speed, per time scale, and ratio of singular values at which a motion may continue on either sheet."""
 
 
 def integrate(problem: InitialValueProblem, progress: SimulationProgress) -> SimulationProgress:
@@ -91,14 +89,14 @@ def integrate(problem: InitialValueProblem, progress: SimulationProgress) -> Sim
                 progress = _integrate_interval(problem, resumed, interval, ordinary)
             if progress.status is not None:
                 break
-    progress.record.samples.append(progress.sample(progress.t, progress.y))
+    progress.samples.append(progress.sample(progress.t, progress.y))
     return replace(progress, status=progress.status or ResultStatus.OK, seconds=time.perf_counter() - began)
 
 
 def _resumed(problem: InitialValueProblem, progress: SimulationProgress) -> SimulationProgress | None:
-    """Return how a simulation that has ended goes on: past a stop that pushes back, or with other closure rows.
+    """Return the restart of a simulation that has ended: past a stop that pushes back, or with other closure rows.
 
-    Other rows take over where those in use have failed and dependent rows restore the rank, once at one place.
+    Other rows take over if those in use have failed and dependent rows restore the rank, once at one place.
     """
     if progress.status is ResultStatus.STOPPED:
         return past_stop(problem, progress)
@@ -198,7 +196,7 @@ def _step(
 def _advance(
     problem: InitialValueProblem, progress: SimulationProgress, stepper: OdeSolver, rate: Rate
 ) -> SimulationProgress:
-    """Take a step of the integrator; the result has failed where none is short enough, or too many are."""
+    """Take a step of the integrator; the result has failed if no step is short enough or too many steps are short."""
     if progress.steps >= problem.max_steps:
         return progress.failed(f"{progress.steps} steps did not reach the end")
     message = stepper.step()
@@ -220,13 +218,13 @@ def _advance(
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """What happens in a step.
+    """Events in a step.
 
     Attributes:
-        events: those that are reported, up to the one at which the step ends.
+        events: reported events, up to the one at which the step ends.
         values: (w,) the event functions at its end.
-        near: ratio of singular values below which a rank loss is looked for next.
-        end: time at which the step ends before its own end, s, or None.
+        near: ratio of singular values below which the next search for a rank loss begins.
+        end: time of an event that ends the step early, s, or None.
         at_rest: whether the motion comes to rest at a rank loss there.
     """
 
@@ -242,7 +240,7 @@ def _locate_events(
 ) -> Located | SimulationProgress:
     """Return the events in a step from ``progress``: zeros of the event functions, rest, and release.
 
-    Or ``progress``, with what it takes to take the step again.
+    If the step must be taken again: ``progress``, with the length and the sheet of the next try.
     """
     sheet, near = progress.sheet, progress.near
     events, values, ratios = find_events(progress.functions, progress.values, step, problem.time, sheet)
@@ -250,7 +248,7 @@ def _locate_events(
         retry = retry_at_rank_loss(problem, progress, step)
         if retry is not None:
             return retry
-        near = 0.5 * float(ratios.min())  # a look ahead takes as long as some steps: the next one from nearer by
+        near = 0.5 * float(ratios.min())  # a search takes as long as some steps: the next one from nearer by
     near = near if ratios[-1] < NEAR else NEAR
     end = events[-1].t if events and events[-1].terminal else None
     rest = None if sheet is None else _rest(progress.functions, step, sheet, problem.time)
@@ -290,16 +288,15 @@ def _project(
 
 
 def _record(problem: InitialValueProblem, progress: SimulationProgress, step: Step, located: Located) -> None:
-    """Record events, and samples at the grid times in a step; what happens at the end of an interval is the next's."""
-    record, grid = progress.record, problem.grid
-    record.events.extend(located.events)
-    end, same = step.end if located.end is None else located.end, SAME * float(grid[1] - grid[0])
-    while (t := float(grid[len(record.samples)])) < end - same:
-        record.samples.append(progress.sample(t, step(t)))
+    """Record events, and samples at the grid times in a step; its end belongs to the next step."""
+    progress.events.extend(located.events)
+    samples, grid, end = progress.samples, problem.grid, step.end if located.end is None else located.end
+    while (t := float(grid[len(samples)])) < end - SAME * float(grid[1] - grid[0]):
+        samples.append(progress.sample(t, step(t)))
 
 
 def _stopped(stepped: SimulationProgress, step: Step, end: float, at_rest: bool) -> SimulationProgress:
-    """Return where a step ends before its own end, at an event or at rest at a rank loss."""
+    """Return the end of a step that an event ends early, or rest at a rank loss."""
     y = stepped.machine.project(end, step(end), stepped.sheet)[0]
     stopped = replace(stepped, t=end, y=y, status=ResultStatus.STOPPED)
     why = "it rests where its closures lose rank, and its motion is undetermined"
@@ -307,7 +304,7 @@ def _stopped(stepped: SimulationProgress, step: Step, end: float, at_rest: bool)
 
 
 def _leaves(sheet: Sheet, q: Array, v: Array) -> bool:
-    """Return whether a state moves away from a rank loss, far enough to go on without its sheet."""
+    """Return whether a state moves away from a rank loss and is far enough away to leave its sheet."""
     place = sheet.position(q)
     return abs(place) > BEYOND * sheet.passage.half and place * sheet.speed(v) > 0.0
 
@@ -327,7 +324,7 @@ def _rest(functions: EventFunctions, step: Step, sheet: Sheet, time: float) -> f
 def retry_at_rank_loss(
     problem: InitialValueProblem, progress: SimulationProgress, step: Step
 ) -> SimulationProgress | None:
-    """Return how to take a step again in which the closures lose rank: on the sheet that leads across, or shorter."""
+    """Return the start of a step in which the closures lose rank, to take it on the sheet across, or shorter."""
     machine, functions, length = progress.machine, progress.functions, step.end - step.start
     robot, (q, v) = machine.robot, np.split(progress.y, [functions.nq])
     moved = pin.difference(robot.model, q, step.at(1.0)[: len(q)]) / velocity_unit(robot)
@@ -359,7 +356,7 @@ def _at_pose(progress: SimulationProgress, y: Array, why: str) -> str:
 
 
 def _why(before: SimulationProgress) -> str:
-    """Return what makes a motion blow up in the step after ``before``, as far as it shows."""
+    """Return the likely cause of a motion that blows up in the step after ``before``."""
     machine = before.machine
     inertia = machine.least_inertia(before.t, before.y)
     if before.values[-1] < NEAR * NEAR:

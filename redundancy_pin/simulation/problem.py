@@ -1,4 +1,4 @@
-"""The initial value problem of a simulation, how far it is solved, and what is recorded."""
+"""The initial value problem of a simulation, its state in progress, and its samples."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SAME = 1e-9
 """Instants closer than this fraction of a sampling period, or of the interval of the result's samples, are one."""
 
 SHORTEST = 1e-8
-"""Shortest ordinary step, share of the time scale: after many shorter ones in a row the integration is given up."""
+"""Shortest ordinary step, share of the time scale: after many shorter ones in a row the integration fails."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class InitialValueProblem:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedSample:
-    """A closed state, with what is needed to evaluate forces and accelerations there.
+    """A closed state and the data from which its forces and accelerations follow.
 
     Attributes:
         t: time, s.
@@ -112,14 +112,6 @@ class SimulatedSample:
     sheet: Sheet | None
 
 
-@dataclass(eq=False)
-class SimulationRecord:
-    """Samples and events in order of time."""
-
-    samples: list[SimulatedSample] = field(default_factory=list)
-    events: list[Event] = field(default_factory=list)
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SimulationProgress(Progress):
     """State of a simulation in progress: all that changes from step to step.
@@ -128,10 +120,10 @@ class SimulationProgress(Progress):
         machine: the differential equation, with the joints that stops hold.
         functions: event functions of the machine.
         hold, sheet: as in ``SimulatedSample``.
-        record: samples and events so far.
+        samples, events: recorded so far, in order of time; the lists grow.
         short: number of the last steps that were all shorter than the shortest ordinary one.
         rows_renewed: when dependent closure rows last came into use, s.
-        switches: number of the last changes of what stops hold, all of them at ``switched``, s.
+        switches: number of the last changes of the stops that push, all of them at ``switched``, s.
         seconds: see ``Statistics``.
         status: None before the end.
         reason: cause of a failure.
@@ -141,7 +133,8 @@ class SimulationProgress(Progress):
     functions: EventFunctions
     hold: Command | None
     sheet: Sheet | None
-    record: SimulationRecord = field(default_factory=SimulationRecord)
+    samples: list[SimulatedSample] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
     short: int = 0
     rows_renewed: float = -np.inf
     switches: int = 0

@@ -310,7 +310,7 @@ def _sheet_at_start(machine: Machine, start: State, ratio: float, time: float) -
 
 def _simulation(machine: Machine, end: SimulationProgress, parameters: dict[str, object]) -> Simulation:
     """Evaluate forces, accelerations and energies at the samples and put everything together."""
-    robot, model, samples = machine.robot, machine.robot.model, end.record.samples
+    robot, model, samples = machine.robot, machine.robot.model, end.samples
     status, system = end.status or ResultStatus.OK, constraint_system(robot)
     count, t = len(samples), frozen([sample.t for sample in samples])
     q, v = np.split(np.array([sample.y for sample in samples]), [model.nq], axis=1)
@@ -357,7 +357,7 @@ def _simulation(machine: Machine, end: SimulationProgress, parameters: dict[str,
         stop_force=read_only(stop_force),
         gap=frozen(every.largest_residual(every.evaluate(q).phi)),
         energy=read_only(energy),
-        events=tuple(end.record.events),
+        events=tuple(end.events),
         status=status,
         reason=end.reason,
         statistics=Statistics(**{field.name: getattr(end, field.name) for field in fields(Statistics)}),

@@ -1,4 +1,4 @@
-"""What takes the steps: scipy's solvers, and machine code where the machine has it."""
+"""Integrators: scipy's solvers, and machine code if the machine has it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Rate:
         self.failure: RedundancyPinError | None = None
 
     def __call__(self, t: float, y: Array) -> Array:
-        """Return ẏ; NaN where there is none: the integrator then tries a shorter step."""
+        """Return ẏ; NaN if it is undetermined: the integrator then tries a shorter step."""
         self.evaluations += 1
         if y[0] != y[0]:  # a stage after one that had no answer
             return np.full(len(y), np.nan)
@@ -77,7 +77,7 @@ class Rate:
 def solver(
     problem: InitialValueProblem, progress: SimulationProgress, interval: SmoothInterval
 ) -> tuple[OdeSolver, Rate]:
-    """Return scipy's solver over the rest of an interval; it selects the first step where none is suggested."""
+    """Return scipy's solver over the rest of an interval; it selects the first step unless one is suggested."""
     rate = Rate(progress, problem.unit, interval.end)
     step = None if progress.next_step is None else min(progress.next_step, interval.end - progress.t)
     implicit = {} if problem.method in EXPLICIT else {"jac": rate.jacobian}
@@ -135,7 +135,7 @@ class OrdinarySteps:
 
     def take(self, progress: SimulationProgress, interval: SmoothInterval) -> SimulationProgress:
         """Take the ordinary steps ahead, to the end of the interval, or without a command on hold to the end of all."""
-        problem, grid, samples, hold = self._problem, self._problem.grid, progress.record.samples, progress.hold
+        problem, grid, samples, hold = self._problem, self._problem.grid, progress.samples, progress.hold
         self._hold = hold
         if hold is not None and self._by_time:
             self._code.hold(np.concatenate(hold))

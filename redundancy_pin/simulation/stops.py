@@ -14,8 +14,8 @@ impulses, or the forces, of the stops (J. J. Moreau, Unilateral contact and dry 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -30,70 +30,45 @@ from redundancy_pin.simulation.rank_loss import NEAR
 from redundancy_pin.status import ResultStatus
 
 _ROUNDING = 1e-12
-"""Rates that are none: characteristic lengths or rad over the time scale, accelerations over its square."""
+"""Rates that count as zero: characteristic lengths or rad over the time scale, accelerations over its square."""
 
 _NO_PUSH = 1e-9
-"""Force of a stop, relative to the largest, that is none: where one redundant stop takes over from another, both are
-zero but for rounding."""
+"""Force of a stop, relative to the largest, that counts as zero: while one redundant stop takes over from another, both
+forces are zero to machine precision."""
 
 _MOST_SWITCHES = 50
-"""Changes of what stops hold at one time, after which the integration is given up."""
+"""Number of changes of the stops that push, at one time, at which the integration fails."""
 
 _RELEASE_LOOKS = (0.25, 0.5, 0.75, 1.0)
-"""Where in a step the forces of stops are looked at."""
+"""Fractions of a step at which the forces of stops are evaluated."""
 
 
-@dataclass(frozen=True, eq=False)
-class Contact:
-    """Effect of the stops on a state.
-
-    Attributes:
-        y: (nq + nv,) the state after the impact.
-        at: (l,) stops that joints are at, by their places among the event functions.
-        held: (h,) those of them that push.
-        events: one per impact, with its impulse.
-    """
-
-    y: Array
-    at: IntArray
-    held: IntArray
-    events: tuple[Event, ...]
-
-
-def resolve_contact(
-    progress: SimulationProgress, time: float, reached: Sequence[int], released: int | None
-) -> Contact | None:
-    """Return the effect of the stops on the state of a simulation; None if no joint is at one.
+def _resolve_contact(
+    progress: SimulationProgress, time: float, stops: IntArray, released: int | None
+) -> tuple[Array, Array, IntArray]:
+    """Return the effect of stops on the state of a simulation.
 
     Args:
         progress: the simulation, before an impact.
-        time: time scale, s, for what is rounding.
-        reached: stops that joints are at although an integration step was off: the one just met, and those that held.
+        time: time scale, s, for tolerances.
+        stops: (l,) stops that joints are at, by their places among the event functions.
         released: a stop that has just let go.
+
+    Returns:
+        (nq + nv,) the state after the impact; (l,) impulses, zero without an impact; (h,) those stops that push.
 
     Raises:
         IllPosedModelError, SingularPoseError: as ``Machine.rate``.
     """
     free, functions = progress.machine.free, progress.functions
-    nq = functions.nq
-    at = functions.touching(progress.y[:nq]) & functions.pushes[: len(functions.slack)]
-    at[list(reached)] = True
-    if not at.any():
-        return None
-    stops = np.flatnonzero(at)
     columns, side = functions.columns[stops], functions.side[stops]
-    q, v = progress.y[:nq], progress.y[nq:].copy()
+    q, v = progress.y[: functions.nq], progress.y[functions.nq :].copy()
     basis, inertia = free.dynamics.reduced_inertia(q, v)
     moves = -side[:, None] * basis[columns]
     nothing = _ROUNDING * velocity_unit(free.robot)[columns] / time
     step, impulse = least_constraint(inertia, moves, _rounded(-side * v[columns], nothing))
-    hit = impulse > 0.0
     v += basis @ step
-    v[columns[hit]] = 0.0
-    events = tuple(
-        Event(functions.kinds[i], functions.names[i], progress.t, terminal=False, impulse=float(size))
-        for i, size in zip(stops[hit], impulse[hit], strict=True)
-    )
+    v[columns[impulse > 0.0]] = 0.0
     state = free.state(progress.t, np.concatenate([q, v]))
     a = free.rate(state, free.command(state, progress.hold))[-len(v) :]
     # a bar that rocks from stop to stop meets them infinitely often in finite time: what comes back from within the
@@ -108,7 +83,7 @@ def resolve_contact(
         response = np.linalg.solve(inertia, own.T)
         v -= basis @ (response @ np.linalg.solve(own @ response, -side[pushed] * v[held]))
         v[held] = 0.0
-    return Contact(np.concatenate([q, v]), stops, stops[pushed], events)
+    return np.concatenate([q, v]), impulse, stops[pushed]
 
 
 def _rounded(rate: Array, nothing: Array) -> Array:
@@ -122,8 +97,8 @@ def least_constraint(inertia: Array, moves: Array, rate: Array) -> tuple[Array, 
     Args:
         inertia: (d, d) of the free motions.
         moves: (l, d) inward rates of the stopped joints that go with them.
-        rate: (l,) their inward rates as they are, which are those of a motion, so that rest keeps all stops; what
-            squares of small speeds add to accelerations of redundant stops is left out.
+        rate: (l,) their inward rates. They belong to a motion, so that rest keeps all stops; squares of small speeds in
+            the accelerations of redundant stops are ignored.
     """
     if not len(rate) or (rate >= 0.0).all():
         return np.zeros(len(inertia)), np.zeros(len(rate))
@@ -138,47 +113,52 @@ def least_constraint(inertia: Array, moves: Array, rate: Array) -> tuple[Array, 
 
 
 def past_stop(problem: InitialValueProblem, progress: SimulationProgress) -> SimulationProgress | None:
-    """Return how to go on at a stop that pushes back or lets go, or from a start at one; None elsewhere."""
-    functions, events = progress.functions, progress.record.events
+    """Return the restart at a stop that pushes back or lets go, or from a start at one; None elsewhere."""
+    functions, events = progress.functions, progress.events
     last = events[-1] if progress.status is ResultStatus.STOPPED else None
     if not functions.push_back or (last is not None and last.kind not in (*functions.push_back, RELEASE)):
         return None
     met = functions.names.index(last.name) if last is not None and last.name else None
     released = met if last is not None and last.kind == RELEASE else None
+    # the stop just met and those that held are among them, although an integration step was off
+    at = functions.touching(progress.y[: functions.nq]) & functions.pushes[: len(functions.slack)]
+    at[[*functions.held, *(() if met is None else (met,))]] = True
+    if not at.any():
+        return None
     switches = progress.switches + 1 if progress.t <= progress.switched + problem.shortest else 1
     if switches > _MOST_SWITCHES:
         return progress.failed("joints meet their stops and leave them again, without end")
-    reached = [*functions.held, *(() if met is None else (met,))]
+    stops = np.flatnonzero(at)
     try:
-        contact = resolve_contact(progress, problem.time, reached, released)
+        y, impulse, held = _resolve_contact(progress, problem.time, stops, released)
     except (IllPosedModelError, SingularPoseError) as error:
         return progress.failed(str(error))
-    if contact is None:
-        return None
+    hit = stops[impulse > 0.0]
     if last is not None:
         events.pop()
-        if last.kind != RELEASE and last.name not in [event.name for event in contact.events]:
+        if last.kind != RELEASE and met not in hit:
             events.append(replace(last, terminal=False))
-    events.extend(contact.events)
-    let_go = [functions.names[i] for i in functions.held if i not in contact.held]
-    events.extend(Event(RELEASE, name, progress.t, terminal=False) for name in let_go)
-    machine = progress.machine.holding(functions.columns[contact.held], contact.y[: functions.nq])
-    going_on = replace(progress, y=contact.y, switches=switches, switched=progress.t)
-    if len(contact.held):  # the motion that the closures leave is another one
+    here = partial(Event, t=progress.t, terminal=False)
+    impacts = zip(hit, impulse[impulse > 0.0].tolist(), strict=True)
+    events.extend(here(functions.kinds[i], functions.names[i], impulse=size) for i, size in impacts)
+    events.extend(here(RELEASE, functions.names[i]) for i in functions.held if i not in held)
+    machine = progress.machine.holding(functions.columns[held], y[: functions.nq])
+    going_on = replace(progress, y=y, switches=switches, switched=progress.t)
+    if len(held):  # the motion that the closures leave is another one
         going_on = replace(going_on, sheet=None, near=NEAR)
-    return going_on.restarted(machine, contact.at.tolist(), contact.held.tolist())
+    return going_on.restarted(machine, stops.tolist(), held.tolist())
 
 
 def first_release(progress: SimulationProgress, step: Step) -> Event | None:
-    """Return the event at which a stop would first have to pull the joint that it holds in a step, if it does.
+    """Return the event at which a stop would first have to pull the joint that it holds in a step, or None.
 
-    It names the stop where that comes to it in the step, not where it pulls from the start.
+    It names the stop whose force changes sign in the step, and none if a force pulls from the start.
     """
     machine, functions = progress.machine, progress.functions
     side = functions.side[functions.held]
 
     def push(fraction: float) -> Array:
-        """Return (h,) the inward forces of stops on held joints, N or N·m; negative where they would pull."""
+        """Return (h,) the inward forces of the stops that hold joints, N or N·m; negative if they would pull."""
         state = machine.state(step.time(fraction), step.at(fraction))
         inward: Array = -side * machine.solve(state, machine.command(state, progress.hold)).stop_force[machine.held]
         return inward

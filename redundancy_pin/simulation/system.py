@@ -1,4 +1,4 @@
-"""A robot with what drives it: from a state and a command to forces, accelerations and rates."""
+"""A robot with its drives: from a state and a command to forces, accelerations and rates."""
 
 from __future__ import annotations
 
@@ -25,16 +25,17 @@ External = Callable[[State], Array]
 
 
 class Machine:
-    """A robot with what drives it, as a differential equation in y = (q, v). It keeps nothing from call to call.
+    """A robot with its drives, as a differential equation in y = (q, v), without memory from call to call.
 
     Args:
         robot: the robot.
         amplifiers: the controller behind its amplifiers.
         carrier_law: prescribed motion of the carriers, or None where forces drive them.
         external: further generalised forces.
-        kernel: machine code for it, and for the projection; what it refuses is computed here.
-        held: (h,) tree velocities of joints that stops hold; ``q`` (nq,) is where they do, and ``basis`` that of the
-            closure rows in use there.
+        kernel: machine code for it, and for the projection; states that it refuses are computed here.
+        held: (h,) tree velocities of joints that stops hold.
+        q: (nq,) configuration where they do.
+        basis: of the closure rows in use there, see ``ClosedChain``.
     """
 
     def __init__(
@@ -100,7 +101,7 @@ class Machine:
         """Return ẏ (nq + nv,) at a state under a command; ``sheet``: see ``ForwardDynamics.acceleration``.
 
         Raises:
-            IllPosedModelError, SingularPoseError: there is none.
+            IllPosedModelError, SingularPoseError: forces do not determine the acceleration.
         """
         model, q, v, force = self.robot.model, state.q, state.v, self._force(state, command)
         solved = self._by_code(state, force, sheet)
@@ -127,7 +128,7 @@ class Machine:
         return loads
 
     def project(self, t: float, y: Array, sheet: Sheet | None = None) -> tuple[Array, float, float]:
-        """Return the closed state nearest to y, or that on a sheet, the gap that y had, and the gap left, m."""
+        """Return the closed state nearest to y, or on a sheet, and the closure residual before and after, m."""
         state = self.state(t, y)
         motion = None if sheet is None else sheet.at(state.q, state.v)
         if motion is not None:
@@ -153,7 +154,7 @@ class Machine:
 
     @property
     def heeds_time_only(self) -> bool:
-        """Whether what acts, but for commands that are held, is no function of the state."""
+        """Whether forces other than the command do not depend on the state."""
         return self._law is None and self._external is None and not of_kind(self.robot.loads, Wrench)
 
     @property
@@ -164,9 +165,9 @@ class Machine:
     def forces_at(
         self, t: float, q: Array, v: Array, hold: Command | None
     ) -> tuple[Array, tuple[Array, Array, Array] | None]:
-        """Return the forces at a state, for machine code; the command is the one on hold, or that of this instant.
+        """Return the forces at a state, for machine code; the command is the one on hold, or the controller's answer.
 
-        NaN where there is no answer. Carriers are put into q and v where their law wants them.
+        NaN if the controller has no answer. Carriers that follow a law are written into q and v.
         """
         law = None if self._law is None else self._law(t)
         if law is not None:
@@ -192,11 +193,11 @@ class Machine:
         return force if self._external is None else force + self._external(state)
 
     def energy(self, state: State) -> float:
-        """Return kinetic and potential energy with that of rotors and springs, J (zero height at the world origin)."""
+        """Return kinetic and potential energy, rotors and springs included, J (zero height at the world origin)."""
         return tree_energy(self.robot, self.chain.data, state.q, state.v)
 
     def _by_code(self, state: State, force: Array, sheet: Sheet | None) -> Accelerations | None:
-        """Return what machine code computes; None without it, on a sheet, and where it refuses."""
+        """Return the result of machine code; None without it, on a sheet, and if it refuses."""
         if self.kernel is None or sheet is not None:
             return None
         return self.kernel.accelerations(state.q, state.v, force, self._given(state.t))
