@@ -58,6 +58,9 @@ _STILL = 1e-12
 _LEAST_TRAVEL = 0.01
 """rad; the integration fails at a nearer rank loss that no smooth branch passes."""
 
+_REST = "rest"
+"""Kind of the internal event of a motion that comes to rest at a rank loss."""
+
 _AT_REST, _AT = 1e-10, 1e-8
 """Speed, per time scale, and ratio of singular values at which a motion may continue on either sheet."""
 
@@ -180,7 +183,7 @@ def _step(
         return projected
     _record(problem, progress, step, located)
     if located.end is not None:
-        return _stopped(stepped, step, located.end, located.at_rest)
+        return _stopped(stepped, step, located.end)
     stepped = replace(projected, values=located.values, near=located.near)
     if stepped.status is not None:
         return stepped
@@ -224,15 +227,13 @@ class Located:
         events: reported events, up to the one at which the step ends.
         values: (w,) the event functions at its end.
         near: ratio of singular values below which the next search for a rank loss begins.
-        end: time of an event that ends the step early, s, or None.
-        at_rest: whether the motion comes to rest at a rank loss there.
+        end: the last event if it ends the step early, or None.
     """
 
     events: list[Event]
     values: Array
     near: float
-    end: float | None
-    at_rest: bool = False
+    end: Event | None
 
 
 def _locate_events(
@@ -250,16 +251,14 @@ def _locate_events(
             return retry
         near = 0.5 * float(ratios.min())  # a search takes as long as some steps: the next one from nearer by
     near = near if ratios[-1] < NEAR else NEAR
-    end = events[-1].t if events and events[-1].terminal else None
-    rest = None if sheet is None else _rest(progress.functions, step, sheet, problem.time)
-    at_rest = rest is not None and (end is None or rest < end)
-    if rest is not None and at_rest:
-        events, end = [event for event in events if event.t < rest], rest
-    if len(progress.machine.held):
-        release = first_release(progress, step)
-        if release is not None and (end is None or release.t < end):
-            events, end, at_rest = [*(one for one in events if one.t < release.t), release], release.t, False
-    return Located(events, values, near, end, at_rest)
+    end, early = events[-1] if events and events[-1].terminal else None, None
+    if sheet is not None:  # then no stop holds a joint
+        early = _rest(progress.functions, step, sheet, problem.time)
+    elif len(progress.machine.held):
+        early = first_release(progress, step)
+    if early is not None and (end is None or early.t < end.t):
+        events, end = [*(event for event in events if event.t < early.t), early], early
+    return Located(events, values, near, end)
 
 
 def _project(
@@ -289,18 +288,20 @@ def _project(
 
 def _record(problem: InitialValueProblem, progress: SimulationProgress, step: Step, located: Located) -> None:
     """Record events, and samples at the grid times in a step; its end belongs to the next step."""
-    progress.events.extend(located.events)
-    samples, grid, end = progress.samples, problem.grid, step.end if located.end is None else located.end
+    progress.events.extend(event for event in located.events if event.kind != _REST)
+    samples, grid, end = progress.samples, problem.grid, step.end if located.end is None else located.end.t
     while (t := float(grid[len(samples)])) < end - SAME * float(grid[1] - grid[0]):
         samples.append(progress.sample(t, step(t)))
 
 
-def _stopped(stepped: SimulationProgress, step: Step, end: float, at_rest: bool) -> SimulationProgress:
-    """Return the end of a step that an event ends early, or rest at a rank loss."""
-    y = stepped.machine.project(end, step(end), stepped.sheet)[0]
-    stopped = replace(stepped, t=end, y=y, status=ResultStatus.STOPPED)
+def _stopped(stepped: SimulationProgress, step: Step, end: Event) -> SimulationProgress:
+    """Return the end of a step that an event ends early; rest at a rank loss is a failure, not an event."""
+    y = stepped.machine.project(end.t, step(end.t), stepped.sheet)[0]
+    stopped = replace(stepped, t=end.t, y=y, status=ResultStatus.STOPPED)
+    if end.kind != _REST:
+        return stopped
     why = "it rests where its closures lose rank, and its motion is undetermined"
-    return stopped.failed(_at_pose(stopped, y, why)) if at_rest else stopped
+    return stopped.failed(_at_pose(stopped, y, why))
 
 
 def _leaves(sheet: Sheet, q: Array, v: Array) -> bool:
@@ -309,8 +310,8 @@ def _leaves(sheet: Sheet, q: Array, v: Array) -> bool:
     return abs(place) > BEYOND * sheet.passage.half and place * sheet.speed(v) > 0.0
 
 
-def _rest(functions: EventFunctions, step: Step, sheet: Sheet, time: float) -> float | None:
-    """Return the time in a step at which a motion comes to rest at a rank loss, if it does; ``time``: time scale, s."""
+def _rest(functions: EventFunctions, step: Step, sheet: Sheet, time: float) -> Event | None:
+    """Return the event at which a motion comes to rest at a rank loss in a step, or None; ``time``: time scale, s."""
 
     def speed(fraction: float) -> float:
         return sheet.speed(step.at(fraction)[functions.nq :])
@@ -318,7 +319,8 @@ def _rest(functions: EventFunctions, step: Step, sheet: Sheet, time: float) -> f
     turns = speed(0.0) * speed(1.0) < 0.0
     fraction = float(brentq(speed, 0.0, 1.0, xtol=1e-6)) if turns else 1.0
     lost = functions.rank(step.states([fraction]))[0] < _AT
-    return step.time(fraction) if lost and (turns or abs(speed(1.0)) * time < _AT_REST) else None
+    rests = lost and (turns or abs(speed(1.0)) * time < _AT_REST)
+    return Event(_REST, "", step.time(fraction), terminal=True) if rests else None
 
 
 def retry_at_rank_loss(

@@ -115,7 +115,7 @@ class OrdinarySteps:
             breaks=np.array([interval.end for interval in intervals]),
             efforts=(amplifiers.open_loop or nothing) if self._by_time else None,
             loads=None if self._by_time else self._loads,
-            prescribed=self._machine.prescribed,
+            prescribed=self._machine.dynamics.prescribed,
             limits=amplifiers.limits,
             stops=start.functions.stops,
             time=problem.time,

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.dynamics.forward import Accelerations, ForwardKernel
-from redundancy_pin.dynamics.tree_loads import TreeState, tree_energy, tree_loads
+from redundancy_pin.dynamics.tree_loads import TreeLoads, TreeState, tree_energy
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
 from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.loads import of_kind, wrench_values
@@ -57,7 +58,9 @@ class Machine:
         self.held, self.chain = self.dynamics.held, self.dynamics.chain
         self.manifold = Manifold(self.chain, held)
         self.amplifiers, self._law, self._external = amplifiers, carrier_law, external
-        self._tree_loads = tree_loads(robot)
+        # loads except wrenches are in the equations
+        wrenches = partial(self._wrench_force, TreeLoads(robot)) if of_kind(robot.loads, Wrench) else None
+        self._further = [force for force in (wrenches, external) if force is not None]
         self._split = robot.model.nq
 
     def with_all_rows(self, q: Array) -> Machine | None:
@@ -133,16 +136,15 @@ class Machine:
         motion = None if sheet is None else sheet.at(state.q, state.v)
         if motion is not None:
             return np.concatenate([motion.q, motion.v]), self._gap(state.q), self._gap(motion.q)
+        projected = None
         if self.kernel is not None:
             projected = self.kernel.project(np.concatenate([state.q, state.v]), self.manifold.tolerance)
-            if projected is not None:
-                y, before, left = projected
-                return y, before, max(left, self._dependent_residual(y[: self.robot.model.nq]))
-        q, v, before, left = self.manifold.project(state.q, state.v)
-        return np.concatenate([q, v]), before, max(left, self._dependent_residual(q))
-
-    def _dependent_residual(self, q: Array) -> float:
-        return float(self.chain.system.dependent_row_residual(q[None])[0])
+        if projected is None:
+            q, v, before, left = self.manifold.project(state.q, state.v)
+            projected = np.concatenate([q, v]), before, left
+        closed, before, left = projected
+        dependent = self.chain.system.dependent_row_residual(closed[None, : self._split])
+        return closed, before, max(left, float(dependent[0]))
 
     def least_inertia(self, t: float, y: Array) -> float:
         """Return the smallest pivot of the mass matrix over the largest, at the last state or, with code, at y."""
@@ -155,12 +157,7 @@ class Machine:
     @property
     def heeds_time_only(self) -> bool:
         """Whether forces other than the command do not depend on the state."""
-        return self._law is None and self._external is None and not of_kind(self.robot.loads, Wrench)
-
-    @property
-    def prescribed(self) -> bool:
-        """Whether the carriers' motion is given."""
-        return self._law is not None
+        return self._law is None and not self._further
 
     def forces_at(
         self, t: float, q: Array, v: Array, hold: Command | None
@@ -188,9 +185,12 @@ class Machine:
         force[robot.actuated_velocity] = command[0]
         if self._law is None:
             force[robot.carrier_velocity] = command[1]
-        if of_kind(robot.loads, Wrench) and self._tree_loads is not None:  # other loads are in the equations
-            force += self._tree_loads.external(self.chain.data, _tree_state(state))
-        return force if self._external is None else force + self._external(state)
+        return sum((further(state) for further in self._further), start=force)
+
+    def _wrench_force(self, loads: TreeLoads, state: State) -> Array:
+        values = wrench_values(state.robot.loads, np.array([state.t]), state.x[None], state.xd[None])
+        tree = TreeState(state.q, state.v, 0.0 * state.v, [value[0] for value in values])
+        return loads.external(self.chain.data, tree)
 
     def energy(self, state: State) -> float:
         """Return kinetic and potential energy, rotors and springs included, J (zero height at the world origin)."""
@@ -204,8 +204,3 @@ class Machine:
 
     def _given(self, t: float) -> Array | None:
         return None if self._law is None else self._law(t)[2]
-
-
-def _tree_state(state: State) -> TreeState:
-    values = wrench_values(state.robot.loads, np.array([state.t]), state.x[None], state.xd[None])
-    return TreeState(state.q, state.v, 0.0 * state.v, [value[0] for value in values])
