@@ -268,6 +268,21 @@ def test_rest_at_the_flat_pose_leaves_the_motion_undetermined_and_says_so() -> N
     assert run.t[-1] < 0.4
 
 
+def test_a_motion_that_settles_at_the_flat_pose_without_turning_back_says_so_too() -> None:
+    """Critically damped: θ = 0.3 (1 + 20 t) exp(−20 t); rounding that crosses the pose is no event."""
+    robot, inertia, rate = row_of_four_bars(1, gravity=0.0), 5.0 / 3.0, 20.0
+
+    def settling(state: State) -> Array:
+        return np.array([-inertia * (rate**2 * state.q[0] + 2.0 * rate * state.v[0]), 0.0, 0.0])
+
+    run = rp.simulate(robot, start=closed_state(robot, [0.3]), duration=3.0, dt=0.05, external=settling)
+    assert run.status is ResultStatus.NOT_CONVERGED
+    assert "undetermined" in run.reason
+    assert run.events == ()
+    assert 1.0 < run.t[-1] < 1.8  # θ is 1e-7 and 1e-13
+    np.testing.assert_allclose(run.q[:, 0], 0.3 * (1.0 + rate * run.t) * np.exp(-rate * run.t), atol=1e-9)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("longer", [1e-4, -1e-4])
 def test_sides_a_little_unequal_have_no_flat_pose_and_the_motion_turns_sharply_instead(longer: float) -> None:
