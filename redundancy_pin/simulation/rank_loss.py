@@ -176,13 +176,10 @@ def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet |
         return None
     along = rate / length * own.unit  # the coordinates' increment per unit of length
     ahead = 0.0 if lost else _distance(own, here, along, reach)
-    if ahead is None:
-        behind = _distance(own, here, -along, WITHIN * WIDEST)
-        ahead = None if behind is None else -behind
     if ahead is None or ahead > WITHIN * WIDEST:
         return ahead
     for spacing in SPACINGS:
-        passage = _passage(own, here, ahead, along * spacing) if abs(ahead) <= WITHIN * 4.0 * spacing else None
+        passage = _passage(own, here, ahead, along * spacing) if ahead <= WITHIN * 4.0 * spacing else None
         if passage is not None:
             return Sheet(passage, independent, np.setdiff1d(columns, independent))
     # a narrower passage than reaches here may be smooth: it is tried from nearer by
