@@ -364,13 +364,14 @@ def _with_rank_loss(
     # what starts at a rank loss has not come to it, what ends there has
     first, last = (_TURN if ratio <= LOST else 0.0 for ratio in (before[-1], ratios[-1]))
     roots = sheet.rank_losses(_POINTS, places[:, : functions.nq])
-    near = np.sort(roots.real[(np.abs(roots.imag) < _TURN) & (roots.real > first) & (roots.real <= 1.0 + last)])
-    times = [step.time(min(x, 1.0)) for x in near[np.diff(near, prepend=-np.inf) > _TURN].tolist()]
+    near = np.sort(roots.real[(np.abs(roots.imag) < _TURN) & (roots.real > -first) & (roots.real <= 1.0 + last)])
+    near = near[np.diff(near, prepend=-np.inf) > _TURN]
+    losses, times = ([step.time(min(x, 1.0)) for x in some.tolist()] for some in (near, near[near > first]))
     same, singular = _SAME * (step.end - step.start), ("closure_rank", *functions.determinants)
     events = [
         event
         for event in events
-        if event.kind not in functions.determinants or all(abs(event.t - t) > same for t in times)
+        if event.kind not in functions.determinants or all(abs(event.t - t) > same for t in losses)
     ]
     indices = [functions.kinds.index(kind) for kind in singular]
     return _until_terminal([*events, *(event for t in times for event in functions.events(indices, t, step(t)))])

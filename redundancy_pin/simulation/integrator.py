@@ -126,7 +126,6 @@ def _integrate_interval(
     while progress.status is None and progress.t < interval.end:
         if ordinary is not None and progress.sheet is None:
             progress = ordinary.take(progress, interval)
-            _report(problem, progress)
             if progress.t >= interval.end:
                 break
         stepper, rate = solver(problem, progress, interval)
@@ -134,16 +133,11 @@ def _integrate_interval(
         while stepper.status == "running" and progress.status is None and not retried:
             result = _step(problem, progress, stepper, rate)
             progress, retried = result, result.t == progress.t
-            _report(problem, progress)
+            problem.notify(progress)
             if ordinary is not None and progress.sheet is None:
                 break  # the next one may be ordinary
         progress = replace(progress, evaluations=progress.evaluations + rate.evaluations)
     return progress
-
-
-def _report(problem: InitialValueProblem, progress: SimulationProgress) -> None:
-    if problem.report is not None:
-        problem.report(progress.t, float(problem.grid[-1]))
 
 
 def _retry(

@@ -92,6 +92,11 @@ class InitialValueProblem:
         """The shortest ordinary step, s."""
         return SHORTEST * self.time
 
+    def notify(self, progress: SimulationProgress) -> None:
+        """Report how far the simulation is, if reports were requested."""
+        if self.report is not None:
+            self.report(progress.t, float(self.grid[-1]))
+
 
 @dataclass(frozen=True, eq=False)
 class SimulatedSample:

@@ -146,9 +146,10 @@ class OrdinarySteps:
             progress = replace(progress, next_step=float(stepper.h_abs), evaluations=evaluations)
         before, stopped = progress.steps, False
         while not stopped and progress.t < end and progress.steps < problem.max_steps:
-            # in portions, so that it can be interrupted
+            # in portions, so that it can be interrupted and reports how far it is
             portion = min(_PORTION, problem.max_steps - progress.steps)
             progress, states, stopped = self._code.advance(progress, len(samples), end, portion)
             times = grid[len(samples) : len(samples) + len(states)].tolist()
             samples.extend(SimulatedSample(t, y, self._machine, hold, None) for t, y in zip(times, states, strict=True))
+            problem.notify(progress)
         return replace(progress, short=0) if progress.steps > before else progress

@@ -488,3 +488,15 @@ def test_it_tells_how_far_it_is() -> None:
         assert (np.diff(times[:, 0]) >= 0.0).all()
         assert times[-1, 0] == pytest.approx(0.3)
         assert (times[:, 1] == times[-1, 0]).all()
+
+
+def test_generated_code_reports_during_a_long_stretch_of_steps() -> None:
+    """One interval without events, 3,000 steps: reports at least every 1,000."""
+    robot = rp.load_robot("five_bar", carriers=True)
+    told: list[float] = []
+    drive = Constant(np.full(2, 1e-3), np.zeros(2))
+    run = rp.simulate(
+        robot, drive, duration=0.3, max_step=1e-4, dt=0.1, dynamics=robot, progress=lambda t, end: told.append(t)
+    )
+    assert run.statistics.steps >= 3000
+    assert np.diff([0.0, *told]).max() < 0.11

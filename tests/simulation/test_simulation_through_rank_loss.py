@@ -198,6 +198,14 @@ def test_a_start_at_the_flat_pose_goes_on_along_its_velocity() -> None:
     np.testing.assert_allclose(folded.q[:, 2], swing.y[0], atol=1e-8)
 
 
+@pytest.mark.parametrize("at", [-1e-9, 1e-9])
+def test_a_start_at_the_flat_pose_has_not_come_to_it_whichever_way_it_is_rounded(at: float) -> None:
+    run = rp.simulate(row_of_four_bars(1), start=flat([1.0, -1.0, 1.0], at), duration=0.05, dt=0.01)
+    assert run.status is ResultStatus.OK
+    assert run.q[-1, 0] > 0.03
+    assert run.events == ()
+
+
 @pytest.mark.parametrize("beyond", [1e-3, 1e-5, 1e-7])
 def test_a_start_just_beyond_the_flat_pose_leaves_it_behind(beyond: float) -> None:
     lengths = (0.5, 0.9, 0.7, 0.3)
