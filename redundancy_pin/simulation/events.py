@@ -118,7 +118,7 @@ class EventFunctions:
         robot = chain.robot
         self.nq, self.stop_at, self.push_back = robot.model.nq, stop_at, push_back
         labels, self.stops, self.slack = _stops(robot)
-        self.at, self.held = list(at), list(held)
+        at, self.held = list(at), list(held)
         self._position, self.columns = self.stops[:2].astype(np.intp)
         self.side, self._bound = self.stops[2:]
         self._limit = self._bound.copy()
@@ -126,7 +126,7 @@ class EventFunctions:
         at_limit = np.abs(self._within(start)) <= self.slack
         self._bound += np.where(at_limit, _HELD * self.side * self.slack, 0.0)
         beyond = np.maximum(_NOT_AT * self.slack - self._within(start), 0.0)
-        self._bound[self.at] += (self.side * beyond)[self.at]
+        self._bound[at] += (self.side * beyond)[at]
         self._bound[self.held] = np.inf * self.side[self.held]
         legs = 0 if robot.working_modes is None else len(robot.working_modes.joints)
         self._by_legs, self._square = legs > 0, robot.m == robot.n
