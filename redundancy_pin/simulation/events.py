@@ -1,14 +1,14 @@
-"""Event detection: ends of tracks and joints, stretched legs, lost control, found where they are within a step.
+"""Event detection: limits of tracks and joints, singularities of type I and II, rank losses of the closures.
 
-An event is a zero of a scalar function of the configuration. Each step is looked at on the cubic through its ends,
-which takes no evaluation of the dynamics; where a function changes sign there, its root is found on the integrator's
-own interpolant. A sign that changes twice between two looks does not show; for the stops, which must not be missed, the
-turning points of the joints are looked at too.
+An event is a zero of a scalar function of the configuration. The functions are evaluated on the cubic through the ends
+of a step, which takes no evaluation of the dynamics; if one changes sign there, its root is found on the integrator's
+interpolant. A sign that changes twice between two evaluations does not show; for the stops, which must not be missed,
+the turning points of the joints are evaluated too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -30,41 +30,40 @@ velocity does not determine the joints; actuators that do not hold the platform;
 rank."""
 
 ONE_SIDED = ("track", "joint_limit")
-"""Kinds that stand for a stop: only leaving the allowed side counts."""
+"""Kinds of stops: only leaving the allowed side counts."""
 
 RELEASE = "release"
-"""Kind of the event at which a stop lets go of a joint that it held."""
+"""Kind of the event at which a stop lets go of a joint."""
 
 _ROUNDING = 1e-12
-"""Values of functions other than stops, which have no unit, that are taken for zero at the start."""
+"""Values of functions other than stops, no unit, that count as zero at the start."""
 
 _HELD = 0.9
 """Part of its slack by which a joint that starts at its limit may exceed it: a run then stops within the slack."""
 
 _NOT_AT = 1e-3
-"""Part of its slack that a joint at a stop that pushes is from where it leaves it: more than rounding, and too little
-to creep."""
+"""Part of its slack that a joint at a stop that pushes may move outward: more than rounding, too little to creep."""
 
 _UNLIMITED = 1e6
-"""rad, or characteristic lengths; URDF writers put large numbers where there is no limit."""
+"""rad, or characteristic lengths; URDF writers put larger numbers for no limit."""
 
 _LOOKS = (0.25, 0.5, 0.75, 1.0)
-"""Where in a step the functions are looked at."""
+"""Fractions of a step at which the functions are evaluated."""
 
 BRIEF = 0.02
-"""rad; where joints move less than this in a step, at the speeds of its ends, only its end is looked at, and where they
-turn back. A tenth of ``BETWEEN``."""
+"""rad; if joints move less than this in a step, at the speeds of its ends, the functions are evaluated only at its end
+and at turning points. A tenth of ``BETWEEN``."""
 
 BETWEEN = 0.2
-"""rad; no joint of the pose moves farther than this from look to look at the rank of the closures."""
+"""rad; largest travel of a joint of the pose between two evaluations of the rank of the closures."""
 
 _SAME = 2e-3
 """Share of a step to which the time of a zero of third order is known: a hundred cube roots of 1e-14, the rounding of a
 determinant."""
 
 _TURN = 1e-6
-"""Part of a step to which it is known where a joint turns back: what it moves meanwhile is of second order in it. Rank
-losses that are nearer to each other are one."""
+"""Accuracy of a turning point, part of a step: the error of the position is of second order in it. Rank losses nearer
+to each other are one."""
 
 _POINTS = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 12))
 """Fractions of a step on a sheet, of a third of a radian at most, between which closure rows are interpolated."""
@@ -90,80 +89,92 @@ class Event:
 
 
 class EventFunctions:
-    """The scalar functions of a robot whose zeros are events, with their kinds and names; the stops come first.
+    """The scalar functions of a robot whose zeros are events; those of the stops come first.
 
-    Joints that are at a limit at the ``start`` (nq,) may exceed it by nearly its slack. ``push_back`` are kinds of
-    stops that do: a step ends there, whatever ``stop_at`` says. ``at`` and ``held`` are indices of stops: joints at the
-    first may be beyond them at the start, by as much as an integration step was off, and cannot leave the others.
+    Args:
+        chain: evaluator of the robot.
+        stop_at: kinds of events that end a simulation.
+        start: (nq,) configuration; joints that are at a limit there may exceed it by nearly its slack.
+        push_back: kinds of stops that push back: a step ends there, whatever is in ``stop_at``.
+        at: indices of stops that joints may exceed at the start, by the error of an integration step.
+        held: indices of stops that joints cannot leave.
+
+    Attributes:
+        kinds, names: of each function.
+        stops: (4, l) index in q and in v, side and bound of each stop; ``columns`` and ``side`` are two of the rows.
+        slack: (l,) by which a joint at its limit may exceed it.
+        determinants: kinds whose functions are determinants with the closure rows in them.
     """
 
     def __init__(
         self,
         chain: ClosedChain,
         stop_at: tuple[str, ...],
-        start: Array | None = None,
+        start: Array,
         push_back: tuple[str, ...] = (),
         at: Sequence[int] = (),
         held: Sequence[int] = (),
     ) -> None:
         robot = chain.robot
         self.nq, self.stop_at, self.push_back = robot.model.nq, stop_at, push_back
-        labels, stops, slack = _stops(robot)
-        self.stops = stops
-        """(4, l) index in q and in v, side and bound of each stop; they come first among the functions."""
-        indices = stops[:2].astype(np.intp)
-        self._position, self._rate, self._side, self._bound = indices[0], self.nq + indices[1], stops[2], stops[3]
-        self.slack = slack
-        self._limit = stops[3].copy()
-        if start is not None:
-            # a joint that starts at its limit is within it, however it was rounded, and may stay there
-            at_limit = np.abs(self._side * (self._bound - start[self._position])) <= slack
-            self._bound += np.where(at_limit, _HELD * self._side * slack, 0.0)
-            beyond = np.maximum(self._side * (start[self._position] - self._bound) + _NOT_AT * slack, 0.0)
-            self._bound[list(at)] += (self._side * beyond)[list(at)]
-            self._bound[list(held)] = np.inf * self._side[list(held)]
+        labels, self.stops, self.slack = _stops(robot)
+        at, self.held = list(at), list(held)
+        self._position, self.columns = self.stops[:2].astype(np.intp)
+        self.side, self._bound = self.stops[2:]
+        self._limit = self._bound.copy()
+        # a joint that starts at its limit is within it, however it was rounded, and may stay there
+        at_limit = np.abs(self._within(start)) <= self.slack
+        self._bound += np.where(at_limit, _HELD * self.side * self.slack, 0.0)
+        beyond = np.maximum(_NOT_AT * self.slack - self._within(start), 0.0)
+        self._bound[at] += (self.side * beyond)[at]
+        self._bound[self.held] = np.inf * self.side[self.held]
         legs = 0 if robot.working_modes is None else len(robot.working_modes.joints)
-        self._by_legs = legs > 0
-        self._square = robot.m == robot.n
+        self._by_legs, self._square = legs > 0, robot.m == robot.n
+        self.determinants = (() if legs else ("type_I",)) + (("type_II",) if self._square else ())
         labels += [("type_I", f"leg {i + 1}") for i in range(legs)] or [("type_I", "type_I")]
         labels += [("type_II", "type_II")] if self._square else []
         labels += [("closure_rank", "closures")]
         self.kinds, self.names = (tuple(part) for part in zip(*labels, strict=True))
-        self.pushes = np.array([kind in push_back for kind in self.kinds])
-        self._terminal = np.array([kind in stop_at for kind in self.kinds]) | self.pushes
-        self._one_sided = np.array([kind in ONE_SIDED for kind in self.kinds])
-        self._chain, self._columns = chain, chain.pose_columns
-        self._unit = chain.system.step_unit
+        self.pushes = np.isin(self.kinds, push_back)
+        self._terminal = np.isin(self.kinds, stop_at) | self.pushes
+        self._one_sided = np.isin(self.kinds, ONE_SIDED)
+        self._chain, self._columns, self._unit = chain, chain.pose_columns, chain.system.step_unit
         self._actuated = np.eye(robot.model.nv)[robot.actuated_velocity][:, self._columns]
         self._still = np.zeros(robot.model.nv)
 
-    def __call__(self, q: Array) -> Array:
-        """Return (N, w) the functions at (N, nq) configurations, which takes less time than one by one."""
-        chain, columns, count = self._chain, self._columns, len(q)
-        p, r = len(columns), chain.rows
+    def __call__(self, y: Array) -> Array:
+        """Return (N, w) the functions at configurations (N, nq) or states (N, nq + nv)."""
+        chain, q = self._chain, y[:, : self.nq]
+        count, p, r = len(q), len(self._columns), chain.rows
         # [J_c; S], whose determinant is zero where actuators do not hold the platform, and [J_c; J_x]
         # determinants, for their signs: a singular value only dips to zero, and a root needs a change of sign
-        by_actuators, by_platform, rows = np.empty((count, p, p)), np.empty((count, p, p)), np.empty((count, r, p))
+        by_actuators, by_platform = np.empty((count, p, p)), np.empty((count, p, p))
         for i, one in enumerate(q):
             chain.update(one, self._still)
-            by_platform[i] = K = chain.matrix()
-            rows[i] = K[:r]
-            if self._square:
-                by_actuators[i, :r], by_actuators[i, r:] = rows[i], self._actuated
-        parts = [self._side * (self._bound - q.take(self._position, 1))]
+            by_platform[i] = chain.matrix()
+        rows = by_platform[:, :r]
         type_i = mode_indicator(chain.robot, q) if self._by_legs else np.linalg.det(by_platform)[:, None]
-        parts.append(type_i)
+        parts = [self._within(q), type_i]
         if self._square:
+            by_actuators[:, :r], by_actuators[:, r:] = rows, self._actuated
             parts.append(np.linalg.det(by_actuators)[:, None])
         # a ratio of singular values has no sign: it touches zero where rank is lost, at roots of any multiplicity
-        parts.append(rank_ratio(rows)[:, None])
-        return np.concatenate(parts, axis=1)
+        return np.concatenate([*parts, rank_ratio(rows)[:, None]], axis=1)
+
+    def rank(self, y: Array) -> Array:
+        """Return (N,) the ratio of singular values of the closures at configurations or states."""
+        return self(y)[:, -1]
+
+    def _within(self, y: Array) -> Array:
+        """Return (..., l) how far joints are from their stops, m or rad; negative beyond them."""
+        inside: Array = self.side * (self._bound - y.take(self._position, -1))
+        return inside
 
     def at_start(self, q: Array) -> Array:
         """Return (w,) the functions at the start (nq,), rounding taken for zero.
 
-        A machine that starts at a stop stops again if it goes on outward, whichever way its position was rounded; and
-        one that starts at a singular pose has not come to it.
+        A machine that starts at a stop stops again if it moves outward, whichever way its position was rounded. A
+        machine that starts at a singular pose has not come to it.
 
         Raises:
             InputError: a stop at which the simulation ends has been passed already.
@@ -184,13 +195,12 @@ class EventFunctions:
 
     def touching(self, q: Array) -> BoolArray:
         """Return (l,) which stops joints are at, or beyond, at a configuration (nq,)."""
-        result: BoolArray = self._side * (self._limit - q.take(self._position)) <= self.slack
-        return result
+        return np.asarray(self.side * (self._limit - q.take(self._position)) <= self.slack)
 
     def sign_changes(self, before: Array, after: Array) -> BoolArray:
         """Return (..., w) which functions changed sign, or came to zero, between two points of time.
 
-        A stop is passed where its function turns negative; leaving zero is an event for stops only.
+        A stop is passed if its function becomes negative; leaving zero is an event for stops only.
         """
         leaves = (before >= 0.0) & (after < 0.0)
         swaps = ((before > 0.0) & (after <= 0.0)) | ((before < 0.0) & (after >= 0.0))
@@ -198,7 +208,7 @@ class EventFunctions:
 
     def approach(self, y: Array) -> Array:
         """Return (N, l) the rates at which joints move away from their stops, for states y (N, nq + nv)."""
-        rates: Array = -self._side * y.take(self._rate, 1)
+        rates: Array = -self.side * y.take(self.nq + self.columns, 1)
         return rates
 
     def turns(self, y: Array, length: Array) -> BoolArray:
@@ -206,62 +216,40 @@ class EventFunctions:
 
         y (N + 1, nq + nv) are the states at the ends of the parts, length (N,) their durations, s.
         """
-        away, rate = self._side * (self._bound - y.take(self._position, 1)), self.approach(y)
+        away, rate = self._within(y), self.approach(y)
         reach = length[:, None] * np.maximum(np.abs(rate[:-1]), np.abs(rate[1:]))
-        turning: BoolArray = (rate[:-1] < 0.0) & (rate[1:] > 0.0) & (np.minimum(away[:-1], away[1:]) < reach)
-        return turning
+        return np.asarray((rate[:-1] < 0.0) & (rate[1:] > 0.0) & (np.minimum(away[:-1], away[1:]) < reach))
 
-    def travel(self, states: Array, length: float) -> float:
-        """Return about how far, rad, the fastest joint of the pose moves in a step of some length, s.
-
-        ``states`` (L, nq + nv) are its states at equidistant looks.
-        """
-        speeds = np.abs(states[:, self.nq + self._columns]) / self._unit
-        return length * float(speeds.max(axis=1).mean())
-
-    def is_brief(self, step: Step, time: float) -> bool:
-        """Return whether joints hardly move in a step, by the speeds at its ends, or by the time scale, s."""
-        ends = np.array([step(step.start), step(step.end)])
-        speed = float((np.abs(ends[:, self.nq + self._columns]) / self._unit).max(initial=1.0 / time))
-        return (step.end - step.start) * speed < BRIEF
+    def speeds(self, y: Array) -> Array:
+        """Return (N,) speeds of the fastest joint of the pose, rad or characteristic lengths per s, for N states."""
+        speeds: Array = (np.abs(y[:, self.nq + self._columns]) / self._unit).max(axis=1, initial=0.0)
+        return speeds
 
     def ratios(self, step: Step, count: int) -> Array:
-        """Return (count + 1,) the ratio of singular values of the closures at equidistant looks at a step."""
-        states = np.array([step.at(fraction) for fraction in np.linspace(0.0, 1.0, count + 1).tolist()])
-        return self(states[:, : self.nq])[:, -1]
+        """Return (count + 1,) the ratio of singular values of the closures at equidistant points of a step."""
+        return self.rank(step.states(np.linspace(0.0, 1.0, count + 1)))
 
     def least_rank(self, step: Step) -> float:
         """Return the smallest ratio of singular values of the closures within a step, to 1e-6 of the step."""
-
-        def ratio(fraction: float) -> float:
-            return float(self(step.at(fraction)[None, : self.nq])[0, -1])
-
-        travel = self.travel(np.array([step.at(fraction) for fraction in (0.0, *_LOOKS)]), step.end - step.start)
+        travel = (step.end - step.start) * self.speeds(step.states((0.0, *_LOOKS))).mean()
         looks = np.linspace(0.0, 1.0, 33 + int(travel / BETWEEN))
         lowest = int(np.argmin(self.ratios(step, len(looks) - 1)))
         ends = looks[max(lowest - 1, 0)], looks[min(lowest + 1, len(looks) - 1)]
+        ratio = lambda fraction: float(self.rank(step.states([fraction]))[0])  # noqa: E731
         return float(minimize_scalar(ratio, bounds=ends, method="bounded", options={"xatol": 1e-6}).fun)
 
-    @property
-    def determinants(self) -> tuple[str, ...]:
-        """Kinds whose functions are determinants with the closure rows in them."""
-        return (*(() if self._by_legs else ("type_I",)), *(("type_II",) if self._square else ()))
+    def events(self, indices: Iterable[int], t: float, y: Array) -> list[Event]:
+        """Return the events of functions that are zero at a time, s, and a state y (nq + nv,).
 
-    def rank_loss(self, t: float, y: Array) -> list[Event]:
-        """Return the events at a rank loss of the closure rows in use, for the state y (nq + nv) there."""
-        kinds = ("closure_rank", *self.determinants)
-        return [event for kind in kinds for event in self.zero(self.kinds.index(kind), t, y)]
-
-    def zero(self, index: int, t: float, y: Array) -> list[Event]:
-        """Return the event of one of the functions at a zero of it, for the state y (nq + nv) there.
-
-        There is none where the closure rows in use lose rank and dependent rows restore it.
+        Closures, and determinants with their rows, have none if dependent rows restore the rank that those in use lose.
         """
-        if self.kinds[index] in ("closure_rank", *self.determinants):
-            self._chain.place(y[: self.nq])
-            if self._chain.dependent_rows_restore_rank():
-                return []
-        return [Event(self.kinds[index], self.names[index], t, bool(self._terminal[index]))]
+        self._chain.place(y[: self.nq])
+        restored = self._chain.dependent_rows_restore_rank()
+        return [
+            Event(self.kinds[i], self.names[i], t, bool(self._terminal[i]))
+            for i in indices
+            if not (restored and self.kinds[i] in ("closure_rank", *self.determinants))
+        ]
 
 
 def _stops(robot: Robot) -> tuple[list[tuple[str, str]], Array, Array]:
@@ -277,19 +265,8 @@ def _stops(robot: Robot) -> tuple[list[tuple[str, str]], Array, Array]:
     return labels, table[:4], table[4]
 
 
-def cubic_weights(fractions: Sequence[float]) -> Array:
-    """Return (N, 4) weights of y, h ẏ at the start and h ẏ, y at the end of a step of length h in Hermite's cubic."""
-    x = np.array(fractions)
-    late = x * x * (3.0 - 2.0 * x)
-    return np.stack([1.0 - late, x * (1.0 - x) ** 2, -x * x * (1.0 - x), late], axis=1)
-
-
-_WEIGHTS = cubic_weights((0.0, *_LOOKS))
-_WEIGHTS_OF_ENDS = cubic_weights((0.0, 1.0))
-
-
 class Step:
-    """An accepted step of an integrator, as a function of time; good until the integrator is changed or goes on.
+    """An accepted step of an integrator, as a function of time; valid until the integrator takes the next one.
 
     ``before`` is y and ẏ at the start of the step.
     """
@@ -301,7 +278,7 @@ class Step:
 
     @cached_property
     def _dense(self) -> Callable[[float], Array]:
-        # three more evaluations: made only where something needs it
+        # three more evaluations: only if needed
         interpolant: Callable[[float], Array] = self._solver.dense_output()
         return interpolant
 
@@ -319,10 +296,16 @@ class Step:
         """Return y at a fraction of the step, to the accuracy of the integrator."""
         return self(self.time(fraction))
 
-    def estimates(self, weights: Array) -> Array:
-        """Return (N, nq + nv) y on the cubic through both ends, at the fractions whose ``cubic_weights`` are given."""
+    def states(self, fractions: Iterable[float]) -> Array:
+        """Return (N, nq + nv) y at fractions of the step, to the accuracy of the integrator."""
+        return np.array([self.at(fraction) for fraction in fractions])
+
+    def estimates(self, fractions: Sequence[float]) -> Array:
+        """Return (N, nq + nv) y at fractions of the step on the cubic through both ends (Hermite)."""
         (y0, f0), (y1, f1) = self._before, self._after
-        h = self.end - self.start
+        h, x = self.end - self.start, np.array(fractions)
+        late = x * x * (3.0 - 2.0 * x)
+        weights = np.stack([1.0 - late, x * (1.0 - x) ** 2, -x * x * (1.0 - x), late], axis=1)
         states: Array = weights.dot(np.array([y0, h * f0, h * f1, y1]))
         return states
 
@@ -330,31 +313,36 @@ class Step:
 def find_events(
     functions: EventFunctions, before: Array, step: Step, time: float, sheet: Sheet | None = None
 ) -> tuple[list[Event], Array, Array]:
-    """Return the events in a step in order of time, up to the first terminal one, and the functions (w,) at its end.
+    """Return the events in a step, the functions (w,) at its end, and the rank (L,) of the closures along it.
 
-    Also the ratios (L,) of singular values of the closures at its start, at equidistant looks and at its end.
-    ``before`` (w,) are the functions at the start, ``time`` is the time scale of the motion, s, ``sheet`` what the
-    motion is on where the closures lose rank.
+    Args:
+        functions: event functions.
+        before: (w,) the functions at the start of the step.
+        step: the step.
+        time: time scale of the motion, s.
+        sheet: solution branch across a rank loss of the closures that the motion is on, or None.
+
+    Returns:
+        The events in order of time, up to the first terminal one; the functions; and the ratios of singular values at
+        equidistant points, from the start of the step to its end.
     """
-    fine = not functions.is_brief(step, time) or before[-1] < NEAR
-    looks, weights = (_LOOKS, _WEIGHTS) if fine else (_LOOKS[-1:], _WEIGHTS_OF_ENDS)
-    states = step.estimates(weights)
-    values = np.concatenate([before[None], functions(states[1:, : functions.nq])])
-    same_signs = bool((values[:-1] * values[1:] > 0.0).all())  # nearly always, and quickly seen
-    if (same_signs or not functions.sign_changes(values[:-1], values[1:]).any()) and not _turns(
-        functions, step, states, looks
-    ).any():
-        events: list[Event] = []
-    else:
+    length = step.end - step.start
+    is_brief = length * float(functions.speeds(step.states((0.0, 1.0))).max(initial=1.0 / time)) < BRIEF
+    looks = (1.0,) if is_brief and before[-1] >= NEAR else _LOOKS
+    states = step.estimates((0.0, *looks))
+    values = np.concatenate([before[None], functions(states[1:])])
+    events: list[Event] = []
+    turning = functions.turns(states, length * np.diff(looks, prepend=0.0))
+    if turning.any() or functions.sign_changes(values[:-1], values[1:]).any():
         events = _find_exactly(functions, before, step, looks)
     if sheet is not None:
         return _with_rank_loss(functions, events, before, step, sheet), values[-1], values[:, -1]
-    count = int(functions.travel(states, step.end - step.start) / BETWEEN)
+    count = int(length * functions.speeds(states).mean() / BETWEEN)
     return events, values[-1], values[:, -1] if count < len(values) else functions.ratios(step, count)
 
 
 def may_touch_zero(values: Array, near: float) -> bool:
-    """Return whether a function like |t − t₀| may come to zero between equidistant looks at it, or below ``near``."""
+    """Return whether a function like |t − t₀| may come to zero between equidistant values of it, or below ``near``."""
     lowest = int(values.argmin())
     if lowest and values[lowest] < near:
         return True
@@ -367,25 +355,26 @@ def _with_rank_loss(
 ) -> list[Event]:
     """Return events with the rank losses of the closures that a motion on a sheet comes to in this step.
 
-    The determinants of type I and type II vanish there too, as often as rank is lost, and with a sign or without: they
-    are events there whatever their sign does.
+    The determinants of type I and type II vanish there too, with or without a change of sign: both are events.
     """
-    places = np.array([step.at(fraction)[: functions.nq] for fraction in _POINTS])
-    ratios = functions(places)[:, -1]
+    places = step.states(_POINTS)
+    ratios = functions.rank(places)
     if not may_touch_zero(ratios, LOST):
         return events
     # what starts at a rank loss has not come to it, what ends there has
     first, last = (_TURN if ratio <= LOST else 0.0 for ratio in (before[-1], ratios[-1]))
-    roots = sheet.rank_losses(_POINTS, places)
-    near = np.sort(roots.real[(np.abs(roots.imag) < _TURN) & (roots.real > first) & (roots.real <= 1.0 + last)])
-    times = [step.time(min(x, 1.0)) for x in near[np.diff(near, prepend=-np.inf) > _TURN].tolist()]
-    others = [
+    roots = sheet.rank_losses(_POINTS, places[:, : functions.nq])
+    near = np.sort(roots.real[(np.abs(roots.imag) < _TURN) & (roots.real > -first) & (roots.real <= 1.0 + last)])
+    near = near[np.diff(near, prepend=-np.inf) > _TURN]
+    losses, times = ([step.time(min(x, 1.0)) for x in some.tolist()] for some in (near, near[near > first]))
+    same, singular = _SAME * (step.end - step.start), ("closure_rank", *functions.determinants)
+    events = [
         event
         for event in events
-        if event.kind not in functions.determinants
-        or all(abs(event.t - t) > _SAME * (step.end - step.start) for t in times)
+        if event.kind not in functions.determinants or all(abs(event.t - t) > same for t in losses)
     ]
-    return _until_terminal([*others, *(event for t in times for event in functions.rank_loss(t, step(t)))])
+    indices = [functions.kinds.index(kind) for kind in singular]
+    return _until_terminal([*events, *(event for t in times for event in functions.events(indices, t, step(t)))])
 
 
 def _until_terminal(events: list[Event]) -> list[Event]:
@@ -394,31 +383,26 @@ def _until_terminal(events: list[Event]) -> list[Event]:
     return events[: next((i for i, event in enumerate(events) if event.terminal), len(events)) + 1]
 
 
-def _turns(functions: EventFunctions, step: Step, states: Array, looks: Sequence[float]) -> BoolArray:
-    return functions.turns(states, np.diff(looks, prepend=0.0) * (step.end - step.start))
-
-
 def _find_exactly(functions: EventFunctions, before: Array, step: Step, looks: Sequence[float]) -> list[Event]:
-    """Find events on the integrator's own interpolant, which costs more."""
+    """Return the events on the integrator's interpolant, which costs more."""
     ends = [0.0, *looks]
-    turning = _turns(functions, step, np.array([step.at(x) for x in ends]), looks)
+    turning = functions.turns(step.states(ends), np.diff(ends) * (step.end - step.start))
     turns = [
         brentq(lambda x, i=i: functions.approach(step.at(x)[None])[0, i], ends[part], ends[part + 1], xtol=_TURN)
         for part, i in np.argwhere(turning)
     ]
     ends = sorted([*ends, *turns])
-    after = functions(np.array([step.at(x) for x in ends[1:]])[:, : functions.nq])
-    values = np.concatenate([before[None], after])
+    values = np.concatenate([before[None], functions(step.states(ends[1:]))])
     changes = np.argwhere(functions.sign_changes(values[:-1], values[1:])).tolist()
     roots = [(i, _root(functions, step, i, ends[part], ends[part + 1])) for part, i in changes]
-    return _until_terminal([event for i, t in roots for event in functions.zero(i, t, step(t))])
+    return _until_terminal([event for i, t in roots for event in functions.events([i], t, step(t))])
 
 
 def _root(functions: EventFunctions, step: Step, index: int, left: float, right: float) -> float:
     """Return the time at which a function changes sign between two fractions of a step."""
 
     def value(fraction: float) -> float:
-        return float(functions(step.at(fraction)[None, : functions.nq])[0, index])
+        return float(functions(step.at(fraction)[None])[0, index])
 
     at_left, at_right = value(left), value(right)
     if at_left * at_right < 0.0:

@@ -1,17 +1,16 @@
-"""Integration in time: a library's integrator, a projection after every step, restarts where efforts jump.
+"""Integration in time: scipy's solvers, a projection after every step, restarts where efforts jump.
 
-Three things are done between the steps of scipy's solvers, which ``solve_ivp`` would not let us do. Each step is
-projected onto the closures, at the level of positions and of rates, so constraints do not drift and need no
-stabilisation. Integration starts anew where efforts jump, for no Runge-Kutta method keeps its order across a jump, and
-step control would spend dozens of steps on finding it. And a digital controller is read between steps only, in order of
-time.
+``solve_ivp`` allows nothing between two steps. Here each step is projected onto the closures, at the level of positions
+and of rates: constraints do not drift and need no stabilisation. Integration restarts where efforts jump: no
+Runge-Kutta method keeps its order across a jump, and step control would spend dozens of steps on finding it. A digital
+controller reads the state between steps only, in order of time.
 
-What changes along the way is one value, ``SimulationProgress``. A step (``_step``) is four functions, in order:
-``_advance`` takes it, ``_locate_events`` finds what happens in it, ``_project`` closes its end, ``_record`` notes it.
-The second and third may return ``Retry`` in place of a result: the step is then taken again.
+All that changes is one value, ``SimulationProgress``. A step (``_step``) has four functions, in order: ``_advance``
+integrates, ``_locate_events`` finds the events in it, ``_project`` closes its end, ``_record`` adds samples and events.
+The second and third may return the progress at the start of the step: the step is then taken again.
 
-Where the machine has forward dynamics in machine code, that takes the ordinary steps, in which nothing happens, by the
-same method and rules; it stops before any other one, which is then taken here.
+Forward dynamics in machine code take the ordinary steps, those without events, by the same method and rules; they stop
+before any other step, which is then taken here.
 """
 
 from __future__ import annotations
@@ -27,14 +26,11 @@ from scipy.optimize import brentq
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
 from redundancy_pin.robot.scales import velocity_unit
-from redundancy_pin.simulation.controllers.base import Command
 from redundancy_pin.simulation.events import Event, EventFunctions, Step, find_events, may_touch_zero
 from redundancy_pin.simulation.problem import (
     SAME,
     InitialValueProblem,
-    SimulatedSample,
     SimulationProgress,
-    SimulationRecord,
     SmoothInterval,
     smooth_intervals,
 )
@@ -45,181 +41,147 @@ from redundancy_pin.simulation.system import Machine
 from redundancy_pin.status import ResultStatus
 
 _MOST_SHORT = 20
-"""Steps in a row that are shorter than the shortest ordinary one, after which the integration is given up."""
+"""Number of successive steps shorter than the shortest ordinary one at which the integration fails."""
 
 _LITTLE_INERTIA = 1e-3
-"""Share of the largest inertia below which an inertia is blamed for a motion that blows up."""
+"""Share of the largest inertia below which an inertia is the reported cause of a motion that blows up."""
 
 _TOUCHED = 1e-4, 0.05
-"""Ratio of singular values of J_c below which a step has come through a rank loss, as far as it is resolved: at least,
-and for each rad that it moves."""
+"""Ratio of singular values of J_c below which a step comes through a rank loss: absolute, and per rad of travel."""
 
 _FARTHEST = 4.0 * np.pi
 """rad; a step that moves farther and may come to a rank loss is taken again, shorter."""
 
 _STILL = 1e-12
-"""rad; a step that moves less, as where stops hold all there is, comes to no rank loss."""
+"""rad; a step that moves less, as with all joints at stops, comes to no rank loss."""
 
 _LEAST_TRAVEL = 0.01
-"""rad; a rank loss that is nearer, and cannot be carried across, is given up."""
+"""rad; the integration fails at a nearer rank loss that no smooth branch passes."""
+
+_REST = "rest"
+"""Kind of the internal event of a motion that comes to rest at a rank loss."""
 
 _AT_REST, _AT = 1e-10, 1e-8
-"""Speed, per time scale, and ratio of singular values at which a motion may go on on either sheet."""
+"""Speed, per time scale, and ratio of singular values at which a motion may continue on either sheet."""
 
 
-def integrate(
-    problem: InitialValueProblem, y: Array, values: Array, first: Command, sheet: Sheet | None
-) -> tuple[SimulationRecord, SimulationProgress]:
-    """Integrate from a closed state y at the first time of the grid, where a controller gave its first command.
+def integrate(problem: InitialValueProblem, progress: SimulationProgress) -> SimulationProgress:
+    """Integrate from a closed state, at the first time of the grid, to the last time or to an event that ends it.
+
+    A digital controller has given its first command there, ``progress.hold``.
 
     Raises:
         InputError: the controller returns something else than finite efforts.
     """
-    began, machine, grid = time.perf_counter(), problem.machine, problem.grid
-    record, commands, hold = SimulationRecord(), [first], None
-    progress = SimulationProgress(float(grid[0]), y, values, NEAR, sheet=sheet)
-    intervals = smooth_intervals(float(grid[0]), float(grid[-1]), problem.breaks, problem.sampling)
-    kernel = machine.kernel if problem.method in EXPLICIT else None
-    ordinary = None if kernel is None else OrdinarySteps(kernel, problem, intervals)
-    held_first = None if problem.sampling is None else first
-    problem, progress = past_stop(problem, progress, held_first, record, at_start=True) or (problem, progress)
+    began, commands = time.perf_counter(), [progress.hold]
+    intervals = smooth_intervals(progress.t, float(problem.grid[-1]), problem.breaks, problem.sampling)
+    kernel = progress.machine.kernel if problem.method in EXPLICIT else None
+    ordinary = None if kernel is None else OrdinarySteps(kernel, problem, progress, intervals)
+    progress = past_stop(problem, progress) or progress
     with np.errstate(all="ignore"):  # trial steps that overflow are given up for shorter ones
         for interval in intervals:
             if progress.t >= interval.end:
                 continue  # machine code went on beyond it
             if interval.reads:
+                machine = progress.machine
                 commands.append(machine.amplifiers.command(machine.state(interval.start, progress.y)))
-            hold = None if interval.acting is None else commands[interval.acting]
-            progress = _integrate_interval(problem, progress, interval, hold, record, ordinary)
-            while (resumed := _resume(problem, progress, hold, record)) is not None:
-                problem, progress = resumed
-                progress = _integrate_interval(problem, progress, interval, hold, record, ordinary)
+            if interval.acting is not None:
+                progress = replace(progress, hold=commands[interval.acting])
+            progress = _integrate_interval(problem, progress, interval, ordinary)
+            while (resumed := _resumed(problem, progress)) is not None:
+                progress = _integrate_interval(problem, resumed, interval, ordinary)
             if progress.status is not None:
                 break
-    record.samples.append(_sample(problem.machine, progress.t, progress.y, hold, progress.sheet))
-    status = progress.status or ResultStatus.OK
-    return record, replace(progress, status=status, seconds=time.perf_counter() - began)
+    progress.samples.append(progress.sample(progress.t, progress.y))
+    return replace(progress, status=progress.status or ResultStatus.OK, seconds=time.perf_counter() - began)
 
 
-def _resume(
-    problem: InitialValueProblem, progress: SimulationProgress, hold: Command | None, record: SimulationRecord
-) -> tuple[InitialValueProblem, SimulationProgress] | None:
-    """Return how a simulation that has ended goes on: past a stop that pushes back, or with other closure rows."""
-    if progress.status is ResultStatus.STOPPED:
-        return past_stop(problem, progress, hold, record)
-    renewed = _with_all_rows(problem, progress)
-    return renewed and (past_stop(*renewed, hold, record, at_start=True) or renewed)
+def _resumed(problem: InitialValueProblem, progress: SimulationProgress) -> SimulationProgress | None:
+    """Return the restart of a simulation that has ended: past a stop that pushes back, or with other closure rows.
 
-
-def _with_all_rows(
-    problem: InitialValueProblem, progress: SimulationProgress
-) -> tuple[InitialValueProblem, SimulationProgress] | None:
-    """Return how to go on where the closure rows in use have failed and dependent rows restore the rank.
-
-    It is not done twice at one place.
+    Other rows take over if those in use have failed and dependent rows restore the rank, once at one place.
     """
+    if progress.status is ResultStatus.STOPPED:
+        return past_stop(problem, progress)
     if progress.status is not ResultStatus.NOT_CONVERGED or progress.t <= progress.rows_renewed:
         return None
-    q = progress.y[: problem.functions.nq]
-    machine = problem.machine.with_all_rows(q)
+    functions, q = progress.functions, progress.y[: progress.functions.nq]
+    machine = progress.machine.with_all_rows(q)
     if machine is None:
         return None
-    old = problem.functions
-    functions = EventFunctions(machine.chain, old.stop_at, q, old.push_back, np.flatnonzero(old.touching(q)).tolist())
-    going_on = replace(progress, status=None, reason="", sheet=None, near=NEAR, next_step=None, short=0)
-    going_on = replace(going_on, values=functions.at_start(q), rows_renewed=progress.t)
-    return replace(problem, machine=machine, free=machine, functions=functions), going_on
-
-
-@dataclass(frozen=True, eq=False)
-class Retry:
-    """A step is to be taken again from its start, at most some length long, s, on a sheet or on none.
-
-    ``reason`` is why it failed, if it cannot be shorter; empty where it will not.
-    """
-
-    length: float
-    sheet: Sheet | None
-    reason: str
+    renewed = replace(progress, sheet=None, near=NEAR, rows_renewed=progress.t)
+    renewed = renewed.restarted(machine, np.flatnonzero(functions.touching(q)).tolist(), ())
+    return past_stop(problem, renewed) or renewed
 
 
 def _integrate_interval(
     problem: InitialValueProblem,
     progress: SimulationProgress,
     interval: SmoothInterval,
-    hold: Command | None,
-    record: SimulationRecord,
     ordinary: OrdinarySteps | None,
 ) -> SimulationProgress:
-    """Integrate over one interval, and add its samples and events to the record."""
-    if problem.machine.kernel is None:  # machine code holds no joints, and has the independent rows alone
+    """Integrate over one interval."""
+    if progress.machine.kernel is None:  # machine code holds no joints, and has the independent rows alone
         ordinary = None
     while progress.status is None and progress.t < interval.end:
         if ordinary is not None and progress.sheet is None:
-            progress = ordinary.take(progress, interval, hold, record)
-            _report(problem, progress)
+            progress = ordinary.take(progress, interval)
             if progress.t >= interval.end:
                 break
-        rate = Rate(problem, hold, interval.end, progress.sheet)
-        stepper = solver(problem, progress, interval, rate)
-        progress = replace(progress, restarts=progress.restarts + 1)
-        again: Retry | None = None
-        while stepper.status == "running" and progress.status is None and again is None:
-            result = _step(problem, progress, stepper, rate, hold, record)
-            if isinstance(result, Retry):
-                again = result
-            else:
-                progress = result
-                _report(problem, progress)
+        stepper, rate = solver(problem, progress, interval)
+        progress, retried = replace(progress, restarts=progress.restarts + 1), False
+        while stepper.status == "running" and progress.status is None and not retried:
+            result = _step(problem, progress, stepper, rate)
+            progress, retried = result, result.t == progress.t
+            problem.notify(progress)
             if ordinary is not None and progress.sheet is None:
                 break  # the next one may be ordinary
-        progress = replace(progress, next_step=stepper.h_abs, evaluations=progress.evaluations + rate.evaluations)
-        if again is not None:
-            progress = _retried(problem, progress, again)
+        progress = replace(progress, evaluations=progress.evaluations + rate.evaluations)
     return progress
 
 
-def _report(problem: InitialValueProblem, progress: SimulationProgress) -> None:
-    if problem.report is not None:
-        problem.report(progress.t, float(problem.grid[-1]))
+def _retry(
+    problem: InitialValueProblem, progress: SimulationProgress, length: float, sheet: Sheet | None, reason: str
+) -> SimulationProgress:
+    """Return the start of a step that is taken again.
 
-
-def _retried(problem: InitialValueProblem, progress: SimulationProgress, again: Retry) -> SimulationProgress:
-    """Return from where a step is taken again, or why it cannot be."""
-    if again.sheet is not None and len(problem.machine.held):
+    Args:
+        problem: the problem that is integrated.
+        progress: the start of the step.
+        length: largest length of the next try, s.
+        sheet: solution branch for it, or None.
+        reason: cause of the failure if it cannot be that short; empty if it cannot fail.
+    """
+    if sheet is not None and len(progress.machine.held):
         return progress.failed("its closures lose rank while a joint is held by its stop")
-    progress = replace(progress, sheet=again.sheet, next_step=again.length)
-    return progress.failed(again.reason) if again.reason and again.length < problem.shortest else progress
+    if reason and length < problem.shortest:
+        return progress.failed(reason)
+    return replace(progress, sheet=sheet, next_step=length)
 
 
 def _step(
-    problem: InitialValueProblem,
-    progress: SimulationProgress,
-    stepper: OdeSolver,
-    rate: Rate,
-    hold: Command | None,
-    record: SimulationRecord,
-) -> SimulationProgress | Retry:
+    problem: InitialValueProblem, progress: SimulationProgress, stepper: OdeSolver, rate: Rate
+) -> SimulationProgress:
     """Take one step: integrate, locate events in it, project its end onto the closures, record what happened."""
     before = stepper.y, stepper.f
-    stepped = _advance(problem, progress, stepper, rate, hold)
+    stepped = _advance(problem, progress, stepper, rate)
     if stepped.status is not None:
         return stepped
     # events and samples come from the interpolant, which is that of the step before its end is projected
     step = Step(stepper, before)
-    located = _locate_events(problem, progress, step, rate.sheet, hold)
-    if isinstance(located, Retry):
+    located = _locate_events(problem, progress, step)
+    if isinstance(located, SimulationProgress):
         return located
-    projected = _project(problem, stepped, step, rate.sheet)
-    if isinstance(projected, Retry):
+    projected = _project(problem, progress, stepped, step)
+    if projected.t == progress.t:
         return projected
-    _record(problem, step, located, hold, record, rate.sheet)
+    _record(problem, progress, step, located)
     if located.end is not None:
-        return _stopped(problem, stepped, step, located, rate.sheet)
+        return _stopped(stepped, step, located.end)
     stepped = replace(projected, values=located.values, near=located.near)
     if stepped.status is not None:
         return stepped
-    if rate.sheet is not None and _leaves(rate.sheet, problem, stepped.y):
+    if stepped.sheet is not None and _leaves(stepped.sheet, *np.split(stepped.y, [stepped.functions.nq])):
         stepped, rate.sheet = replace(stepped, sheet=None), None
     # the integrator goes on from the projected state, with the rate there: its first stage
     stepper.y = stepped.y
@@ -229,200 +191,185 @@ def _step(
 
 
 def _advance(
-    problem: InitialValueProblem, progress: SimulationProgress, stepper: OdeSolver, rate: Rate, hold: Command | None
+    problem: InitialValueProblem, progress: SimulationProgress, stepper: OdeSolver, rate: Rate
 ) -> SimulationProgress:
-    """Take a step of the integrator; the result has failed where none is short enough, or too many are."""
+    """Take a step of the integrator; the result has failed if no step is short enough or too many steps are short."""
     if progress.steps >= problem.max_steps:
         return progress.failed(f"{progress.steps} steps did not reach the end")
     message = stepper.step()
-    if stepper.status == "failed":
-        _require_answers(rate)
+    failed, is_last = stepper.status == "failed", stepper.status == "finished"  # the last step may have to be short
+    short = progress.short + 1 if not (failed or is_last) and stepper.step_size < problem.shortest else 0
+    if isinstance(rate.failure, InputError) and (failed or short >= _MOST_SHORT):
+        raise rate.failure  # what the controller returned in place of efforts
+    if failed:
         why = f"no step is short enough: {rate.failure or message}"
-        q = progress.y[: problem.functions.nq]
-        return progress.failed(why if rate.sheet is None else _at_pose(problem.functions, q, why))
-    is_short = stepper.step_size < problem.shortest and stepper.status == "running"  # the last one may have to be
-    short = progress.short + 1 if is_short else 0
-    stepped = replace(progress, t=stepper.t, y=stepper.y, steps=progress.steps + 1, short=short)
+        return progress.failed(why if progress.sheet is None else _at_pose(progress, progress.y, why))
+    stepped = replace(
+        progress, t=stepper.t, y=stepper.y, next_step=stepper.h_abs, steps=progress.steps + 1, short=short
+    )
     if short >= _MOST_SHORT:
-        _require_answers(rate)
-        return stepped.failed(f"the steps have shrunk to {stepper.step_size:.2g} s: {_why(problem, progress, hold)}")
+        return stepped.failed(f"the steps have shrunk to {stepper.step_size:.2g} s: {_why(progress)}")
     rate.failure = None
     return stepped
 
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """What happens in a step.
+    """Events in a step.
 
     Attributes:
-        events: those that are reported, up to the one at which the step ends.
+        events: reported events, up to the one at which the step ends.
         values: (w,) the event functions at its end.
-        near: ratio of singular values below which a rank loss is looked for next.
-        end: time at which the step ends before its own end, s, or None.
-        at_rest: whether the motion comes to rest at a rank loss there.
+        near: ratio of singular values below which the next search for a rank loss begins.
+        end: the last event if it ends the step early, or None.
     """
 
     events: list[Event]
     values: Array
     near: float
-    end: float | None
-    at_rest: bool = False
+    end: Event | None
 
 
 def _locate_events(
-    problem: InitialValueProblem, progress: SimulationProgress, step: Step, sheet: Sheet | None, hold: Command | None
-) -> Located | Retry:
-    """Return the events in a step that began at ``progress``: zeros of the event functions, rest, and release."""
-    events, values, ratios = find_events(problem.functions, progress.values, step, problem.time, sheet)
-    near = progress.near
+    problem: InitialValueProblem, progress: SimulationProgress, step: Step
+) -> Located | SimulationProgress:
+    """Return the events in a step from ``progress``: zeros of the event functions, rest, and release.
+
+    If the step must be taken again: ``progress``, with the length and the sheet of the next try.
+    """
+    sheet, near = progress.sheet, progress.near
+    events, values, ratios = find_events(progress.functions, progress.values, step, problem.time, sheet)
     if sheet is None and may_touch_zero(ratios, near):
         retry = retry_at_rank_loss(problem, progress, step)
         if retry is not None:
             return retry
-        near = 0.5 * float(ratios.min())  # a look ahead takes as long as some steps: the next one from nearer by
+        near = 0.5 * float(ratios.min())  # a search takes as long as some steps: the next one from nearer by
     near = near if ratios[-1] < NEAR else NEAR
-    end = events[-1].t if events and events[-1].terminal else None
-    rest = None if sheet is None else _rest(problem, step, sheet)
-    at_rest = rest is not None and (end is None or rest < end)
-    if rest is not None and at_rest:
-        events, end = [event for event in events if event.t < rest], rest
-    if len(problem.machine.held):
-        release = first_release(problem, step, hold)
-        if release is not None and (end is None or release.t < end):
-            events, end, at_rest = [*(one for one in events if one.t < release.t), release], release.t, False
-    return Located(events, values, near, end, at_rest)
+    end, early = events[-1] if events and events[-1].terminal else None, None
+    if sheet is not None:  # then no stop holds a joint
+        early = _rest(progress.functions, step, sheet, problem.time)
+    elif len(progress.machine.held):
+        early = first_release(progress, step)
+    if early is not None and (end is None or early.t < end.t):
+        events, end = [*(event for event in events if event.t < early.t), early], early
+    return Located(events, values, near, end)
 
 
 def _project(
-    problem: InitialValueProblem, stepped: SimulationProgress, step: Step, sheet: Sheet | None
-) -> SimulationProgress | Retry:
-    """Project the end of a step onto the closures; a velocity that jumps there is one of another branch."""
-    machine, nq = problem.machine, problem.functions.nq
-    y, before, left = machine.project(stepped.t, stepped.y, sheet)
+    problem: InitialValueProblem, progress: SimulationProgress, stepped: SimulationProgress, step: Step
+) -> SimulationProgress:
+    """Project the end of a step onto the closures.
+
+    A velocity that jumps there is one of another branch: the step is taken again from ``progress``.
+    """
+    machine, nq = stepped.machine, stepped.functions.nq
+    y, before, left = machine.project(stepped.t, stepped.y, stepped.sheet)
     v, unit = stepped.y[nq:], velocity_unit(machine.robot)
     jumps = np.abs(y[nq:] - v) / unit
     largest = max(float((np.abs(part) / unit).max(initial=0.0)) for part in (step.at(0.0)[nq:], v))
     if not float(jumps.max(initial=0.0)) <= VELOCITY_CHANGE * largest + VELOCITY_FLOOR / problem.time:
         i = int(jumps.argmax())
-        return Retry(
-            0.25 * (step.end - step.start),
-            sheet,
+        why = (
             f"the velocity of {_joint_of(machine, i)} would jump from {v[i]:.3g} to {y[nq + i]:.3g}: the step leads "
-            "to another branch of the motion",
+            "to another branch of the motion"
         )
+        return _retry(problem, progress, 0.25 * (step.end - step.start), progress.sheet, why)
     projected = replace(stepped, y=y, largest_correction=max(stepped.largest_correction, before))
-    if left > problem.largest_residual:
+    if left > machine.manifold.largest_residual:
         return projected.failed(f"the closures leave a gap of {left:.3g} m")
     return projected
 
 
-def _record(
-    problem: InitialValueProblem,
-    step: Step,
-    located: Located,
-    hold: Command | None,
-    record: SimulationRecord,
-    sheet: Sheet | None,
-) -> None:
-    """Record events, and samples at the grid times in a step; what happens at the end of an interval is the next's."""
-    record.events.extend(located.events)
-    end = step.end if located.end is None else located.end
-    grid, same = problem.grid, SAME * float(problem.grid[1] - problem.grid[0])
-    while (t := float(grid[len(record.samples)])) < end - same:
-        record.samples.append(_sample(problem.machine, t, step(t), hold, sheet))
+def _record(problem: InitialValueProblem, progress: SimulationProgress, step: Step, located: Located) -> None:
+    """Record events, and samples at the grid times in a step; its end belongs to the next step."""
+    progress.events.extend(event for event in located.events if event.kind != _REST)
+    samples, grid, end = progress.samples, problem.grid, step.end if located.end is None else located.end.t
+    while (t := float(grid[len(samples)])) < end - SAME * float(grid[1] - grid[0]):
+        samples.append(progress.sample(t, step(t)))
 
 
-def _sample(machine: Machine, t: float, y: Array, hold: Command | None, sheet: Sheet | None) -> SimulatedSample:
-    return SimulatedSample(t, machine.project(t, y, sheet)[0], hold, sheet, machine)
-
-
-def _stopped(
-    problem: InitialValueProblem, stepped: SimulationProgress, step: Step, located: Located, sheet: Sheet | None
-) -> SimulationProgress:
-    """Return where a step ends before its own end."""
-    end = stepped.t if located.end is None else located.end
-    y, _, _ = problem.machine.project(end, step(end), sheet)
-    stopped = replace(stepped, t=end, y=y, status=ResultStatus.STOPPED)
-    if not located.at_rest:
+def _stopped(stepped: SimulationProgress, step: Step, end: Event) -> SimulationProgress:
+    """Return the end of a step that an event ends early; rest at a rank loss is a failure, not an event."""
+    y = stepped.machine.project(end.t, step(end.t), stepped.sheet)[0]
+    stopped = replace(stepped, t=end.t, y=y, status=ResultStatus.STOPPED)
+    if end.kind != _REST:
         return stopped
     why = "it rests where its closures lose rank, and its motion is undetermined"
-    return stopped.failed(_at_pose(problem.functions, y[: problem.functions.nq], why))
+    return stopped.failed(_at_pose(stopped, y, why))
 
 
-def _leaves(sheet: Sheet, problem: InitialValueProblem, y: Array) -> bool:
-    """Return whether a state y (nq + nv) moves away from a rank loss, far enough to go on without its sheet."""
-    q, v = np.split(y, [problem.functions.nq])
+def _leaves(sheet: Sheet, q: Array, v: Array) -> bool:
+    """Return whether a state moves away from a rank loss and is far enough away to leave its sheet."""
     place = sheet.position(q)
-    return abs(place) > BEYOND * sheet.half and place * sheet.speed(v) > 0.0
+    return abs(place) > BEYOND * sheet.passage.half and place * sheet.speed(v) > 0.0
 
 
-def _rest(problem: InitialValueProblem, step: Step, sheet: Sheet) -> float | None:
-    """Return the time in a step at which a motion comes to rest at a rank loss, if it does."""
-    functions = problem.functions
+def _rest(functions: EventFunctions, step: Step, sheet: Sheet, time: float) -> Event | None:
+    """Return the event at which a motion comes to rest at a rank loss in a step, or None; ``time``: time scale, s."""
 
     def speed(fraction: float) -> float:
         return sheet.speed(step.at(fraction)[functions.nq :])
 
     turns = speed(0.0) * speed(1.0) < 0.0
     fraction = float(brentq(speed, 0.0, 1.0, xtol=1e-6)) if turns else 1.0
-    lost = functions(step.at(fraction)[None, : functions.nq])[0, -1] < _AT
-    return step.time(fraction) if lost and (turns or abs(speed(1.0)) * problem.time < _AT_REST) else None
+    lost = functions.rank(step.states([fraction]))[0] < _AT
+    rests = lost and (turns or abs(speed(1.0)) * time < _AT_REST)
+    return Event(_REST, "", step.time(fraction), terminal=True) if rests else None
 
 
-def retry_at_rank_loss(problem: InitialValueProblem, earlier: SimulationProgress, step: Step) -> Retry | None:
-    """Return how to take a step again in which the closures lose rank: on the sheet that leads across, or shorter."""
-    machine, functions, length = problem.machine, problem.functions, step.end - step.start
-    q, v = np.split(earlier.y, [machine.robot.model.nq])
-    moved = pin.difference(machine.robot.model, q, step.at(1.0)[: len(q)]) / velocity_unit(machine.robot)
-    moved[machine.robot.carrier_velocity] = 0.0
+def retry_at_rank_loss(
+    problem: InitialValueProblem, progress: SimulationProgress, step: Step
+) -> SimulationProgress | None:
+    """Return the start of a step in which the closures lose rank, to take it on the sheet across, or shorter."""
+    machine, functions, length = progress.machine, progress.functions, step.end - step.start
+    robot, (q, v) = machine.robot, np.split(progress.y, [functions.nq])
+    moved = pin.difference(robot.model, q, step.at(1.0)[: len(q)]) / velocity_unit(robot)
+    moved[robot.carrier_velocity] = 0.0
     travel = float(np.linalg.norm(moved))
     if travel < _STILL:
         return None
     if travel > _FARTHEST:  # the way ahead is followed point by point
-        return Retry(0.5 * length, None, _at_pose(functions, q, "its closures may lose rank within a step of turns"))
+        turns = _at_pose(progress, q, "its closures may lose rank within a step of turns")
+        return _retry(problem, progress, 0.5 * length, None, turns)
     ahead = sheet_ahead(machine.chain, q, v, 1.2 * travel + WIDEST)
     if isinstance(ahead, Sheet):
-        return Retry(min(length, 0.5 * ahead.half / max(abs(ahead.speed(v)), 1e-300)), ahead, "")
+        length = min(length, 0.5 * ahead.passage.half / max(abs(ahead.speed(v)), 1e-300))
+        return _retry(problem, progress, length, ahead, "")
     if ahead is None and functions.least_rank(step) > max(_TOUCHED[0], _TOUCHED[1] * travel):
         return None
     if ahead is None or ahead <= 1.1 * travel:
         lost = "its closures lose rank just ahead, or nearly so, and no smooth motion is known to lead across"
-        return Retry(0.5 * length if travel > _LEAST_TRAVEL else 0.0, None, _at_pose(functions, q, lost))
+        length = 0.5 * length if travel > _LEAST_TRAVEL else 0.0
+        return _retry(problem, progress, length, None, _at_pose(progress, q, lost))
     return None
 
 
-def _at_pose(functions: EventFunctions, q: Array, why: str) -> str:
-    """Return a reason with the pose and the singular values of the closures there."""
-    pose, ratio = (np.round(q, 6) + 0.0).tolist(), float(functions(q[None])[0, -1])
+def _at_pose(progress: SimulationProgress, y: Array, why: str) -> str:
+    """Return a reason with the pose q, the first nq of y, and the singular values of the closures there."""
+    q = y[: progress.functions.nq]
+    pose, ratio = (np.round(q, 6) + 0.0).tolist(), float(progress.functions.rank(q[None])[0])
     return f"{why} (q = {pose}, ratio of singular values {ratio:.2g})"
 
 
-def _require_answers(rate: Rate) -> None:
-    """Raise what the controller returned in place of efforts, if that is why no step is short enough."""
-    if isinstance(rate.failure, InputError):
-        raise rate.failure
-
-
-def _why(problem: InitialValueProblem, earlier: SimulationProgress, hold: Command | None) -> str:
-    """Return what makes a motion blow up, as far as it shows."""
-    machine, functions = problem.machine, problem.functions
-    inertia = machine.least_inertia(earlier.t, earlier.y)
-    if earlier.values[-1] < NEAR * NEAR:
-        return _at_pose(functions, earlier.y[: functions.nq], "its closures have nearly lost rank")
+def _why(before: SimulationProgress) -> str:
+    """Return the likely cause of a motion that blows up in the step after ``before``."""
+    machine = before.machine
+    inertia = machine.least_inertia(before.t, before.y)
+    if before.values[-1] < NEAR * NEAR:
+        return _at_pose(before, before.y, "its closures have nearly lost rank")
     if inertia < _LITTLE_INERTIA:
         return (
             f"a free motion has hardly any inertia, {inertia:.2g} of the largest, so accelerations grow without "
             "bound. Give every part mass (such as end_effector_mass=0.1, on the command line by --set), and make plans "
             "and controllers anew for that robot"
         )
-    state = machine.state(earlier.t, earlier.y)
+    state = machine.state(before.t, before.y)
     i = int(np.abs(state.v).argmax())
-    command = machine.amplifiers.command(state) if hold is None else hold
-    effort = max(float(np.abs(part).max(initial=0.0)) for part in command)
+    effort = max(float(np.abs(part).max(initial=0.0)) for part in machine.command(state, before.hold))
     driven = f"under efforts of up to {effort:.3g}" if effort else "while no actuator gives any effort"
     check = "the efforts of the controller" if effort else "the external forces and the start"
     what = f"joint {_joint_of(machine, i)!r} runs away at {state.v[i]:.3g} rad/s or m/s {driven}"
-    return f"{_at_pose(functions, state.q, what)}: something grows without bound. Check {check}"
+    return f"{_at_pose(before, state.q, what)}: something grows without bound. Check {check}"
 
 
 def _joint_of(machine: Machine, i: int) -> str:

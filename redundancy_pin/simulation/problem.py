@@ -1,15 +1,15 @@
-"""What a simulation integrates, how far it is, and what it records."""
+"""The initial value problem of a simulation, its state in progress, and its samples."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.forward import Progress
 from redundancy_pin.simulation.controllers.base import Command, Sampling
 from redundancy_pin.simulation.events import Event, EventFunctions
@@ -21,10 +21,7 @@ SAME = 1e-9
 """Instants closer than this fraction of a sampling period, or of the interval of the result's samples, are one."""
 
 SHORTEST = 1e-8
-"""Shortest ordinary step, share of the time scale: after many shorter ones in a row the integration is given up."""
-
-LARGEST_RESIDUAL = 1e-9
-"""Closure residual, rad or characteristic lengths, that the projection must not leave."""
+"""Shortest ordinary step, share of the time scale: after many shorter ones in a row the integration fails."""
 
 
 @dataclass(frozen=True)
@@ -66,28 +63,20 @@ def smooth_intervals(start: float, end: float, breaks: Array, sampling: Sampling
 
 @dataclass(frozen=True, eq=False)
 class InitialValueProblem:
-    """What is integrated, and how.
+    """Method, tolerances and times of a simulation: what stays the same from its start to its end.
 
     Attributes:
-        machine: the differential equation, with the joints that stops hold.
-        free: the same without stops.
-        held: (h,) stops that hold joints, by their places among the functions.
-        functions: whose zeros are events.
-        method: its name in ``INTEGRATORS``.
+        method: name of the method in ``INTEGRATORS``.
         settings: rtol, atol (nq + nv,) and max_step.
         time: s; the time scale of the motion: the shorter one of its duration and the time of ``robot.scales``.
         unit: (nq + nv,) the characteristic length or 1 rad for q, and over the time scale for v.
-        max_steps: number of steps after which it is given up.
+        max_steps: number of steps after which the integration fails.
         grid: (G,) times at which to record, s, first and last included.
         breaks: inner times at which efforts jump, s.
         sampling: of a digital controller, or None.
-        report: called with the time that is reached and the last one, s; None where nobody asks.
+        report: called with the time that is reached and the last one, s; None: no reports.
     """
 
-    machine: Machine
-    free: Machine
-    held: IntArray
-    functions: EventFunctions
     method: str
     settings: Mapping[str, Any]
     time: float
@@ -96,34 +85,61 @@ class InitialValueProblem:
     grid: Array
     breaks: Array
     sampling: Sampling | None
-    report: Callable[[float, float], None] | None = None
+    report: Callable[[float, float], None] | None
 
     @property
     def shortest(self) -> float:
         """The shortest ordinary step, s."""
         return SHORTEST * self.time
 
-    @property
-    def largest_residual(self) -> float:
-        """The closure residual, m, that the projection must not leave."""
-        return LARGEST_RESIDUAL * self.machine.robot.characteristic_length
+    def notify(self, progress: SimulationProgress) -> None:
+        """Report how far the simulation is, if reports were requested."""
+        if self.report is not None:
+            self.report(progress.t, float(self.grid[-1]))
 
 
 @dataclass(frozen=True, eq=False)
-class SimulationProgress(Progress):
-    """How far a simulation is.
+class SimulatedSample:
+    """A closed state and the data from which its forces and accelerations follow.
 
     Attributes:
-        sheet: what it is on where the closures lose rank, see ``rank_loss``.
-        short: how many steps in a row were shorter than the shortest ordinary one.
-        rows_renewed: when dependent closure rows last came into use, s.
-        switches: how often in a row stops have begun or ended to push, at ``switched``, s.
-        seconds: see ``Statistics``.
-        status: None while it goes on.
-        reason: why it failed.
+        t: time, s.
+        y: (nq + nv,) closed state.
+        machine: the differential equation, with the closure rows and the held joints of this state.
+        hold: zero-order hold command; None: the controller answers at every instant.
+        sheet: solution branch across a rank loss of the closures (``rank_loss``), or None.
     """
 
-    sheet: Sheet | None = None
+    t: float
+    y: Array
+    machine: Machine
+    hold: Command | None
+    sheet: Sheet | None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SimulationProgress(Progress):
+    """State of a simulation in progress: all that changes from step to step.
+
+    Attributes:
+        machine: the differential equation, with the joints that stops hold.
+        functions: event functions of the machine.
+        hold, sheet: as in ``SimulatedSample``.
+        samples, events: recorded so far, in order of time; the lists grow.
+        short: number of the last steps that were all shorter than the shortest ordinary one.
+        rows_renewed: when dependent closure rows last came into use, s.
+        switches: number of the last changes of the stops that push, all of them at ``switched``, s.
+        seconds: see ``Statistics``.
+        status: None before the end.
+        reason: cause of a failure.
+    """
+
+    machine: Machine
+    functions: EventFunctions
+    hold: Command | None
+    sheet: Sheet | None
+    samples: list[SimulatedSample] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
     short: int = 0
     rows_renewed: float = -np.inf
     switches: int = 0
@@ -133,27 +149,16 @@ class SimulationProgress(Progress):
     reason: str = ""
 
     def failed(self, why: str) -> SimulationProgress:
-        """Return that it ends here."""
+        """Return this progress with the status of a failure, and its reason."""
         return replace(self, status=ResultStatus.NOT_CONVERGED, reason=f"At t = {self.t:.9g} s {why.rstrip('.')}.")
 
+    def sample(self, t: float, y: Array) -> SimulatedSample:
+        """Return the closed state nearest to y (nq + nv,) at a time, s, as a sample."""
+        return SimulatedSample(t, self.machine.project(t, y, self.sheet)[0], self.machine, self.hold, self.sheet)
 
-@dataclass(frozen=True, eq=False)
-class SimulatedSample:
-    """A closed state y (nq + nv,) at time t, s, and the command that is held there (None: the controller's answer).
-
-    ``machine``: what has moved it, with the closure rows that it used; None is that of the start.
-    """
-
-    t: float
-    y: Array
-    hold: Command | None
-    sheet: Sheet | None
-    machine: Machine | None = None
-
-
-@dataclass(eq=False)
-class SimulationRecord:
-    """Samples and events in order of time, as they come in."""
-
-    samples: list[SimulatedSample] = field(default_factory=list)
-    events: list[Event] = field(default_factory=list)
+    def restarted(self, machine: Machine, at: Sequence[int], held: Sequence[int]) -> SimulationProgress:
+        """Return where the integration restarts with another machine; ``at`` and ``held``: see ``EventFunctions``."""
+        old, q = self.functions, self.y[: self.functions.nq]
+        functions = EventFunctions(machine.chain, old.stop_at, q, old.push_back, at, held)
+        fresh = replace(self, machine=machine, functions=functions, values=functions.at_start(q))
+        return replace(fresh, status=None, reason="", next_step=None, short=0)

@@ -1,16 +1,16 @@
-"""Simulate through poses where the closures themselves lose rank, on the solution branch that the motion came on.
+"""Simulate through poses where the closures themselves lose rank, on the solution branch of the motion so far.
 
-At the flat pose of a parallelogram two motions cross: that of the parallelogram and that of the anti-parallelogram. J_c
-has a further null direction there, and everything that is computed from J_c at one pose (the allowed velocities, their
-basis N, the acceleration a₀ = −J_c⁺ J̇_c v) is undetermined at the crossing and ill-conditioned near it: with σ the
-smallest singular value of J_c, rounding ε costs ε/σ in a position, ε/σ² in N and ε/σ³ in a₀.
+At the flat pose of a parallelogram two motions cross, of the parallelogram and of the anti-parallelogram. J_c has a
+further null direction there, and everything that is computed from J_c at one pose (the allowed velocities, their basis
+N, the acceleration a₀ = −J_c⁺ J̇_c v) is undetermined at the crossing and ill-conditioned near it: with σ the smallest
+singular value of J_c, rounding ε costs ε/σ in a position, ε/σ² in N and ε/σ³ in a₀.
 
 Along one branch nothing of this is singular. With z the positions of joints that are independent there, q, N = ∂q/∂z
 and a₀ are analytic in z. z are the independent coordinates of a robot that has these joints in place of its platform:
 the follower of that robot (``kinematics.branch``) goes along the branch, and a ``Passage`` interpolates q, N = Γ and a₀
 across the rank loss.
 
-The efforts are no matter of the closures: accelerations follow from Nᵀ M N z̈ = Nᵀ (u − rnea(q, v, a₀)) as everywhere.
+Efforts do not enter: accelerations follow from Nᵀ M N z̈ = Nᵀ (u − rnea(q, v, a₀)) as everywhere.
 The closure forces λ, from J_cᵀ λ = rnea − u, need not be finite at the rank loss.
 """
 
@@ -27,6 +27,7 @@ from redundancy_pin.kinematics.branch import LONGEST_STEP, ClosedState, Follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import with_independent_joints
 from redundancy_pin.kinematics.passage import SPACINGS, Passage, find_passage
+from redundancy_pin.robot.lookup import joint_names
 from redundancy_pin.robot.scales import velocity_scale
 
 WIDEST = 4.0 * SPACINGS[0]
@@ -46,8 +47,8 @@ NEAR = 0.05
 def rank_ratio(scaled: Array) -> Array:
     """Return (N,) smallest over largest singular value of closure rows (N, r, p) without units.
 
-    It is 1 without any rows. A single row loses rank where it is zero, and its ratio to itself does not show that: the
-    result is its length, in characteristic lengths or rad per rad, which no unit of length changes.
+    It is 1 without any rows. For a single row, whose ratio to itself is always 1, the result is its length, in
+    characteristic lengths or rad per rad, which no unit of length changes.
     """
     if 0 in scaled.shape[1:]:
         return np.ones(len(scaled))
@@ -60,7 +61,7 @@ def rank_ratio(scaled: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class BranchMotion:
-    """The state on a branch that has the z and ż of another state, with N and a₀.
+    """The state on a branch with given z and ż, with N and a₀.
 
     Attributes:
         q: (nq,) configuration, carriers where they were.
@@ -80,42 +81,34 @@ class Sheet:
     """A smooth branch of closed configurations across a rank loss, d joints independent.
 
     Attributes:
-        solver: follower of the robot with these joints in place of its platform.
-        passage: the branch across the rank loss.
+        passage: the branch across the rank loss, of the robot with these joints in place of its platform.
         independent, dependent: (d,) and (r,) velocity indices.
-        basis: of the closure rows in use, see ``ClosedChain``.
     """
 
-    solver: Follower
     passage: Passage
     independent: IntArray
     dependent: IntArray
-    basis: Array | None
-
-    @property
-    def half(self) -> float:
-        """Half of the length of the passage, rad or characteristic lengths."""
-        return self.passage.half
 
     def position(self, q: Array) -> float:
         """Return where on the passage a configuration (nq,) is, from its middle, rad or characteristic lengths."""
-        return self.passage.position(self.solver.coordinates_at(q)) * self.passage.spacing
+        return self.passage.position(self.passage.solver.coordinates_at(q)) * self.passage.spacing
 
     def speed(self, v: Array) -> float:
         """Return the speed along the passage, 1/s."""
-        unit = self.solver.unit
+        unit = self.passage.solver.unit
         return float((v[self.independent] / unit).dot(self.passage.step / unit)) / self.passage.spacing
 
     def at(self, q: Array, v: Array) -> BranchMotion | None:
-        """Return the state on the branch that has the z and ż of q (nq,) and v (nv,); None beyond the passage."""
-        robot, x = self.solver.robot, self.solver.coordinates_at(q)
-        if not abs(self.position(q)) <= 1.05 * self.half:
+        """Return the state on the branch with the z and ż of q (nq,) and v (nv,); None beyond the passage."""
+        if not abs(self.position(q)) <= 1.05 * self.passage.half:
             return None
-        rated = self.passage.at(x, v[self.independent], np.zeros(len(self.independent)))
+        solver = self.passage.solver
+        rated = self.passage.at(solver.coordinates_at(q), v[self.independent], np.zeros(len(self.independent)))
         if rated is None:
             return None
-        columns, closed, speed = self.solver.chain.pose_columns, np.array(rated.state.q), v.copy()
-        closed[robot.carrier_position] = q[robot.carrier_position]
+        carriers, columns = solver.robot.carrier_position, solver.chain.pose_columns
+        closed, speed = np.array(rated.state.q), v.copy()
+        closed[carriers] = q[carriers]
         speed[columns] = rated.v[columns]
         return BranchMotion(closed, speed, rated.state.gamma, rated.a)
 
@@ -128,10 +121,10 @@ class Sheet:
             fractions: (m,) from 0 to 1.
             configurations: (m, nq) there.
         """
-        values = []
+        solver, basis = self.passage.solver, self.passage.nodes[0].basis
+        blocks, values = solver.blocks_of(basis), []
         for q in configurations:
-            K = self.solver.matrix(q, self.basis)[0]
-            blocks = self.solver.blocks_of(self.basis)
+            K = solver.matrix(q, basis)[0]
             values.append([np.linalg.det(K[rows[:, None], columns]) for rows, columns in blocks])
         scaled = np.array(values) / np.abs(values).max(axis=0)
         fits = (Chebyshev.fit(fractions, column, len(fractions) - 1, [0.0, 1.0]) for column in scaled.T)
@@ -148,8 +141,8 @@ def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet |
         reach: how far along the way to look, rad or characteristic lengths.
 
     Returns:
-        The branch; or, where the rank loss is too far for a passage to reach here, its distance along the way; or None:
-        there is no rank loss ahead, or it is no crossing of smooth branches, or not of joints of one freedom each.
+        The branch; or, if the rank loss is too far away for a passage to reach here, its distance along the way; or
+        None: without a rank loss ahead, or a crossing of smooth branches there, or if a joint has several DOF.
     """
     model, columns = chain.model, chain.pose_columns
     if any(joint.nv != 1 for joint in list(model.joints)[1:]) or not chain.rows:
@@ -173,8 +166,8 @@ def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet |
     length = float(np.linalg.norm(rate))
     if not length > 1e-9 * size:
         return None
-    joints = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
-    names = tuple(str(name) for name, joint in joints if joint.idx_v in independent)
+    joints = zip(joint_names(model), list(model.joints)[1:], strict=True)
+    names = tuple(name for name, joint in joints if joint.idx_v in independent)
     own = follower(with_independent_joints(chain.robot, names))
     x = own.coordinates_at(q)
     gamma = moving[:, None] / moving[independent] if lost else None
@@ -183,21 +176,18 @@ def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet |
         return None
     along = rate / length * own.unit  # the coordinates' increment per unit of length
     ahead = 0.0 if lost else _distance(own, here, along, reach)
-    if ahead is None:
-        behind = _distance(own, here, -along, WITHIN * WIDEST)
-        ahead = None if behind is None else -behind
     if ahead is None or ahead > WITHIN * WIDEST:
         return ahead
     for spacing in SPACINGS:
-        passage = _passage(own, here, ahead, along * spacing) if abs(ahead) <= WITHIN * 4.0 * spacing else None
+        passage = _passage(own, here, ahead, along * spacing) if ahead <= WITHIN * 4.0 * spacing else None
         if passage is not None:
-            return Sheet(own, passage, independent, np.setdiff1d(columns, independent), chain.basis)
+            return Sheet(passage, independent, np.setdiff1d(columns, independent))
     # a narrower passage than reaches here may be smooth: it is tried from nearer by
     return ahead if ahead > WITHIN * 4.0 * SPACINGS[-1] else None
 
 
 def _distance(own: Follower, here: ClosedState, along: Array, reach: float) -> float | None:
-    """Return the distance to the first rank loss that the branch of a state goes through; None where there is none."""
+    """Return the distance to the first rank loss that the branch of a state passes; None without one."""
     done, start = 0.0, here.x
     while done < reach:
         step = min(LONGEST_STEP, reach - done)
@@ -215,7 +205,7 @@ def _distance(own: Follower, here: ClosedState, along: Array, reach: float) -> f
 
 
 def _passage(own: Follower, here: ClosedState, ahead: float, step: Array) -> Passage | None:
-    """Return the passage around a rank loss, which is a distance ahead; None where it is not smooth."""
+    """Return the passage around a rank loss, which is a distance ahead; None if it is not smooth."""
     spacing = float(np.linalg.norm(step / own.unit))
     centre = here.x + ahead / spacing * step
     first = own.advance(here, centre - 4.0 * step)

@@ -35,7 +35,7 @@ from redundancy_pin.simulation.controllers.base import (
 )
 from redundancy_pin.simulation.events import KINDS, ONE_SIDED, EventFunctions
 from redundancy_pin.simulation.integrator import integrate
-from redundancy_pin.simulation.problem import InitialValueProblem, SimulationProgress, SimulationRecord
+from redundancy_pin.simulation.problem import InitialValueProblem, SimulationProgress
 from redundancy_pin.simulation.rank_loss import NEAR, WIDEST, Sheet, sheet_ahead
 from redundancy_pin.simulation.result import Simulation, Statistics
 from redundancy_pin.simulation.state import State
@@ -179,10 +179,6 @@ def simulate(
     machine.solve(first, command, sheet)
     unit = np.concatenate([position_unit(robot), velocity_unit(robot) / time])
     problem = InitialValueProblem(
-        machine=machine,
-        free=machine,
-        held=np.empty(0, dtype=np.intp),
-        functions=functions,
         method=integrator,
         settings={"max_step": float(max_step), "rtol": rtol, "atol": atol * unit},
         time=time,
@@ -193,7 +189,9 @@ def simulate(
         sampling=sampling,
         report=progress,
     )
-    record, reached = integrate(problem, y, values, command, sheet)
+    hold = None if sampling is None else command
+    begin = SimulationProgress(first.t, y, values, NEAR, machine=machine, functions=functions, hold=hold, sheet=sheet)
+    reached = integrate(problem, begin)
     parameters = {
         "drive": drive.planner if isinstance(drive, Plan) else controller.class_name(),
         "carriers": carriers,
@@ -210,7 +208,7 @@ def simulate(
         "restart_at": restart_at,
         "dt": dt,
     }
-    return _simulation(machine, record, reached, parameters)
+    return _simulation(machine, reached, parameters)
 
 
 def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None, sampling: Sampling | None) -> Controller:
@@ -310,11 +308,9 @@ def _sheet_at_start(machine: Machine, start: State, ratio: float, time: float) -
     return sheet if isinstance(sheet, Sheet) else None
 
 
-def _simulation(
-    machine: Machine, record: SimulationRecord, end: SimulationProgress, parameters: dict[str, object]
-) -> Simulation:
+def _simulation(machine: Machine, end: SimulationProgress, parameters: dict[str, object]) -> Simulation:
     """Evaluate forces, accelerations and energies at the samples and put everything together."""
-    robot, model, samples = machine.robot, machine.robot.model, record.samples
+    robot, model, samples = machine.robot, machine.robot.model, end.samples
     status, system = end.status or ResultStatus.OK, constraint_system(robot)
     count, t = len(samples), frozen([sample.t for sample in samples])
     q, v = np.split(np.array([sample.y for sample in samples]), [model.nq], axis=1)
@@ -322,11 +318,11 @@ def _simulation(
     tau, carrier_force = np.full((count, robot.m), np.nan), np.full((count, robot.k), np.nan)
     closure_force, stop_force = np.full((count, machine.chain.rows), np.nan), np.full((count, model.nv), np.nan)
     for i, sample in enumerate(samples):
-        here = sample.machine or machine
+        here = sample.machine
         state = here.state(sample.t, sample.y)
         energy[i] = here.energy(state)
         try:
-            command = here.amplifiers.command(state) if sample.hold is None else sample.hold
+            command = here.command(state, sample.hold)
             loads = here.solve(state, command, sample.sheet)
         except (IllPosedModelError, SingularPoseError):
             continue  # a failed simulation ends there: the efforts have no accelerations
@@ -361,7 +357,7 @@ def _simulation(
         stop_force=read_only(stop_force),
         gap=frozen(every.largest_residual(every.evaluate(q).phi)),
         energy=read_only(energy),
-        events=tuple(record.events),
+        events=tuple(end.events),
         status=status,
         reason=end.reason,
         statistics=Statistics(**{field.name: getattr(end, field.name) for field in fields(Statistics)}),

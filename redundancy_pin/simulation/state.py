@@ -23,6 +23,9 @@ from redundancy_pin.robot import Robot
 PROJECTION_TOLERANCE = 1e-13
 """Closure residual, rad or characteristic lengths, at which the projection is done: rounding is 1e-16 a row."""
 
+LARGEST_RESIDUAL = 1e-9
+"""Closure residual, rad or characteristic lengths, above which a projected step of a simulation fails."""
+
 _MOST_STEPS = 8
 """From the end of an integration step, 1e-9 off, two Newton steps reach rounding."""
 
@@ -35,6 +38,7 @@ class Manifold:
 
     Attributes:
         tolerance: closure residual, m, at which the projection is done.
+        largest_residual: closure residual, m, above which a projected step of a simulation fails.
     """
 
     def __init__(self, chain: ClosedChain, held: Sequence[int] = ()) -> None:
@@ -43,6 +47,7 @@ class Manifold:
         self._columns = chain.pose_columns[self._moving]
         self._unit = chain.system.step_unit[self._moving]
         self.tolerance = PROJECTION_TOLERANCE * chain.robot.characteristic_length
+        self.largest_residual = LARGEST_RESIDUAL * chain.robot.characteristic_length
         self._turning_numbers = chain.model.nq != chain.model.nv
 
     def project(self, q: Array, v: Array) -> tuple[Array, Array, float, float]:

@@ -1,4 +1,4 @@
-"""What takes the steps: scipy's solvers, and machine code where the machine has it."""
+"""Integrators: scipy's solvers, and machine code if the machine has it."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ from redundancy_pin.simulation.problem import (
     InitialValueProblem,
     SimulatedSample,
     SimulationProgress,
-    SimulationRecord,
     SmoothInterval,
 )
-from redundancy_pin.simulation.rank_loss import NEAR, Sheet
+from redundancy_pin.simulation.rank_loss import NEAR
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 INTEGRATORS = {"DOP853": DOP853, "RK45": RK45, "Radau": Radau}
@@ -42,24 +41,26 @@ _PORTION = 1000
 
 
 class Rate:
-    """ẏ over one interval, as scipy's solvers call it; ``failure`` says why a call of this step had no answer."""
+    """ẏ over the rest of an interval up to ``end``, s, as scipy's solvers call it, and the progress it starts from.
 
-    def __init__(self, problem: InitialValueProblem, hold: Command | None, end: float, sheet: Sheet | None) -> None:
-        self._machine, self._unit = problem.machine, problem.unit
-        self._hold, self._end, self.sheet = hold, end, sheet
+    ``failure`` is the error of the last call without an answer in this step.
+    """
+
+    def __init__(self, progress: SimulationProgress, unit: Array, end: float) -> None:
+        self._machine, self._hold, self._unit, self._end = progress.machine, progress.hold, unit, end
+        self.sheet = progress.sheet
         self.evaluations = 0
         self.failure: RedundancyPinError | None = None
 
     def __call__(self, t: float, y: Array) -> Array:
-        """Return ẏ; NaN where there is none: the integrator then tries a shorter step."""
+        """Return ẏ; NaN if it is undetermined: the integrator then tries a shorter step."""
         self.evaluations += 1
         if y[0] != y[0]:  # a stage after one that had no answer
             return np.full(len(y), np.nan)
         # efforts that jump at the end of an interval are evaluated just before it
         state = self._machine.state(t if t < self._end else float(np.nextafter(self._end, -np.inf)), y)
         try:
-            command = self._machine.amplifiers.command(state) if self._hold is None else self._hold
-            return self._machine.rate(state, command, self.sheet)
+            return self._machine.rate(state, self._machine.command(state, self._hold), self.sheet)
         except (IllPosedModelError, SingularPoseError, InputError) as error:
             # a controller may have no answer to the state of a trial step that is too long
             self.failure = error
@@ -74,14 +75,14 @@ class Rate:
 
 
 def solver(
-    problem: InitialValueProblem, progress: SimulationProgress, interval: SmoothInterval, rate: Rate
-) -> OdeSolver:
-    """Return scipy's solver over the rest of an interval; it selects the first step where none is suggested."""
+    problem: InitialValueProblem, progress: SimulationProgress, interval: SmoothInterval
+) -> tuple[OdeSolver, Rate]:
+    """Return scipy's solver over the rest of an interval; it selects the first step unless one is suggested."""
+    rate = Rate(progress, problem.unit, interval.end)
     step = None if progress.next_step is None else min(progress.next_step, interval.end - progress.t)
     implicit = {} if problem.method in EXPLICIT else {"jac": rate.jacobian}
-    return INTEGRATORS[problem.method](
-        rate, progress.t, progress.y, interval.end, first_step=step, **implicit, **problem.settings
-    )
+    method = INTEGRATORS[problem.method]
+    return method(rate, progress.t, progress.y, interval.end, first_step=step, **implicit, **problem.settings), rate
 
 
 class OrdinarySteps:
@@ -89,15 +90,21 @@ class OrdinarySteps:
 
     Args:
         kernel: machine code of the machine.
-        problem: what is integrated.
-        parts: its intervals.
+        problem: the problem that is integrated.
+        start: its start.
+        intervals: its smooth intervals.
     """
 
-    def __init__(self, kernel: ForwardKernel, problem: InitialValueProblem, parts: list[SmoothInterval]) -> None:
-        machine, grid, sampling = problem.machine, problem.grid, problem.sampling
-        self._problem, self._sampled = problem, sampling is not None
-        amplifiers = machine.amplifiers
-        self._by_time = machine.heeds_time_only and (self._sampled or amplifiers.open_loop is not None)
+    def __init__(
+        self,
+        kernel: ForwardKernel,
+        problem: InitialValueProblem,
+        start: SimulationProgress,
+        intervals: list[SmoothInterval],
+    ) -> None:
+        self._machine, self._problem, self._sampled = start.machine, problem, problem.sampling is not None
+        amplifiers, manifold, grid = self._machine.amplifiers, self._machine.manifold, problem.grid
+        self._by_time = self._machine.heeds_time_only and (self._sampled or amplifiers.open_loop is not None)
         nothing = PiecewisePolynomial.constant(np.zeros(len(amplifiers.limits)), grid[0], grid[-1])
         self._hold: Command | None = None
         rules = Rules(
@@ -105,45 +112,44 @@ class OrdinarySteps:
             **problem.settings,
             grid=grid,
             time_tolerance=SAME * float(grid[1] - grid[0]),
-            breaks=np.array([part.end for part in parts]),
+            breaks=np.array([interval.end for interval in intervals]),
             efforts=(amplifiers.open_loop or nothing) if self._by_time else None,
             loads=None if self._by_time else self._loads,
-            prescribed=machine.prescribed,
+            prescribed=self._machine.dynamics.prescribed,
             limits=amplifiers.limits,
-            stops=problem.functions.stops,
+            stops=start.functions.stops,
             time=problem.time,
             brief=BRIEF,
             check_travel=BETWEEN,
             near_rank=NEAR,
             shortest=problem.shortest,
-            tolerance=machine.manifold.tolerance,
-            largest_residual=problem.largest_residual,
+            tolerance=manifold.tolerance,
+            largest_residual=manifold.largest_residual,
             velocity_change=VELOCITY_CHANGE,
             velocity_floor=VELOCITY_FLOOR,
         )
         self._code: Integration = kernel.integration(rules)
 
     def _loads(self, t: float, q: Array, v: Array) -> tuple[Array, tuple[Array, Array, Array] | None]:
-        return self._problem.machine.forces_at(t, q, v, self._hold)
+        return self._machine.forces_at(t, q, v, self._hold)
 
-    def take(
-        self, progress: SimulationProgress, interval: SmoothInterval, hold: Command | None, record: SimulationRecord
-    ) -> SimulationProgress:
-        """Take the ordinary steps ahead, to the end of the interval, or where nothing is held to the end of all."""
-        problem, grid = self._problem, self._problem.grid
+    def take(self, progress: SimulationProgress, interval: SmoothInterval) -> SimulationProgress:
+        """Take the ordinary steps ahead, to the end of the interval, or without a command on hold to the end of all."""
+        problem, grid, samples, hold = self._problem, self._problem.grid, progress.samples, progress.hold
         self._hold = hold
         if hold is not None and self._by_time:
             self._code.hold(np.concatenate(hold))
         end = interval.end if self._sampled else float(grid[-1])
         if progress.next_step is None:  # scipy's first one
-            rate = Rate(problem, hold, interval.end, None)
-            first = float(solver(problem, progress, interval, rate).h_abs)
-            progress = replace(progress, next_step=first, evaluations=progress.evaluations + rate.evaluations)
+            stepper, rate = solver(problem, progress, interval)
+            evaluations = progress.evaluations + rate.evaluations
+            progress = replace(progress, next_step=float(stepper.h_abs), evaluations=evaluations)
         before, stopped = progress.steps, False
         while not stopped and progress.t < end and progress.steps < problem.max_steps:
-            # in portions, so that it can be interrupted
-            portion, recorded = min(_PORTION, problem.max_steps - progress.steps), len(record.samples)
-            progress, states, stopped = self._code.advance(progress, recorded, end, portion)
-            times = grid[recorded : recorded + len(states)].tolist()
-            record.samples.extend(SimulatedSample(t, y, hold, None) for t, y in zip(times, states, strict=True))
+            # in portions, so that it can be interrupted and reports how far it is
+            portion = min(_PORTION, problem.max_steps - progress.steps)
+            progress, states, stopped = self._code.advance(progress, len(samples), end, portion)
+            times = grid[len(samples) : len(samples) + len(states)].tolist()
+            samples.extend(SimulatedSample(t, y, self._machine, hold, None) for t, y in zip(times, states, strict=True))
+            problem.notify(progress)
         return replace(progress, short=0) if progress.steps > before else progress

@@ -157,7 +157,7 @@ def test_a_start_at_an_end_stops_whichever_way_it_was_rounded(beyond: float) -> 
 
 def test_a_function_that_comes_to_zero_exactly_is_seen_once_from_either_side() -> None:
     robot = moving.massive("2rpr")
-    functions = EventFunctions(closed_state(robot).chain, ())
+    functions = EventFunctions(closed_state(robot).chain, (), closed_state(robot).q)
     i = functions.kinds.index("type_II")
     for sign in (1.0, -1.0):
         values = np.ones((4, len(functions.kinds)))

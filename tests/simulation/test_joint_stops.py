@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from flat_linkages import row_of_four_bars
+from flat_linkages import parallelogram, row_of_four_bars
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
@@ -187,6 +187,33 @@ def test_generated_code_takes_the_steps_between_the_stops(five_bar: Robot) -> No
     np.testing.assert_allclose(runs[0].stop_force, runs[1].stop_force, atol=1e-5)
 
 
+def test_generated_code_leaves_joints_that_stops_hold_to_the_solver(tmp_path: Path) -> None:
+    """It holds no joints: one restart, at the start, and none per step."""
+    robot = pendulum(tmp_path, (-0.5, 2.0))
+    start = tree_state(robot, [-0.5], [0.0])
+    for fast in (None, robot):
+        run = inelastic(robot, start=start, duration=1e-3, dt=1e-4, max_step=1e-5, dynamics=fast)
+        assert not run.v.any()
+        np.testing.assert_allclose(run.stop_force, MASS * G * CENTRE * np.cos(0.5), rtol=1e-9)
+        assert run.statistics.restarts == 1
+
+
+def test_a_rank_loss_while_a_stop_holds_a_joint_fails_and_says_so() -> None:
+    """Two parallelograms by themselves: one rests on its stop while the other one falls flat."""
+    shipped = parallelogram("second")
+    model = pin.Model(shipped.model)
+    limits = np.array(model.lowerPositionLimit)
+    limits[model.joints[model.getJointId("second_0")].idx_q] = 1.0
+    model.lowerPositionLimit = limits
+    robot = replace(shipped, model=model)
+    run = inelastic(robot, start=closed_state(robot, [1.2, 1.0], [-3.0, 0.0]), duration=1.0)
+    assert run.status is ResultStatus.NOT_CONVERGED
+    assert "its closures lose rank while a joint is held by its stop" in run.reason
+    crank = model.joints[model.getJointId("crank_0")].idx_q
+    assert 0.0 < run.q[-1, crank] < 0.5
+    assert not run.v[:, model.joints[model.getJointId("second_0")].idx_v].any()
+
+
 def test_a_carrier_at_the_end_of_its_track() -> None:
     robot = rp.load_robot("2rpr", end_effector_mass=0.5, cylinder_mass=0.3)
     limits = robot.carrier_limits[0]
@@ -360,6 +387,7 @@ def test_a_start_at_several_stops_with_speed(tmp_path_factory: pytest.TempPathFa
     assert (run.stop_force[:, at == 1] >= 0.0).all()
     assert (run.stop_force[:, at == 2] <= 0.0).all()
     assert (run.stop_force[:, at == 0] == 0.0).all()
+    assert not any(0.0 < event.impulse < 1e-12 for event in run.events)  # rounding is no impact
 
 
 def test_what_rests_does_not_depend_on_the_duration(tmp_path: Path) -> None:

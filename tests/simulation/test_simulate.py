@@ -401,6 +401,22 @@ def test_what_runs_away_is_named_and_a_controller_is_blamed_only_where_there_is_
     assert ("no actuator gives any effort" in run.reason) is not driven
 
 
+def test_external_forces_that_are_no_numbers_from_a_time_on_end_the_simulation_there() -> None:
+    robot, last = rp.load_robot("four_bar"), 0.05
+
+    class Idle(Constant):
+        breaks = np.array([last])
+
+    def broken(state: State) -> Array:
+        return np.full(len(state.v), np.nan if state.t > last else 0.0)
+
+    run = rp.simulate(robot, Idle(np.zeros(1), np.zeros(0)), duration=0.2, external=broken)
+    assert run.status is ResultStatus.NOT_CONVERGED
+    assert run.reason.startswith("At t = 0.05 s no step is short enough")
+    assert run.t[-1] == last
+    assert np.isfinite(run.q).all()
+
+
 class From:
     """Efforts that a spring gives, and from a time on something else."""
 
@@ -472,3 +488,15 @@ def test_it_tells_how_far_it_is() -> None:
         assert (np.diff(times[:, 0]) >= 0.0).all()
         assert times[-1, 0] == pytest.approx(0.3)
         assert (times[:, 1] == times[-1, 0]).all()
+
+
+def test_generated_code_reports_during_a_long_stretch_of_steps() -> None:
+    """One interval without events, 3,000 steps: reports at least every 1,000."""
+    robot = rp.load_robot("five_bar", carriers=True)
+    told: list[float] = []
+    drive = Constant(np.full(2, 1e-3), np.zeros(2))
+    run = rp.simulate(
+        robot, drive, duration=0.3, max_step=1e-4, dt=0.1, dynamics=robot, progress=lambda t, end: told.append(t)
+    )
+    assert run.statistics.steps >= 3000
+    assert np.diff([0.0, *told]).max() < 0.11

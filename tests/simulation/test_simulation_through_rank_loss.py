@@ -198,6 +198,14 @@ def test_a_start_at_the_flat_pose_goes_on_along_its_velocity() -> None:
     np.testing.assert_allclose(folded.q[:, 2], swing.y[0], atol=1e-8)
 
 
+@pytest.mark.parametrize("at", [-1e-9, 1e-9])
+def test_a_start_at_the_flat_pose_has_not_come_to_it_whichever_way_it_is_rounded(at: float) -> None:
+    run = rp.simulate(row_of_four_bars(1), start=flat([1.0, -1.0, 1.0], at), duration=0.05, dt=0.01)
+    assert run.status is ResultStatus.OK
+    assert run.q[-1, 0] > 0.03
+    assert run.events == ()
+
+
 @pytest.mark.parametrize("beyond", [1e-3, 1e-5, 1e-7])
 def test_a_start_just_beyond_the_flat_pose_leaves_it_behind(beyond: float) -> None:
     lengths = (0.5, 0.9, 0.7, 0.3)
@@ -266,6 +274,21 @@ def test_rest_at_the_flat_pose_leaves_the_motion_undetermined_and_says_so() -> N
     assert "q = [" in run.reason
     assert abs(run.q[-1, 0]) < 1e-7
     assert run.t[-1] < 0.4
+
+
+def test_a_motion_that_settles_at_the_flat_pose_without_turning_back_says_so_too() -> None:
+    """Critically damped: θ = 0.3 (1 + 20 t) exp(−20 t); rounding that crosses the pose is no event."""
+    robot, inertia, rate = row_of_four_bars(1, gravity=0.0), 5.0 / 3.0, 20.0
+
+    def settling(state: State) -> Array:
+        return np.array([-inertia * (rate**2 * state.q[0] + 2.0 * rate * state.v[0]), 0.0, 0.0])
+
+    run = rp.simulate(robot, start=closed_state(robot, [0.3]), duration=3.0, dt=0.05, external=settling)
+    assert run.status is ResultStatus.NOT_CONVERGED
+    assert "undetermined" in run.reason
+    assert run.events == ()
+    assert 1.0 < run.t[-1] < 1.8  # θ is 1e-7 and 1e-13
+    np.testing.assert_allclose(run.q[:, 0], 0.3 * (1.0 + rate * run.t) * np.exp(-rate * run.t), atol=1e-9)
 
 
 @pytest.mark.long
@@ -403,7 +426,7 @@ def test_a_sheet_is_the_closed_form_through_the_flat_pose() -> None:
 def test_a_sheet_of_two_freedoms_is_closed_beside_its_line_too() -> None:
     robot, rng = parallelogram("pendulum"), np.random.default_rng(3)
     sheet = sheet_through(robot, [0.1, 0.4], [-2.0, 0.3])
-    chain = sheet.solver.chain
+    chain = sheet.passage.solver.chain
     for crank in (0.05, 1e-3, 0.0, -0.1):
         q, v = np.array([crank, -crank, 0.9, crank]), rng.uniform(-3.0, 3.0, robot.model.nv)
         off = np.where(np.isin(np.arange(4), sheet.independent), 0.0, 0.2)

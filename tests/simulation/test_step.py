@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from scipy.integrate import DOP853
 
-from redundancy_pin.simulation.events import Step, cubic_weights
+from redundancy_pin.simulation.events import Step
 
 
 def test_estimates_are_exact_for_a_cubic_and_meet_both_ends() -> None:
@@ -21,8 +21,8 @@ def test_estimates_are_exact_for_a_cubic_and_meet_both_ends() -> None:
     (y, f), fractions = at(end), (0.0, 0.2, 0.75, 1.0)
     step = Step(SimpleNamespace(t_old=start, t=end, y=y, f=f), at(start))
     expected = [at(start + x * (end - start))[0] for x in fractions]
-    np.testing.assert_allclose(step.estimates(cubic_weights(fractions)), expected, atol=1e-14)
-    np.testing.assert_array_equal(step.estimates(cubic_weights((0.0, 1.0))), [at(start)[0], y])
+    np.testing.assert_allclose(step.estimates(fractions), expected, atol=1e-14)
+    np.testing.assert_array_equal(step.estimates((0.0, 1.0)), [at(start)[0], y])
 
 
 def test_at_is_the_interpolant_of_the_integrator() -> None:
