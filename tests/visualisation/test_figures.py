@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from io import BytesIO
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 import zoo
-from matplotlib.colors import to_hex
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from scipy.optimize import brentq
@@ -153,8 +155,8 @@ def _horizontals(axes: Any) -> set[float]:
 
 
 def _bands(axes: Any) -> list[tuple[float, float]]:
-    """Return bottom and top of each hatched band."""
-    hatched = [patch for patch in axes.patches if patch.get_hatch()]
+    """Return bottom and top of each hatched band beyond a limit."""
+    hatched = [patch for patch in axes.patches if patch.get_label() == "beyond a limit"]
     return sorted((float(p.get_xy()[1]), float(p.get_xy()[1] + p.get_height())) for p in hatched)
 
 
@@ -309,9 +311,61 @@ def test_a_reference_is_drawn_behind_the_efforts_of_a_plan_of_one_sample_too(tmp
     axes = _panel(drawn, "main torque")
     assert (_lines(axes, len(corner().t)) == 0.5).all(axis=0).sum() == 3
     assert _legend(axes)[0] == "no carriers"
-    names = ("t", "tau", "carrier_force", "condition", "margin", "regular", "carriers")
+    names = ("t", "tau", "carrier_force", "condition", "margin", "status", "carriers")
     one = replace(computed(), **{name: getattr(computed(), name)[:1] for name in names})
     rp.plot.save(rp.plot.efforts(one), tmp_path / "one.png")
+
+
+def _pixels(drawn: Figure, axes: Any, color: str) -> int:
+    """Return how many pixels within axes have nearly a colour, in the picture that a notebook shows."""
+    picture = imread(BytesIO(drawn._repr_png_()[0]))[::-1, :, :3]
+    scale = picture.shape[0] / drawn.bbox.height
+    x0, y0, x1, y1 = (int(scale * edge) for edge in axes.get_window_extent().extents)
+    return int((np.abs(picture[y0:y1, x0:x1] - to_rgb(color)).max(axis=2) < 0.1).sum())
+
+
+def test_a_sample_without_neighbours_is_a_point() -> None:
+    apart = np.abs(computed().tau[:, 0] - computed().tau[:, 1])
+    k = int(np.argmax(np.where(computed().regular, apart, 0.0)))  # the actuators have different efforts
+    names = ("t", "tau", "carrier_force", "condition", "margin", "status")
+    one = replace(
+        computed(),
+        carriers=computed().carriers[k : k + 1],
+        **{name: getattr(computed(), name)[k : k + 1] for name in names},
+    )
+    lone = np.where(np.arange(len(computed().t)) == k, 1.0, np.nan)[:, None] * computed().tau
+    for each in (one, replace(computed(), tau=lone)):
+        drawn = rp.plot.efforts(each)
+        for stroke in STROKES[:2]:
+            assert _pixels(drawn, drawn.axes[0], stroke.color) > 10
+    robot = zoo.robot_of("2rpr")
+    drawn = rp.plot.path(robot, reference.circle().sample(0.01)[:1])
+    assert _pixels(drawn, drawn.axes[0], STROKES[0].color) > 10
+
+
+def test_bounds_of_efforts_are_drawn_and_samples_without_efforts_within_them_are_shaded() -> None:
+    robot, bound = zoo.robot_of("2rpr"), 0.45
+    motion = reference.circle().sample(0.002)
+    reduced = rp.VirtualWork(robot).reduce(motion)
+    solved = rp.distribute(reduced, lower=[-bound, -1.2 * bound], upper=bound)
+    drawn = rp.plot.efforts(rp.plot.curves(robot, reduced, solved, limits=([-bound, -1.2 * bound], bound)))
+    axes = drawn.axes[0]
+    assert _horizontals(axes) == {bound, -bound, -1.2 * bound}
+    assert _bands(axes)[0][1] == pytest.approx(-1.2 * bound)
+    assert _bands(axes)[-1][0] == pytest.approx(bound)
+    assert {"bound infeasible", "beyond a limit"} <= set(_legend(drawn))
+    shaded = np.zeros(len(motion), dtype=bool)
+    for patch in (patch for patch in axes.patches if patch.get_label() == "bound infeasible"):
+        shaded |= (motion.t >= patch.get_x()) & (motion.t <= patch.get_x() + patch.get_width())
+    np.testing.assert_array_equal(shaded, solved.status == SampleStatus.BOUND_INFEASIBLE)
+    assert 0 < shaded.sum() < len(shaded)
+    one_sided = rp.plot.efforts(rp.plot.curves(robot, reduced, solved, limits=(None, bound)))
+    assert _horizontals(one_sided.axes[0]) == {bound}
+    far = rp.plot.efforts(rp.plot.curves(robot, reduced, rp.distribute(reduced), limits=(None, 1e3)))
+    assert "limit ≤ 1000" in [text.get_text() for text in far.axes[0].texts]
+    for wrong in ((None, [1.0, 2.0, 3.0]), (float("nan"), None)):
+        with pytest.raises(InputError, match="do not fit 2 actuators"):
+            rp.plot.curves(robot, reduced, solved, limits=wrong)
 
 
 def test_a_figure_of_ones_own_is_a_list_of_panels() -> None:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, assign, require_type, runs
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, assign, require_type, runs
 from redundancy_pin.dynamics.distribution import Distribution
 from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import InputError, PlanFileError
@@ -35,10 +36,11 @@ class Curves:
         carrier_force: (N, k) efforts of the carriers' actuators, N.
         carriers: N samples of the carrier motion, m; rad where they turn.
         carriers_turn: whether they do.
-        limits: (k,) limits of the carriers.
+        carrier_limits: (k,) limits of the carriers.
         condition: (N,) condition number of the scaled W.
         margin: (N,) smallest singular value of the scaled W.
-        regular: (N,) samples that are neither near-singular nor singular: effort axes are scaled to these.
+        status: (N,) a ``SampleStatus`` each.
+        limits: (m, 2) smallest and largest main efforts, N or N·m, infinite for none; None: no limits.
         instants: singular instants, s.
         thresholds: condition numbers that mean something to the motion.
         main_names, carrier_names: of the joints, for legends; numbered where left out.
@@ -50,10 +52,11 @@ class Curves:
     main_unit: str
     carrier_force: Array
     carriers: CarrierMotion
-    limits: tuple[CarrierLimits, ...]
+    carrier_limits: tuple[CarrierLimits, ...]
     condition: Array
     margin: Array
-    regular: BoolArray
+    status: IntArray
+    limits: Array | None = None
     carriers_turn: bool = False
     instants: tuple[float, ...] = ()
     thresholds: tuple[float, ...] = ()
@@ -67,10 +70,22 @@ class Curves:
         assign(self, carrier_names=self.carrier_names or tuple(f"carrier {i + 1}" for i in range(moved)))
 
     @property
+    def regular(self) -> BoolArray:
+        """(N,) samples that are neither near-singular nor singular: effort axes are scaled to these."""
+        return self.status == SampleStatus.OK
+
+    @property
     def windows(self) -> tuple[tuple[float, float], ...]:
-        """First and last time, s, of each stretch of samples below the near-singular margin."""
-        near = runs(self.margin < NEAR_SINGULAR_MARGIN)
-        return tuple((float(self.t[start]), float(self.t[stop - 1])) for start, stop in near)
+        """First and last time, s, of each interval of samples below the near-singular margin."""
+        return self._intervals(self.margin < NEAR_SINGULAR_MARGIN)
+
+    @property
+    def infeasible(self) -> tuple[tuple[float, float], ...]:
+        """First and last time, s, of each interval of samples whose efforts have no solution within their limits."""
+        return self._intervals(self.status == SampleStatus.BOUND_INFEASIBLE)
+
+    def _intervals(self, flags: BoolArray) -> tuple[tuple[float, float], ...]:
+        return tuple((float(self.t[start]), float(self.t[stop - 1])) for start, stop in runs(flags))
 
 
 def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -> Curves:
@@ -89,21 +104,23 @@ def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -
     )
     own: dict[str, Any]
     if isinstance(subject, Plan):
-        threshold = subject.parameters.get("threshold") if subject.parameters.get("measure") == "condition" else None
+        limits, parameters = subject.limits.judged_by, subject.parameters
+        threshold = parameters.get("threshold") if parameters.get("measure") == "condition" else None
         planner, status = (text.replace("_", " ") for text in (subject.planner, subject.status.value))
         own = {
             "title": f"{subject.robot.name}: {planner}, {status}",
-            "limits": subject.limits.judged_by.of_carriers,
+            "limits": np.outer(limits.effort, [-1.0, 1.0]),
+            "carrier_limits": limits.of_carriers,
             "condition": subject.condition,
             "margin": subject.margin,
-            "regular": subject.sample_status == SampleStatus.OK,
+            "status": subject.sample_status,
             "instants": subject.findings.singular_instants,
             "thresholds": (float(threshold),) if isinstance(threshold, (int, float)) else (),
         }
     else:
-        own = {"title": run_title(subject), "limits": subject.robot.carrier_limits}
+        own = {"title": run_title(subject), "carrier_limits": subject.robot.carrier_limits}
         own |= dict.fromkeys(("condition", "margin"), np.full(len(subject), np.nan))
-        own["regular"] = np.ones(len(subject), dtype=bool)  # the efforts are those that acted
+        own["status"] = np.full(len(subject), SampleStatus.OK)  # the efforts are those that acted
         with suppress(PlanFileError):
             classes = classify(robot_of_record(subject.robot, robot), subject.q)
             own |= {"condition": classes.condition, "margin": classes.parallel_margin}
@@ -148,6 +165,7 @@ def curves(
     *,
     crossings: Sequence[Crossing] = (),
     thresholds: Sequence[float] = (),
+    limits: tuple[ArrayLike | None, ArrayLike | None] = (None, None),
     title: str | None = None,
 ) -> Curves:
     """Return the curves of an inverse-dynamics computation.
@@ -159,10 +177,11 @@ def curves(
         carriers: what ``reduced`` was computed with; parked at zero when left out.
         crossings: from ``find_crossings`` along the same motion: where the singular instants are.
         thresholds: condition numbers to mark.
+        limits: lower and upper bounds of ``distribute``, scalar or (m,), N or N·m; None for none.
         title: the robot's name when left out.
 
     Raises:
-        InputError: parts of different length.
+        InputError: parts of different length, or limits that do not fit the actuators.
     """
     samples = len(reduced.t)
     sliding = CarrierMotion.parked(samples, robot.k) if carriers is None else carriers
@@ -178,14 +197,29 @@ def curves(
         tau=efforts.tau,
         carrier_force=reduced.carrier_force,
         carriers=sliding,
-        limits=robot.carrier_limits,
+        limits=_effort_limits(limits, robot.m),
+        carrier_limits=robot.carrier_limits,
         condition=efforts.condition,
         margin=efforts.margin,
-        regular=efforts.status == SampleStatus.OK,
+        status=efforts.status,
         instants=tuple(crossing.t for crossing in crossings),
         thresholds=tuple(thresholds),
         **_joints(robot_record(robot)),
     )
+
+
+def _effort_limits(limits: tuple[ArrayLike | None, ArrayLike | None], m: int) -> Array:
+    """Return (m, 2) smallest and largest efforts of lower and upper bounds, infinite where there is none."""
+    sides = []
+    for given, absent in zip(limits, (-np.inf, np.inf), strict=True):
+        bound = np.asarray(absent if given is None else given, dtype=float)
+        if bound.shape not in ((), (m,)) or np.isnan(bound).any():
+            raise InputError(
+                f"Limits of shape {bound.shape} do not fit {m} actuators, or are not numbers.",
+                remedy=f"Pass limits=(lower, upper), each one number or {m}, as to distribute.",
+            )
+        sides.append(np.broadcast_to(bound, m))
+    return np.stack(sides, axis=1)
 
 
 def _joints(record: RobotRecord) -> dict[str, Any]:

@@ -60,8 +60,12 @@ INSTANT: dict[str, Any] = {
 }  # fmt: skip
 """How a singular instant is drawn, and what legends call it."""
 
-# How a stretch of near-singular samples is drawn, and what legends call it
+# How an interval of near-singular samples is drawn, and what legends call it
 WINDOW: dict[str, Any] = {"facecolor": "#D9D9D9", "edgecolor": "none", "label": "near-singular"}
+# How samples without efforts within their limits are drawn, and what legends call them
+INFEASIBLE: dict[str, Any] = {
+    "facecolor": "#FBE9DF", "edgecolor": "#DDA98C", "hatch": "\\\\\\", "linewidth": 0.6, "label": "bound infeasible"
+}  # fmt: skip
 _FORMATS = (".png", ".svg", ".pdf")
 
 _LETTERS, _KEY = 15.0, 9  # letters of a legend on an inch, and how many of them an entry takes with its line and space
