@@ -40,9 +40,14 @@ from redundancy_pin.robot.shipped import shipped_robots
 def rows_of(drawn):
     """Return the rows of all checks against physics, and of generated code, on states."""
     along = RneaDynamics(drawn.robot).along(drawn.motion)
-    checks = physics.check_closures, physics.check_power, physics.check_round_trip
-    rows = [row for check in checks for row in check(drawn, along)]
-    return {row.check: row for row in (*rows, *physics.check_parity(drawn, along, "compiled", CompiledDynamics))}
+    rows = *physics.check_physics(drawn, along), *physics.check_parity(drawn, along, "compiled", CompiledDynamics)
+    return {row.check: row for row in rows}
+
+
+def physics_row(drawn, name):
+    """Return the row of a check against physics whose name begins so."""
+    rows = physics.check_physics(drawn, RneaDynamics(drawn.robot).along(drawn.motion))
+    return next(row for row in rows if row.check.startswith(name))
 
 
 def failed(report):
@@ -196,8 +201,7 @@ def test_a_short_lever_neither_fails_nor_hides_a_fault(monkeypatch):
     along = RneaDynamics(drawn.robot).along(drawn.motion)
 
     def deviations():
-        checks = physics.check_closures, physics.check_power, physics.check_round_trip
-        return np.array([row.worst / row.tolerance for check in checks for row in check(drawn, along)])
+        return np.array([row.worst / row.tolerance for row in physics.check_physics(drawn, along)])
 
     assert (deviations() < [0.1, 0.1, 0.3]).all()
     exaggerate_loads(monkeypatch, 1.00001)
@@ -219,7 +223,7 @@ def test_joints_that_do_not_move_with_the_platform_are_noticed(monkeypatch, robo
         return q, v, a
 
     def worst():
-        (row,) = physics.check_closures(drawn, RneaDynamics(drawn.robot).along(drawn.motion))
+        row = physics_row(drawn, "rates")
         return row.worst / row.tolerance
 
     assert worst() < 1e-3
@@ -463,7 +467,7 @@ def test_round_trips_skip_singular_states():
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(physics, "NEAR_SINGULAR_MARGIN", near)
         patched.setattr(physics, "_regular", lambda along: np.ones(8, dtype=bool))
-        (row,) = physics.check_round_trip(drawn, RneaDynamics(drawn.robot).along(drawn.motion))
+        row = physics_row(drawn, "inverse")
     assert (row.samples, row.skipped) == (4, {"near_type_ii": 4})
 
 
@@ -496,7 +500,7 @@ def test_states_near_a_stretched_leg_are_skipped_as_such():
 def test_a_machine_with_too_few_motors_has_no_round_trip():
     drawn = random_states("gough", 3, 0)
     weak = replace(drawn.robot, actuated=drawn.robot.actuated[:5])
-    (row,) = physics.check_round_trip(replace(drawn, robot=weak), RneaDynamics(weak).along(drawn.motion))
+    row = physics_row(replace(drawn, robot=weak), "inverse")
     assert (row.samples, row.skipped, row.note) == (0, {"underactuated": 3}, "every state is skipped")
 
 
@@ -569,7 +573,7 @@ def test_links_without_mass_are_checked_too(tmp_path: Path) -> None:
 def test_a_motion_without_inertia_is_skipped_with_its_reason():
     """The 2-RPR of the thesis with its carriers taken off has no mass at all."""
     drawn = random_states("2rpr", 3, 0, settings=(("carriers", False),))
-    (row,) = physics.check_round_trip(drawn, RneaDynamics(drawn.robot).along(drawn.motion))
+    row = physics_row(drawn, "inverse")
     assert (row.samples, row.skipped) == (0, {"massless": 3})
 
 

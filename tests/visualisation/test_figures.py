@@ -339,8 +339,13 @@ def test_a_sample_without_neighbours_is_a_point() -> None:
         for stroke in STROKES[:2]:
             assert _pixels(drawn, drawn.axes[0], stroke.color) > 10
     robot = zoo.robot_of("2rpr")
-    drawn = rp.plot.path(robot, reference.circle().sample(0.01)[:1])
+    motion = reference.circle().sample(0.01)[:1]
+    drawn = rp.plot.path(robot, motion)
     assert _pixels(drawn, drawn.axes[0], STROKES[0].color) > 10
+    (start,) = [line for line in rp.plot.snapshots(rp.show(robot, motion), 1).axes[0].lines if line.get_zorder() == 4.1]
+    np.testing.assert_allclose(start.get_xydata(), motion.x, atol=1e-9)
+    axes = rp.plot.locus(locus_of("2rpr"), motion=motion.x).axes[0]
+    assert next(line for line in axes.lines if line.get_label() == "motion").get_marker() == "o"
 
 
 def test_bounds_of_efforts_are_drawn_and_samples_without_efforts_within_them_are_shaded() -> None:
@@ -366,6 +371,15 @@ def test_bounds_of_efforts_are_drawn_and_samples_without_efforts_within_them_are
     for wrong in ((None, [1.0, 2.0, 3.0]), (float("nan"), None)):
         with pytest.raises(InputError, match="do not fit 2 actuators"):
             rp.plot.curves(robot, reduced, solved, limits=wrong)
+
+
+def test_a_comparison_leaves_out_near_singular_efforts_and_not_those_that_do_not_exist() -> None:
+    robot = zoo.robot_of("2rpr")
+    reduced = rp.VirtualWork(robot).reduce(reference.line().sample(0.01))
+    largest = np.abs(rp.distribute(reduced).tau).max()
+    bounded = rp.distribute(reduced, lower=-0.5 * largest, upper=0.5 * largest)
+    assert set(bounded.status.tolist()) == {SampleStatus.OK, SampleStatus.BOUND_INFEASIBLE}
+    assert rp.plot.comparison({"bounded": rp.plot.curves(robot, reduced, bounded)}).get_suptitle() == "2rpr"
 
 
 def test_a_figure_of_ones_own_is_a_list_of_panels() -> None:

@@ -60,7 +60,8 @@ def draw_locus(locus: SingularLocus, *, motion: Array | None = None, crossings: 
         if plane:
             _draw_plane(drawn, axes, locus)
             if motion is not None:
-                axes.plot(*motion[:, list(locus.free)].T, color="#0072B2", zorder=2.6, label="motion")
+                mark = "o" if len(motion) == 1 else ""
+                axes.plot(*motion[:, list(locus.free)].T, marker=mark, color="#0072B2", zorder=2.6, label="motion")
             places = [crossing.x[list(locus.free)] for crossing in crossings]
             draw_singular(axes, places, "#0072B2", "singular instant")
         else:

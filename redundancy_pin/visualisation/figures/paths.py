@@ -267,15 +267,14 @@ def draw_frame(
 def draw_path(axes: Axes, scene: scenes.Scene, *, plane: str = "xy") -> None:
     """Draw the path of the platform in the colours of the margin, wider near singularities."""
     points, classes = scene.path @ projection(plane).T, scenes.margin_classes(scene.path_margin)
-    if len(points) < 2:
-        return
-    halo = 5.4 if (classes == 0).any() else 3.6  # seen on a platform of its colour
-    axes.plot(*points.T, color="#FFFFFF", linewidth=halo, zorder=3.9)
-    for a, b in stretches(classes):  # each up to where the next one begins
-        number, color = int(classes[a]), scenes.margin_color(scene.path_margin[a])
-        name = f"margin {scenes.margin_labels()[number]}" if number >= 0 else None
-        axes.plot(*points[a : b + 1].T, color=color, linewidth=1.6 if number else 3.4, zorder=4.0, label=name)
-    axes.plot(*points[0], "o", color="#000000", markersize=4, zorder=4.1)
+    if len(points) > 1:
+        halo = 5.4 if (classes == 0).any() else 3.6  # seen on a platform of its colour
+        axes.plot(*points.T, color="#FFFFFF", linewidth=halo, zorder=3.9)
+        for a, b in stretches(classes):  # each up to where the next one begins
+            number, color = int(classes[a]), scenes.margin_color(scene.path_margin[a])
+            name = f"margin {scenes.margin_labels()[number]}" if number >= 0 else None
+            axes.plot(*points[a : b + 1].T, color=color, linewidth=1.6 if number else 3.4, zorder=4.0, label=name)
+    axes.plot(*points[:1].T, "o", color="#000000", markersize=4, zorder=4.1)
 
 
 def _ends(length: float, place: Array) -> Array:

@@ -315,7 +315,7 @@ def comparison(subjects: Mapping[str, Plan | Simulation | Curves], *, title: str
         Panel(f"{name} [{unit}]", tuple(curve(i, k, label) for k, label in enumerate(drawn)))
         for i, name in enumerate(first.main_names)
     ]
-    cut = not all(counts.all() for counts in counted.values())
+    cut = any((np.isfinite(each.tau) & ~counted[label]).any() for label, each in drawn.items())
     heading = title or first.title.partition(":")[0] + (", near-singular samples left out" if cut else "")
     within = fitted_range([curve for panel in panels for curve in panel.curves])
     return plot_time_panels(heading, [replace(panel, within=within) for panel in panels])
