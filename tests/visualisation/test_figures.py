@@ -374,12 +374,12 @@ def test_bounds_of_efforts_are_drawn_and_samples_without_efforts_within_them_are
 
 
 def test_a_comparison_leaves_out_near_singular_efforts_and_not_those_that_do_not_exist() -> None:
-    robot = zoo.robot_of("2rpr")
-    reduced = rp.VirtualWork(robot).reduce(reference.line().sample(0.01))
+    robot = zoo.robot_of("3rrr")
+    reduced = rp.VirtualWork(robot).reduce(reference.corner().sample(0.01))
     largest = np.abs(rp.distribute(reduced).tau).max()
     bounded = rp.distribute(reduced, lower=-0.5 * largest, upper=0.5 * largest)
     assert set(bounded.status.tolist()) == {SampleStatus.OK, SampleStatus.BOUND_INFEASIBLE}
-    assert rp.plot.comparison({"bounded": rp.plot.curves(robot, reduced, bounded)}).get_suptitle() == "2rpr"
+    assert rp.plot.comparison({"bounded": rp.plot.curves(robot, reduced, bounded)}).get_suptitle() == "3rrr"
 
 
 def test_a_figure_of_ones_own_is_a_list_of_panels() -> None:
