@@ -72,7 +72,7 @@ class Curves:
     @property
     def regular(self) -> BoolArray:
         """(N,) samples that are neither near-singular nor singular: effort axes are scaled to these."""
-        return self.status == SampleStatus.OK
+        return np.asarray(self.status == SampleStatus.OK)
 
     @property
     def windows(self) -> tuple[tuple[float, float], ...]:
@@ -82,7 +82,7 @@ class Curves:
     @property
     def infeasible(self) -> tuple[tuple[float, float], ...]:
         """First and last time, s, of each interval of samples whose efforts have no solution within their limits."""
-        return self._intervals(self.status == SampleStatus.BOUND_INFEASIBLE)
+        return self._intervals(np.asarray(self.status == SampleStatus.BOUND_INFEASIBLE))
 
     def _intervals(self, flags: BoolArray) -> tuple[tuple[float, float], ...]:
         return tuple((float(self.t[start]), float(self.t[stop - 1])) for start, stop in runs(flags))

@@ -27,7 +27,8 @@ _HATCHES: dict[str, dict[str, Any]] = {
     "out of reach": {"facecolor": "#FFFFFF", "edgecolor": "#C8C8C8", "hatch": "////", "linewidth": 0.0},
     "a joint beyond its limits": {"facecolor": "#E3C9C4", "edgecolor": "#B0675A", "hatch": "....", "linewidth": 0.0},
 }
-_TYPE_I, _TYPE_II = {"color": "#000000", "linestyle": (0, (5, 2))}, {"color": "#D55E00", "linestyle": "-"}
+_TYPE_I: dict[str, Any] = {"color": "#000000", "linestyle": (0, (5, 2))}
+_TYPE_II: dict[str, Any] = {"color": "#D55E00", "linestyle": "-"}
 _LOCUS: dict[SingularityKind, dict[str, Any]] = {
     SingularityKind.TYPE_II: {**_TYPE_II, "linewidth": 2.0, "label": "type II (parallel)"},
     SingularityKind.TYPE_I: {**_TYPE_I, "linewidth": 1.4, "label": "type I (serial), border of the working mode"},
@@ -161,7 +162,8 @@ def _cloud(axes: Axes, space: Workspace, k: int, size: Array, top: float) -> Any
     island = space.island[k].ravel()[order] > 0
     look: dict[str, Any] = {"cmap": _COLORS, "vmin": 0.0, "vmax": top, "s": 6.0, "zorder": 1.5}
     look |= {"linewidths": np.where(island, 0.7, 0.0), "edgecolors": _ISLAND["color"]}
-    image = axes.scatter(*(mesh[order] @ matrix.T).T, c=size.ravel()[order], **look)
+    flat = mesh[order] @ matrix.T
+    image = axes.scatter(flat[:, 0], flat[:, 1], c=size.ravel()[order], **look)
     if island.any():
         axes.plot([], [], linestyle="", marker="o", markerfacecolor="none", markeredgecolor=_ISLAND["color"],
                   label=_ISLAND_NAME)  # fmt: skip

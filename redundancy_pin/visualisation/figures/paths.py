@@ -98,10 +98,11 @@ def _draw_path(axes: Axes, point: Array, stroke: Stroke, label: str, start_label
     axes.annotate("", xy=(x[head], y[head]), xytext=(x[tail], y[tail]), arrowprops=arrow)
 
 
-def draw_singular(axes: Axes, points: Sequence[ArrayLike], color: str, label: str = "singular") -> None:
-    """Draw crosses at singular points (2,) in the picture."""
-    if len(points):
-        axes.plot(*np.array(points).T, "x", color=color, markersize=9, markeredgewidth=2, zorder=3.1, label=label)
+def draw_singular(axes: Axes, points: ArrayLike, color: str, label: str = "singular") -> None:
+    """Draw crosses at singular points (c, 2) of the picture, m."""
+    places = np.asarray(points, dtype=float)
+    if len(places):
+        axes.plot(*places.T, "x", color=color, markersize=9, markeredgewidth=2, zorder=3.1, label=label)
 
 
 def plot_path(

@@ -171,8 +171,7 @@ def condition(subject: Plan | Simulation | Curves, *, robot: Robot | None = None
 
 
 def _over_time(drawn: Curves, panels: Sequence[Panel]) -> Figure:
-    size = 7.2, 1.1 + 1.75 * sum(panel.height for panel in panels)
-    return plot_panel_grid(drawn.title, [panels], size, background_of(drawn))
+    return plot_panel_grid(drawn.title, [panels], None, background_of(drawn))
 
 
 def singularity_panel(drawn: Curves) -> Panel:
@@ -246,8 +245,7 @@ def simulation(
         left.append(_distance_panel(run, plan, robot_of_record(run.robot, robot)))
         right = [_over(*both) for both in zip(right, carrier_panels(planned), strict=False)]
     columns = [left, right] if len(left) == len(right) else [[*left, *right]]
-    size = (9.6 if len(columns) > 1 else 7.2, 1.1 + 1.75 * sum(panel.height for panel in columns[0]))
-    return plot_panel_grid(title or drawn.title, columns, size, background_of(drawn))
+    return plot_panel_grid(title or drawn.title, columns, None, background_of(drawn))
 
 
 def _over(panel: Panel, behind: Panel) -> Panel:

@@ -145,22 +145,18 @@ def condition_panel(t: Array, condition: Array, thresholds: Sequence[float] = ()
 
 
 def plot_time_panels(
-    title: str,
-    panels: Sequence[Panel],
-    *,
-    plan: Plan | None = None,
-    instants: Sequence[float] = (),
-    windows: Windows = (),
+    title: str, panels: Sequence[Panel], *, plan: Plan | None = None, instants: Sequence[float] = ()
 ) -> Figure:
-    """Draw panels one above the other, from top to bottom; ``plan``, ``instants`` and ``windows`` are behind them."""
-    size = 7.2, 1.1 + 1.75 * sum(panel.height for panel in panels)
-    return plot_panel_grid(title, [panels], size, Background(plan, instants, windows))
+    """Draw panels one above the other, with the phases of a ``plan`` and singular ``instants``, s, behind them."""
+    return plot_panel_grid(title, [panels], None, Background(plan, instants))
 
 
 def plot_panel_grid(
-    title: str, columns: Sequence[Sequence[Panel]], size: tuple[float, float], background: Background
+    title: str, columns: Sequence[Sequence[Panel]], size: tuple[float, float] | None, background: Background
 ) -> Figure:
-    """Draw columns of panels, all of the same heights, in a figure of some width and height, inches."""
+    """Draw columns of panels, all of the same heights, in a figure of some width and height, inches; None fits."""
+    if size is None:
+        size = (9.6 if len(columns) > 1 else 7.2), 1.1 + 1.75 * sum(panel.height for panel in columns[0])
     with figure(*size, title) as drawn:
         heights = [panel.height for panel in columns[0]]
         axes = drawn.subplots(len(heights), len(columns), sharex=True, height_ratios=heights, squeeze=False)
