@@ -225,6 +225,18 @@ def test_limits_that_differ_are_named() -> None:
     assert _bands(axes) == [pytest.approx((axes.get_ylim()[0], -0.25))]  # what none of them may do
 
 
+def test_the_effort_limits_of_a_plan_are_drawn() -> None:
+    bound = 0.9 * float(np.abs(plan().tau).max())
+    judged = replace(plan().limits.judged_by, effort=np.array([bound, np.inf]))
+    limited = replace(plan(), limits=LimitReport((), (), judged))
+    for drawn in (rp.plot.efforts(limited), rp.plot.plan(limited)):
+        axes = _panel(drawn, "main force")
+        assert _horizontals(axes) <= {-bound, bound}
+        assert _horizontals(axes)
+        assert "limit of " in axes.texts[0].get_text()  # the other actuator has none
+        assert _bands(axes) == []
+
+
 def test_phases_are_shaded_from_one_to_the_next_and_named() -> None:
     one, drawn = plan(), rp.plot.plan(plan())
     starts = [0, *(np.flatnonzero(np.diff(one.phase)) + 1).tolist()]
