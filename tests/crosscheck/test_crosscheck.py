@@ -577,6 +577,16 @@ def test_a_motion_without_inertia_is_skipped_with_its_reason():
     assert (row.samples, row.skipped) == (0, {"massless": 3})
 
 
+@pytest.mark.parametrize(("density", "massless"), [(1e3, False), (1e-4, True)])
+def test_a_motion_of_hardly_any_mass_is_skipped_with_its_reason(tmp_path, density, massless):
+    """The outer link of an open chain is ten million times lighter than the inner one, or as heavy."""
+    inner = f'<joint name="b" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0" density="{density}"/>'
+    text = f'<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size="0.1"/><body pos="0.3 0 0">{inner}'
+    text += '</body></body></worldbody><actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>'
+    row = physics_row(random_states(str(write(tmp_path, text)), 3, 0), "inverse")
+    assert (row.samples, row.skipped) == ((0, {"massless": 3}) if massless else (3, {}))
+
+
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
 def test_a_backend_in_another_working_mode_fails(monkeypatch, name: str) -> None:
     def flipped(robot):
