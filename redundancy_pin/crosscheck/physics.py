@@ -99,7 +99,7 @@ def check_physics(states: RandomStates, along: RneaAlongMotion) -> Iterator[Chec
     keep, skipped = select(len(states.motion), near_type_i=~_regular(along))
     for name, (deviations, tolerance) in CHECKS.items():
         values, more = deviations(states, along, keep)
-        yield checked_row(states.robot.name, name, values, tolerance, more)
+        yield checked_row(states.robot.name, name, values, tolerance, {**skipped, **more})
 
 
 def check_parity(
