@@ -30,7 +30,7 @@ from redundancy_pin.visualisation.viewer.scene import (
     MARGIN_COLORS,
     MOST_FRAMES,
     MOST_POINTS,
-    Arrow,
+    JointCourse,
     Scene,
     frame_samples,
     make_scene,
@@ -56,7 +56,7 @@ def in_world(scene: Scene, body: int, point: Array) -> Array:
     return scene.placement[:, body, :3, :3] @ point + scene.placement[:, body, :3, 3]
 
 
-def arrow_of(scene: Scene, name: str) -> Arrow:
+def arrow_of(scene: Scene, name: str) -> JointCourse:
     return next(arrow for arrow in scene.arrows if arrow.name == name)
 
 
