@@ -206,7 +206,7 @@ def test_arrows_are_scaled_to_the_largest_effort_away_from_singularities() -> No
     n = len(motion)
     margin = np.ones(n)
     tau = np.zeros((n, 3))
-    tau[0, 0], tau[-1] = -5.0, [1e6, np.nan, np.inf]
+    tau[0, 0], tau[1, 1], tau[-1] = -5.0, np.inf, [1e6, np.nan, np.inf]
     margin[-1] = 0.5 * NEAR_SINGULAR_MARGIN
     scene = make_scene(
         robot,

@@ -26,20 +26,20 @@ Group = Literal["main", "carrier"]
 
 # Colours of the arrows: the main actuators', the carriers'
 EFFORT_COLORS: Mapping[Group, str] = {"main": "#E4007C", "carrier": "#00A3A3"}
-# Where the classes of the margin part: below the first a pose is reported as near-singular
+# Bounds between the classes of the margin; below the first a pose is near-singular
 MARGIN_EDGES = (NEAR_SINGULAR_MARGIN, 0.1, 0.2, 0.4)
 # Colour of each class of the margin, from singular to far
 MARGIN_COLORS = ("#B2182B", "#EF6C00", "#F6B600", "#5BAA3A", "#2166AC")
 UNKNOWN_COLOR = "#9E9E9E"  # where there is no margin
 
-OBLIQUE = (0.8, -1.0, 0.6)  # from where machines that are not flat are seen
+OBLIQUE = (0.8, -1.0, 0.6)  # view direction of machines that are not flat
 
 FRAME_RATE = 60.0  # frames a second of the motion's own time
 MOST_FRAMES = 600  # longer motions get fewer frames a second; a viewer interpolates between them
-MOST_POINTS = 1000  # of the drawn path, but for changes of its colour
+MOST_POINTS = 1000  # of the drawn path, plus those where its colour changes
 # Length of the arrow of the largest force, radius of the arc of the largest torque, in sizes of the machine
 LONGEST_FORCE, LONGEST_TORQUE = 0.4, 0.16
-_BEYOND = 1.5  # efforts next to a singularity grow without bound; their arrows stop at this multiple of the longest
+_BEYOND = 1.5  # near a singularity efforts are unbounded; their arrows end at this multiple of the longest
 FLAT = 0.02  # extent along z, in sizes of the machine, below which it counts as flat
 
 
