@@ -26,7 +26,7 @@ from redundancy_pin.dynamics import rnea as rnea_module
 from redundancy_pin.dynamics import virtual_work
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.rnea import RneaAlongMotion, RneaDynamics
-from redundancy_pin.errors import CompilerError, InputError, ModelFileError, UnreachablePoseError
+from redundancy_pin.errors import CompilerError, InputError, ModelFileError, SingularPoseError, UnreachablePoseError
 from redundancy_pin.kinematics.assembly_modes import assembly_modes
 from redundancy_pin.kinematics.branch import Follower, follower
 from redundancy_pin.kinematics.closed_state import NEAR_RANK_LOSS, closed_around
@@ -35,6 +35,7 @@ from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.loading import load_robot
 from redundancy_pin.robot import Closure, JointForces, Spring, Wrench
 from redundancy_pin.robot.shipped import shipped_robots
+from redundancy_pin.simulation.forward import ForwardDynamics
 
 
 def rows_of(drawn):
@@ -575,6 +576,20 @@ def test_a_motion_without_inertia_is_skipped_with_its_reason():
     drawn = random_states("2rpr", 3, 0, settings=(("carriers", False),))
     row = physics_row(drawn, "inverse")
     assert (row.samples, row.skipped) == (0, {"massless": 3})
+
+
+def test_a_state_where_closure_rows_lose_rank_is_skipped_with_its_reason(monkeypatch):
+    drawn, acceleration, calls = random_states("five_bar", 3, 0), ForwardDynamics.acceleration, []
+
+    def refuse_the_second(self, *state):
+        calls.append(state)
+        if len(calls) == 2:
+            raise SingularPoseError("The closure rows lose rank.", remedy="None.")
+        return acceleration(self, *state)
+
+    monkeypatch.setattr(ForwardDynamics, "acceleration", refuse_the_second)
+    row = physics_row(drawn, "inverse")
+    assert (row.samples, row.skipped, row.passed) == (2, {"rank_loss": 1}, True)
 
 
 @pytest.mark.parametrize(("density", "massless"), [(1e3, False), (1e-4, True)])
