@@ -239,7 +239,7 @@ def test_all_names_in_figures(part: int, tmp_path: Path) -> None:
     drawn = rp.plot.efforts(
         rp.plot.Curves(
             title=" ".join(names), t=t, tau=values, main_unit=f"force of {names[0]} [N]", carrier_force=values[:, :1],
-            carriers=CarrierMotion.parked(3, 1), carrier_limits=(), condition=np.ones(3), margin=np.ones(3),
+            carriers=CarrierMotion.parked(3, 1), limits=(), condition=np.ones(3), margin=np.ones(3),
             status=np.full(3, SampleStatus.OK), main_names=tuple(names), carrier_names=("_",),
         )
     )  # fmt: skip

@@ -23,7 +23,7 @@ from scipy.optimize import brentq
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, OutputError, PlanFileError
 from redundancy_pin.planners.limits import LimitReport
-from redundancy_pin.simulation import Event, Simulation
+from redundancy_pin.simulation import Event, Simulation, closed_state
 from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory import reference
 from redundancy_pin.visualisation.figures.style import CARRIER_STROKES, STROKES
@@ -365,7 +365,7 @@ def test_bounds_of_efforts_are_drawn_and_samples_without_efforts_within_them_are
     motion = reference.circle().sample(0.002)
     reduced = rp.VirtualWork(robot).reduce(motion)
     solved = rp.distribute(reduced, lower=[-bound, -1.2 * bound], upper=bound)
-    drawn = rp.plot.efforts(rp.plot.curves(robot, reduced, solved, limits=([-bound, -1.2 * bound], bound)))
+    drawn = rp.plot.efforts(rp.plot.curves(robot, reduced, solved, bounds=[(-bound, bound), (-1.2 * bound, bound)]))
     axes = drawn.axes[0]
     assert _horizontals(axes) == {bound, -bound, -1.2 * bound}
     assert _bands(axes)[0][1] == pytest.approx(-1.2 * bound)
@@ -376,13 +376,13 @@ def test_bounds_of_efforts_are_drawn_and_samples_without_efforts_within_them_are
         shaded |= (motion.t >= patch.get_x()) & (motion.t <= patch.get_x() + patch.get_width())
     np.testing.assert_array_equal(shaded, solved.status == SampleStatus.BOUND_INFEASIBLE)
     assert 0 < shaded.sum() < len(shaded)
-    one_sided = rp.plot.efforts(rp.plot.curves(robot, reduced, solved, limits=(None, bound)))
+    one_sided = rp.plot.efforts(rp.plot.curves(robot, reduced, solved, bounds=[(-np.inf, bound)] * 2))
     assert _horizontals(one_sided.axes[0]) == {bound}
-    far = rp.plot.efforts(rp.plot.curves(robot, reduced, rp.distribute(reduced), limits=(None, 1e3)))
-    assert "limit ≤ 1000" in [text.get_text() for text in far.axes[0].texts]
-    for wrong in ((None, [1.0, 2.0, 3.0]), (float("nan"), None)):
+    far = rp.plot.efforts(rp.plot.curves(robot, reduced, rp.distribute(reduced), bounds=[(-np.inf, 50.0)] * 2))
+    assert "limit ≤ 50" in [text.get_text() for text in far.axes[0].texts]
+    for wrong in ([(-1.0, 1.0)] * 3, [1.0, 2.0], [(np.nan, 1.0)] * 2):
         with pytest.raises(InputError, match="do not fit 2 actuators"):
-            rp.plot.curves(robot, reduced, solved, limits=wrong)
+            rp.plot.curves(robot, reduced, solved, bounds=wrong)
 
 
 def test_a_comparison_leaves_out_near_singular_efforts_and_not_those_that_do_not_exist() -> None:
@@ -392,6 +392,16 @@ def test_a_comparison_leaves_out_near_singular_efforts_and_not_those_that_do_not
     bounded = rp.distribute(reduced, lower=-0.5 * largest, upper=0.5 * largest)
     assert set(bounded.status.tolist()) == {SampleStatus.OK, SampleStatus.BOUND_INFEASIBLE}
     assert rp.plot.comparison({"bounded": rp.plot.curves(robot, reduced, bounded)}).get_suptitle() == "3rrr"
+
+
+def test_one_sample_is_a_mark_and_far_limits_are_not_written() -> None:
+    robot = zoo.robot_of("2rpr")
+    result = rp.inverse_dynamics(robot, rp.PlatformMotion([0.0], [[0.2, 0.3]], [[-0.1, 0.0]], [[0.0, 0.0]]))
+    drawn = rp.plot.efforts(rp.plot.curves(robot, result.reduced, result.efforts))
+    for axes, values in zip(drawn.axes, (result.efforts.tau, result.reduced.carrier_force), strict=True):
+        marked = [line.get_ydata()[0] for line in axes.lines if line.get_marker() not in ("", "None")]
+        np.testing.assert_array_equal(marked, values[0])
+    assert not [text for axes in drawn.axes for text in axes.texts if "limits" in text.get_text()]  # ±1000 N
 
 
 def test_a_figure_of_ones_own_is_a_list_of_panels() -> None:
@@ -455,6 +465,31 @@ def test_a_simulation_says_how_it_ended_and_draws_what_is_known_where_its_robot_
         rp.plot.simulation(simulated, other)
     with pytest.raises(InputError, match=r"plan runs from 0 to .* s, the simulation from 9 to 9.4 s"):
         rp.plot.simulation(replace(simulated, t=simulated.t + 9.0), followed)
+
+
+def test_forces_and_impulses_of_joint_stops_are_drawn(tmp_path: Path) -> None:
+    """A bar that falls onto a stop: m g c cos φ holds it there."""
+    moments = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
+    inertial = f'<inertial><origin xyz="0.2 0 0"/><mass value="1.5"/>{moments}</inertial>'
+    (tmp_path / "bar.urdf").write_text(
+        f'<robot name="bar"><link name="base"/><link name="bar">{inertial}</link><joint name="hinge" type="revolute">'
+        '<parent link="base"/><child link="bar"/><axis xyz="0 0 1"/>'
+        '<limit lower="-0.5" upper="2" effort="10" velocity="10"/></joint></robot>'
+    )
+    robot = rp.load_robot(tmp_path / "bar.urdf", gravity=(0, -9.81, 0), actuated="hinge")
+    start = closed_state(robot, [0.3], [0.0])
+    ended = rp.simulate(robot, start=start, duration=0.1, dt=0.01)
+    assert len(rp.plot.simulation(ended, robot=robot).axes) == 1
+    fell = rp.simulate(robot, start=start, duration=1.0, dt=0.01, joint_stops="inelastic")
+    (impact,) = (event for event in fell.events if event.impulse)
+    _, axes = rp.plot.simulation(fell, robot=robot).axes
+    force = next(line.get_ydata() for line in axes.lines if len(line.get_ydata()) == len(fell))
+    np.testing.assert_array_equal(force, fell.stop_force[:, 0])
+    assert force[-1] == pytest.approx(1.5 * 9.81 * 0.2 * np.cos(-0.5), rel=1e-9)
+    mark = next(line for line in axes.lines if line.get_marker() == "X")
+    assert mark.get_xdata() == [impact.t]
+    assert f"{impact.impulse:.3g} N·s" in axes.texts[0].get_text()
+    assert axes.get_legend_handles_labels()[1] == ["hinge"]
 
 
 # --- paths, snapshots, maps -------------------------------------------------------------------------------------------

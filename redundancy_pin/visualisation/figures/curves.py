@@ -36,11 +36,11 @@ class Curves:
         carrier_force: (N, k) efforts of the carriers' actuators, N.
         carriers: N samples of the carrier motion, m; rad where they turn.
         carriers_turn: whether they do.
-        carrier_limits: (k,) limits of the carriers.
+        limits: (k,) limits of the carriers.
         condition: (N,) condition number of the scaled W.
         margin: (N,) smallest singular value of the scaled W.
         status: (N,) a ``SampleStatus`` each.
-        limits: (m, 2) smallest and largest main efforts, N or N·m, infinite for none; None: no limits.
+        bounds: (m, 2) smallest and largest main efforts, N or N·m, infinite for none; () where none are known.
         instants: singular instants, s.
         thresholds: condition numbers that mean something to the motion.
         main_names, carrier_names: of the joints, for legends; numbered where left out.
@@ -52,11 +52,11 @@ class Curves:
     main_unit: str
     carrier_force: Array
     carriers: CarrierMotion
-    carrier_limits: tuple[CarrierLimits, ...]
+    limits: tuple[CarrierLimits, ...]
     condition: Array
     margin: Array
     status: IntArray
-    limits: Array | None = None
+    bounds: ArrayLike = ()
     carriers_turn: bool = False
     instants: tuple[float, ...] = ()
     thresholds: tuple[float, ...] = ()
@@ -81,7 +81,7 @@ class Curves:
 
     @property
     def infeasible(self) -> tuple[tuple[float, float], ...]:
-        """First and last time, s, of each interval of samples whose efforts have no solution within their limits."""
+        """First and last time, s, of each interval of samples that have no efforts within their bounds."""
         return self._intervals(np.asarray(self.status == SampleStatus.BOUND_INFEASIBLE))
 
     def _intervals(self, flags: BoolArray) -> tuple[tuple[float, float], ...]:
@@ -109,8 +109,8 @@ def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -
         planner, status = (text.replace("_", " ") for text in (subject.planner, subject.status.value))
         own = {
             "title": f"{subject.robot.name}: {planner}, {status}",
-            "limits": np.outer(limits.effort, [-1.0, 1.0]),
-            "carrier_limits": limits.of_carriers,
+            "bounds": np.outer(limits.effort, [-1.0, 1.0]),
+            "limits": limits.of_carriers,
             "condition": subject.condition,
             "margin": subject.margin,
             "status": subject.sample_status,
@@ -118,7 +118,7 @@ def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -
             "thresholds": (float(threshold),) if isinstance(threshold, (int, float)) else (),
         }
     else:
-        own = {"title": run_title(subject), "carrier_limits": subject.robot.carrier_limits}
+        own = {"title": run_title(subject), "limits": subject.robot.carrier_limits}
         own |= dict.fromkeys(("condition", "margin"), np.full(len(subject), np.nan))
         own["status"] = np.full(len(subject), SampleStatus.OK)  # the efforts are those that acted
         with suppress(PlanFileError):
@@ -140,7 +140,12 @@ def curves_of_plan(plan: Plan) -> Curves:
     return curves_of(plan)
 
 
-_DRIVES = {"FeedForward": "open loop", "ComputedTorque": "computed torque", "TimeVaryingLqr": "LQR"}
+_DRIVES = {
+    "Constant": "constant efforts",
+    "FeedForward": "open loop",
+    "ComputedTorque": "computed torque",
+    "TimeVaryingLqr": "LQR",
+}
 
 
 def run_title(run: Simulation, drive: str | None = None) -> str:
@@ -165,8 +170,8 @@ def curves(
     *,
     crossings: Sequence[Crossing] = (),
     thresholds: Sequence[float] = (),
-    limits: tuple[ArrayLike | None, ArrayLike | None] = (None, None),
     title: str | None = None,
+    bounds: ArrayLike = (),
 ) -> Curves:
     """Return the curves of an inverse-dynamics computation.
 
@@ -177,11 +182,11 @@ def curves(
         carriers: what ``reduced`` was computed with; parked at zero when left out.
         crossings: from ``find_crossings`` along the same motion: where the singular instants are.
         thresholds: condition numbers to mark.
-        limits: lower and upper bounds of ``distribute``, scalar or (m,), N or N·m; None for none.
         title: the robot's name when left out.
+        bounds: (m, 2) smallest and largest main efforts that ``distribute`` was given, N or N·m, infinite for none.
 
     Raises:
-        InputError: parts of different length, or limits that do not fit the actuators.
+        InputError: parts of different length, or bounds that do not fit the actuators.
     """
     samples = len(reduced.t)
     sliding = CarrierMotion.parked(samples, robot.k) if carriers is None else carriers
@@ -191,35 +196,27 @@ def curves(
             f"{sliding.s.shape}.",
             remedy="Pass what belongs to one motion.",
         )
+    ends = np.asarray(bounds, dtype=float)
+    if ends.shape not in ((0,), (robot.m, 2)) or np.isnan(ends).any():
+        raise InputError(
+            f"Bounds of shape {ends.shape} do not fit {robot.m} actuators, or are not numbers.",
+            remedy=f"Pass {robot.m} rows of a smallest and a largest effort, infinite for none.",
+        )
     return Curves(
         title=robot.name if title is None else title,
         t=reduced.t,
         tau=efforts.tau,
         carrier_force=reduced.carrier_force,
         carriers=sliding,
-        limits=_effort_limits(limits, robot.m),
-        carrier_limits=robot.carrier_limits,
+        limits=robot.carrier_limits,
         condition=efforts.condition,
         margin=efforts.margin,
         status=efforts.status,
         instants=tuple(crossing.t for crossing in crossings),
         thresholds=tuple(thresholds),
+        bounds=bounds,
         **_joints(robot_record(robot)),
     )
-
-
-def _effort_limits(limits: tuple[ArrayLike | None, ArrayLike | None], m: int) -> Array:
-    """Return (m, 2) smallest and largest efforts of lower and upper bounds, infinite where there is none."""
-    sides = []
-    for given, absent in zip(limits, (-np.inf, np.inf), strict=True):
-        bound = np.asarray(absent if given is None else given, dtype=float)
-        if bound.shape not in ((), (m,)) or np.isnan(bound).any():
-            raise InputError(
-                f"Limits of shape {bound.shape} do not fit {m} actuators, or are not numbers.",
-                remedy=f"Pass limits=(lower, upper), each one number or {m}, as to distribute.",
-            )
-        sides.append(np.broadcast_to(bound, m))
-    return np.stack(sides, axis=1)
 
 
 def _joints(record: RobotRecord) -> dict[str, Any]:

@@ -22,6 +22,7 @@ A new figure over time is a function here that lists its panels; ``time_panels``
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -29,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, PlanFileError
 from redundancy_pin.kinematics.coordinates import angle_columns, distance
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan
@@ -84,25 +85,28 @@ __all__ = [
 LEAST_DISTANCE = 1e-16
 """m; distances that are smaller are drawn there."""
 
+NAMED_IMPACTS = 4
+"""Impacts, the largest ones, whose impulse is written beside them."""
+
 SHOWN_DISTANCES = 1e-6
 """Smallest distance from a plan that is shown, relative to the largest: every simulation starts with rounding."""
 
 
 def main_panel(drawn: Curves) -> Panel:
-    """Return the main efforts with their limits; near a singularity they may leave the picture."""
+    """Return the main efforts and their bounds; near a singularity they may leave the picture."""
     curves = series(drawn.main_names, drawn.t, drawn.tau, fitted=drawn.regular)
-    return Panel(f"main {drawn.main_unit}", curves, limits=() if drawn.limits is None else drawn.limits, height=1.3)
+    return Panel(f"main {drawn.main_unit}", curves, limits=drawn.bounds, height=1.3)
 
 
 def force_panel(drawn: Curves, events: Sequence[LimitEvent] = ()) -> Panel:
     """Return the efforts of the carriers; ``events`` are limits to mark as broken."""
-    unit, limits = "torque [N·m]" if drawn.carriers_turn else "force [N]", [each.force for each in drawn.carrier_limits]
+    unit, limits = "torque [N·m]" if drawn.carriers_turn else "force [N]", [each.force for each in drawn.limits]
     return _carrier_panel(drawn, unit, "force", drawn.carrier_force, [(-limit, limit) for limit in limits], events)
 
 
 def carrier_panels(drawn: Curves, events: Sequence[LimitEvent] = ()) -> list[Panel]:
     """Return panels of position, speed and acceleration of the carriers; ``events`` are limits to mark as broken."""
-    unit, motion, limits = "rad" if drawn.carriers_turn else "m", drawn.carriers, drawn.carrier_limits
+    unit, motion, limits = "rad" if drawn.carriers_turn else "m", drawn.carriers, drawn.limits
     return [
         _carrier_panel(drawn, label, quantity, values, edges, events)
         for label, quantity, values, edges in (
@@ -127,7 +131,7 @@ def efforts(subject: Plan | Simulation | Curves) -> Figure:
     """Draw the main efforts and, where there are carriers, their forces, over time.
 
     The axis of the main efforts is fitted to regular samples: next to a singularity they grow without bound. What their
-    limits forbid is hatched, and samples that have no efforts within the limits are shaded.
+    bounds forbid is hatched, and samples that have no efforts within the bounds are shaded.
 
     Args:
         subject: a plan, a simulation, or ``curves`` of an inverse-dynamics computation.
@@ -217,8 +221,8 @@ def simulation(
 ) -> Figure:
     """Draw a simulation, with its plan in thin grey lines behind it.
 
-    Main efforts and the efforts of the carriers; with a plan the distance of the platform from it; position, speed and
-    acceleration of the carriers with what their limits forbid hatched.
+    Main efforts and the efforts of the carriers; forces and impulses of joint stops; with a plan the distance of the
+    platform from it; position, speed and acceleration of the carriers with what their limits forbid hatched.
 
     Args:
         run: the simulation.
@@ -244,8 +248,28 @@ def simulation(
         left = [_over(*both) for both in zip(left, (main_panel(planned), force_panel(planned)), strict=False)]
         left.append(_distance_panel(run, plan, robot_of_record(run.robot, robot)))
         right = [_over(*both) for both in zip(right, carrier_panels(planned), strict=False)]
+    left += _stop_panels(run, robot)
     columns = [left, right] if len(left) == len(right) else [[*left, *right]]
     return plot_panel_grid(title or drawn.title, columns, None, background_of(drawn))
+
+
+def _stop_panels(run: Simulation, robot: Robot | None) -> list[Panel]:
+    """Return the forces of joint stops, with the impulses of impacts marked; none where no stop pushes."""
+    held = np.flatnonzero((np.nan_to_num(run.stop_force) != 0.0).any(axis=0)).tolist()
+    hits = sorted((event for event in run.events if event.impulse > 0.0), key=lambda event: -event.impulse)
+    if not held and not hits:
+        return []
+    names = {i: f"joint {i + 1}" for i in held}
+    with suppress(PlanFileError):
+        model = robot_of_record(run.robot, robot).model
+        joints = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
+        names = {joint.idx_v: str(name) for name, joint in joints if joint.nv == 1}
+    curves = series([names[i] for i in held], run.t, run.stop_force[:, held])
+    marks = tuple(
+        (event.t, 0.0, f"{event.name}: {event.impulse:.3g} N·s or N·m·s" if i < NAMED_IMPACTS else "")
+        for i, event in enumerate(hits)
+    )
+    return [Panel("stops [N or N·m]", curves or (Curve("", run.t, np.zeros(len(run))),), marks=marks)]
 
 
 def _over(panel: Panel, behind: Panel) -> Panel:

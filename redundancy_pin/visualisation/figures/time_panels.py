@@ -48,6 +48,7 @@ _CONDITION_TOP = 1e3  # largest condition number of the axis: at a singular inst
 _CONDITION_LINEAR = 10.0  # up to this condition number the axis is linear
 _HEADROOM = 0.08  # free space above and below what an axis shows, as a fraction of it
 _VISIBLE_FRACTION = 0.35  # A limit is drawn if the curves use at least this fraction of it; else it would flatten them
+_FAR = 100.0  # A limit is written if it is at most this many times what the curves use; else it says nothing
 # Greys of the phases, in the order of their names; neighbours differ enough to be told apart in print
 _PHASE_FILLS = ("#FFFFFF", "#E4E4E4", "#C4C4C4", "#F1F1F1", "#D4D4D4", "#B4B4B4")
 _BOX: dict[str, Any] = {"facecolor": "#FFFFFF", "edgecolor": "none", "alpha": 0.8, "pad": 0.6}
@@ -95,7 +96,7 @@ class Background:
     plan: Plan | None = None  # whose phases are shaded
     instants: Sequence[float] = ()  # singular instants, s, drawn as dotted lines
     windows: Windows = ()  # near-singular intervals, shaded
-    infeasible: Windows = ()  # intervals without efforts within their limits, shaded
+    infeasible: Windows = ()  # intervals without efforts within their bounds, shaded
 
     def draw(self, axes: Axes) -> None:
         """Draw it behind a panel, labelled for the legend under the figure."""
@@ -244,7 +245,8 @@ def _fit(axes: Axes, panel: Panel, alike: Sequence[Panel]) -> None:
     edges = np.concatenate([in_reach(other.limits).ravel() for other in alike])
     axes.set_ylim(fitted_range(curves, edges[np.isfinite(edges)].tolist()))
     shown, limits = in_reach(panel.limits), np.reshape(panel.limits, (-1, 2))
-    if len(limits) and (limits == limits[0]).all() and np.isnan(shown).all() and np.isfinite(limits[0]).any():
+    near = np.abs(limits[np.isfinite(limits)]).min(initial=np.inf) <= _FAR * np.abs(extent).max()
+    if len(limits) and (limits == limits[0]).all() and np.isnan(shown).all() and near:
         low, high = limits[0]
         one_sided = f"limit ≤ {high:g}" if np.isinf(low) else f"limit ≥ {low:g}" if np.isinf(high) else ""
         text = one_sided or (f"limits ±{high:g}" if low == -high else f"limits {low:g}, {high:g}")
