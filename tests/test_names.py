@@ -31,6 +31,7 @@ from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.export import PlanTable
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
+from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory.csv_file import csv_rows, read_table
 from redundancy_pin.view import show
 
@@ -239,7 +240,7 @@ def test_all_names_in_figures(part: int, tmp_path: Path) -> None:
         rp.plot.Curves(
             title=" ".join(names), t=t, tau=values, main_unit=f"force of {names[0]} [N]", carrier_force=values[:, :1],
             carriers=CarrierMotion.parked(3, 1), limits=(), condition=np.ones(3), margin=np.ones(3),
-            regular=np.ones(3, dtype=bool), main_names=tuple(names), carrier_names=("_",),
+            status=np.full(3, SampleStatus.OK), main_names=tuple(names), carrier_names=("_",),
         )
     )  # fmt: skip
     shown = names_in_legends(drawn)

@@ -13,7 +13,7 @@ from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
 from redundancy_pin.singularities.locus import singular_locus
 from redundancy_pin.trajectory import Trajectory
-from redundancy_pin.visualisation.figures.paths import draw_locus
+from redundancy_pin.visualisation.figures.maps import draw_locus
 from redundancy_pin.visualisation.figures.style import save
 
 _DRAWN_STEP = 1e-3

@@ -9,8 +9,8 @@ import click
 from redundancy_pin.cli import options, output
 from redundancy_pin.errors import InputError
 from redundancy_pin.singularities.workspace import workspace as reached
+from redundancy_pin.visualisation.figures.maps import draw_workspace
 from redundancy_pin.visualisation.figures.style import save
-from redundancy_pin.visualisation.figures.workspace_map import draw_workspace
 
 
 @click.command()

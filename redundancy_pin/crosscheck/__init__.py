@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from redundancy_pin.arrays import require_few
-from redundancy_pin.crosscheck.physics import check_closures, check_parity, check_power, check_round_trip
+from redundancy_pin.crosscheck.physics import check_parity, check_physics
 from redundancy_pin.crosscheck.report import SCOPE, CheckRow, CrossCheckReport, merged
 from redundancy_pin.crosscheck.states import batches, random_states
 from redundancy_pin.dynamics.compiled import CompiledDynamics
@@ -92,10 +92,9 @@ def checked_batch(
     """Draw random states, as ``random_states``, and return the rows of all checks on them."""
     states = random_states(source, samples, seed, index, trust=trust, settings=settings)
     robot, along = states.robot, RneaDynamics(states.robot).along(states.motion)
-    checks = [check(states, along) for check in (check_closures, check_power, check_round_trip)]
-    checks.append(check_parity(states, along, "compiled", CompiledDynamics))
+    rows = [*check_physics(states, along), *check_parity(states, along, "compiled", CompiledDynamics)]
     if robot.closed_form is not None:
-        checks.append(check_parity(states, along, "virtual work", VirtualWork))
+        rows += check_parity(states, along, "virtual work", VirtualWork)
     note = "those that cannot be reached are drawn again"
     drawn = CheckRow(robot.name, "random states", samples, 0.0, 0.0, True, note, states.skipped)
-    return sorted([row for check in checks for row in check] + [drawn], key=lambda row: bool(row.note))
+    return sorted([*rows, drawn], key=lambda row: bool(row.note))

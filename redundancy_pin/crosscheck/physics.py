@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -35,61 +36,70 @@ ROUND_TRIP, _LEAST_INERTIA = 1e-7, 1e-5
 rounding of forces, 1e-13, over that share."""
 
 
-def check_closures(states: RandomStates, along: RneaAlongMotion) -> Iterator[CheckRow]:
+Deviations = tuple[Array, Mapping[str, int]]
+"""(N,) deviations of the states that were judged, relative to their size, and how many were skipped, by reason."""
+
+
+def closure_rates(states: RandomStates, along: RneaAlongMotion, keep: IntArray) -> Deviations:
     """Rates and accelerations of the joints keep the closures and move the platform as prescribed."""
-    keep, skipped = select(len(states.motion), near_type_i=~_regular(along))
     q, v, a = along.tree_motion(states.carriers)
     xd, xdd = states.motion.xd, states.motion.xdd
-    missed = np.array([largest_miss(states.robot, q[k], v[k], a[k], xd[k], xdd[k]) for k in keep])
-    yield checked_row(states.robot.name, "rates and accelerations of the joints", missed, MOTION, skipped)
+    return np.array([largest_miss(states.robot, q[k], v[k], a[k], xd[k], xdd[k]) for k in keep]), {}
 
 
-def check_power(states: RandomStates, along: RneaAlongMotion) -> Iterator[CheckRow]:
+def power_balance(states: RandomStates, along: RneaAlongMotion, keep: IntArray) -> Deviations:
     """Power of all actuators equals the rate of the energy: ẋᵀ f + ṡᵀ F = dE/dt (ẋᵀ f = q̇ₐᵀ τ).
 
-    dE/dt depends on q, v and a alone, which ``check_closures`` judges. Along the closed motion rounding of the
+    dE/dt depends on q, v and a alone, which ``closure_rates`` judges. Along the closed motion rounding of the
     differences would grow as the inverse of the margin of a rank loss.
     """
-    motion, carriers = states.motion, states.carriers
-    keep, skipped = select(len(motion), near_type_i=~_regular(along))
-    reduced = along.reduce(carriers)
+    motion, carriers, reduced = states.motion, states.carriers, along.reduce(states.carriers)
     parts = np.concatenate([reduced.f * motion.xd, reduced.carrier_force * carriers.sd], axis=1)
     rate, lost = energy_rate(states.robot, motion, *along.tree_motion(carriers))
     size = np.maximum(np.maximum(np.abs(parts).sum(axis=1), np.abs(along.energy(carriers))), 1e-3)
-    yield checked_row(
-        states.robot.name,
-        "power balance (rnea)",
-        (np.abs(rate + lost - parts.sum(axis=1)) / size)[keep],
-        POWER,
-        skipped,
-    )
+    return (np.abs(rate + lost - parts.sum(axis=1)) / size)[keep], {}
 
 
-def check_round_trip(states: RandomStates, along: RneaAlongMotion) -> Iterator[CheckRow]:
+def round_trip(states: RandomStates, along: RneaAlongMotion, keep: IntArray) -> Deviations:
     """Efforts from inverse dynamics, given to the forward dynamics, return the accelerations."""
-    robot, carriers, name = states.robot, states.carriers, "inverse -> forward (rnea)"
+    robot = states.robot
     if robot.m < robot.n and robot.platform is not None:
-        yield checked_row(robot.name, name, np.zeros(0), ROUND_TRIP, {"underactuated": len(carriers)})
-        return
-    reduced, (q, v, a) = along.reduce(carriers), along.tree_motion(carriers)
+        return np.zeros(0), {"underactuated": len(keep)}
+    reduced, (q, v, a) = along.reduce(states.carriers), along.tree_motion(states.carriers)
     driven, tau, unsolvable = _efforts(robot, reduced)
-    keep, skipped = select(len(a), near_type_i=~_regular(along), **unsolvable)
     effort = np.zeros_like(v)
     effort[:, driven], effort[:, robot.carrier_velocity] = tau, reduced.carrier_force
     effort += _wrench_efforts(states, q, v, a)
-    forward, reached = ForwardDynamics(robot), np.full_like(a, np.nan)
-    refused = {"massless": np.zeros(len(a), dtype=bool), "rank_loss": np.zeros(len(a), dtype=bool)}
-    for k in keep:
+    forward, reached, refused = ForwardDynamics(robot), np.full_like(a, np.nan), np.full(len(a), "", dtype=object)
+    for reason, holds in unsolvable.items():
+        refused[holds] = reason
+    for k in keep[refused[keep] == ""]:
         try:
             reached[k] = forward.acceleration(q[k], v[k], effort[k])
-            refused["massless"][k] = forward.least_inertia < _LEAST_INERTIA
+            refused[k] = "massless" if forward.least_inertia < _LEAST_INERTIA else ""
         except IllPosedModelError:
-            refused["massless"][k] = True
+            refused[k] = "massless"
         except SingularPoseError:
-            refused["rank_loss"][k] = True
-    judged, more = select(len(keep), **{reason: holds[keep] for reason, holds in refused.items()})
-    judged = keep[judged]
-    yield checked_row(robot.name, name, relative(reached[judged], a[judged]), ROUND_TRIP, {**skipped, **more})
+            refused[k] = "rank_loss"
+    judged = keep[refused[keep] == ""]
+    return relative(reached[judged], a[judged]), Counter(reason for reason in refused[keep] if reason)
+
+
+CHECKS = {
+    "rates and accelerations of the joints": (closure_rates, MOTION),
+    "power balance (rnea)": (power_balance, POWER),
+    "inverse -> forward (rnea)": (round_trip, ROUND_TRIP),
+}
+"""Checks of RNEA against physics: name in reports, function of states, tolerance. None says whether the declared model
+is the machine (``report.SCOPE``)."""
+
+
+def check_physics(states: RandomStates, along: RneaAlongMotion) -> Iterator[CheckRow]:
+    """Return a row for each of ``CHECKS`` on states away from type I."""
+    keep, skipped = select(len(states.motion), near_type_i=~_regular(along))
+    for name, (deviations, tolerance) in CHECKS.items():
+        values, more = deviations(states, along, keep)
+        yield checked_row(states.robot.name, name, values, tolerance, {**skipped, **more})
 
 
 def check_parity(
@@ -100,10 +110,8 @@ def check_parity(
     try:
         other = make(robot).along(states.motion)
     except (CompilerError, UnsupportedRobotError) as error:
-        every = len(states.motion)
-        yield checked_row(
-            states.robot.name, f"parity: W and f ({label})", np.zeros(0), PARITY, {"no_backend": every}, str(error)
-        )
+        none = {"no_backend": len(states.motion)}
+        yield checked_row(robot.name, f"parity: W and f ({label})", np.zeros(0), PARITY, none, str(error))
         return
     keep, skipped = select(len(states.motion), near_type_i=~_regular(along), other_branch=_elsewhere(along, other.q))
     first, second = along.reduce(states.carriers), other.reduce(states.carriers)
@@ -115,9 +123,8 @@ def check_parity(
         ("carrier force", first.carrier_force, second.carrier_force),
         ("base wrench", along.base_wrench(states.carriers), other.base_wrench(states.carriers)),
     ):
-        yield checked_row(
-            states.robot.name, f"parity: {quantity} ({label})", share * relative(a[keep], b[keep]), PARITY, skipped
-        )
+        deviation = share * relative(a[keep], b[keep])
+        yield checked_row(robot.name, f"parity: {quantity} ({label})", deviation, PARITY, skipped)
 
 
 def _elsewhere(along: RneaAlongMotion, q: Array | None) -> BoolArray:

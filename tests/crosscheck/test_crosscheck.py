@@ -26,7 +26,7 @@ from redundancy_pin.dynamics import rnea as rnea_module
 from redundancy_pin.dynamics import virtual_work
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.rnea import RneaAlongMotion, RneaDynamics
-from redundancy_pin.errors import CompilerError, InputError, ModelFileError, UnreachablePoseError
+from redundancy_pin.errors import CompilerError, InputError, ModelFileError, SingularPoseError, UnreachablePoseError
 from redundancy_pin.kinematics.assembly_modes import assembly_modes
 from redundancy_pin.kinematics.branch import Follower, follower
 from redundancy_pin.kinematics.closed_state import NEAR_RANK_LOSS, closed_around
@@ -35,14 +35,20 @@ from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.loading import load_robot
 from redundancy_pin.robot import Closure, JointForces, Spring, Wrench
 from redundancy_pin.robot.shipped import shipped_robots
+from redundancy_pin.simulation.forward import ForwardDynamics
 
 
 def rows_of(drawn):
     """Return the rows of all checks against physics, and of generated code, on states."""
     along = RneaDynamics(drawn.robot).along(drawn.motion)
-    checks = physics.check_closures, physics.check_power, physics.check_round_trip
-    rows = [row for check in checks for row in check(drawn, along)]
-    return {row.check: row for row in (*rows, *physics.check_parity(drawn, along, "compiled", CompiledDynamics))}
+    rows = *physics.check_physics(drawn, along), *physics.check_parity(drawn, along, "compiled", CompiledDynamics)
+    return {row.check: row for row in rows}
+
+
+def physics_row(drawn, name):
+    """Return the row of a check against physics whose name begins so."""
+    rows = physics.check_physics(drawn, RneaDynamics(drawn.robot).along(drawn.motion))
+    return next(row for row in rows if row.check.startswith(name))
 
 
 def failed(report):
@@ -196,8 +202,7 @@ def test_a_short_lever_neither_fails_nor_hides_a_fault(monkeypatch):
     along = RneaDynamics(drawn.robot).along(drawn.motion)
 
     def deviations():
-        checks = physics.check_closures, physics.check_power, physics.check_round_trip
-        return np.array([row.worst / row.tolerance for check in checks for row in check(drawn, along)])
+        return np.array([row.worst / row.tolerance for row in physics.check_physics(drawn, along)])
 
     assert (deviations() < [0.1, 0.1, 0.3]).all()
     exaggerate_loads(monkeypatch, 1.00001)
@@ -219,7 +224,7 @@ def test_joints_that_do_not_move_with_the_platform_are_noticed(monkeypatch, robo
         return q, v, a
 
     def worst():
-        (row,) = physics.check_closures(drawn, RneaDynamics(drawn.robot).along(drawn.motion))
+        row = physics_row(drawn, "rates")
         return row.worst / row.tolerance
 
     assert worst() < 1e-3
@@ -463,7 +468,7 @@ def test_round_trips_skip_singular_states():
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(physics, "NEAR_SINGULAR_MARGIN", near)
         patched.setattr(physics, "_regular", lambda along: np.ones(8, dtype=bool))
-        (row,) = physics.check_round_trip(drawn, RneaDynamics(drawn.robot).along(drawn.motion))
+        row = physics_row(drawn, "inverse")
     assert (row.samples, row.skipped) == (4, {"near_type_ii": 4})
 
 
@@ -496,7 +501,7 @@ def test_states_near_a_stretched_leg_are_skipped_as_such():
 def test_a_machine_with_too_few_motors_has_no_round_trip():
     drawn = random_states("gough", 3, 0)
     weak = replace(drawn.robot, actuated=drawn.robot.actuated[:5])
-    (row,) = physics.check_round_trip(replace(drawn, robot=weak), RneaDynamics(weak).along(drawn.motion))
+    row = physics_row(replace(drawn, robot=weak), "inverse")
     assert (row.samples, row.skipped, row.note) == (0, {"underactuated": 3}, "every state is skipped")
 
 
@@ -569,8 +574,32 @@ def test_links_without_mass_are_checked_too(tmp_path: Path) -> None:
 def test_a_motion_without_inertia_is_skipped_with_its_reason():
     """The 2-RPR of the thesis with its carriers taken off has no mass at all."""
     drawn = random_states("2rpr", 3, 0, settings=(("carriers", False),))
-    (row,) = physics.check_round_trip(drawn, RneaDynamics(drawn.robot).along(drawn.motion))
+    row = physics_row(drawn, "inverse")
     assert (row.samples, row.skipped) == (0, {"massless": 3})
+
+
+def test_a_state_where_closure_rows_lose_rank_is_skipped_with_its_reason(monkeypatch):
+    drawn, acceleration, calls = random_states("five_bar", 3, 0), ForwardDynamics.acceleration, []
+
+    def refuse_the_second(self, *state):
+        calls.append(state)
+        if len(calls) == 2:
+            raise SingularPoseError("The closure rows lose rank.", remedy="None.")
+        return acceleration(self, *state)
+
+    monkeypatch.setattr(ForwardDynamics, "acceleration", refuse_the_second)
+    row = physics_row(drawn, "inverse")
+    assert (row.samples, row.skipped, row.passed) == (2, {"rank_loss": 1}, True)
+
+
+@pytest.mark.parametrize(("density", "massless"), [(1e3, False), (1e-4, True)])
+def test_a_motion_of_hardly_any_mass_is_skipped_with_its_reason(tmp_path, density, massless):
+    """The outer link of an open chain is ten million times lighter than the inner one, or as heavy."""
+    inner = f'<joint name="b" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0" density="{density}"/>'
+    text = f'<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size="0.1"/><body pos="0.3 0 0">{inner}'
+    text += '</body></body></worldbody><actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>'
+    row = physics_row(random_states(str(write(tmp_path, text)), 3, 0), "inverse")
+    assert (row.samples, row.skipped) == ((0, {"massless": 3}) if massless else (3, {}))
 
 
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])

@@ -21,14 +21,7 @@ from scipy.optimize import brentq
 from redundancy_pin import CarrierMotion, CompiledDynamics, PlatformMotion, RneaDynamics, VirtualWork
 from redundancy_pin.arrays import Array
 from redundancy_pin.crosscheck import CheckRow
-from redundancy_pin.crosscheck.physics import (
-    PARITY,
-    check_closures,
-    check_parity,
-    check_power,
-    check_round_trip,
-    relative,
-)
+from redundancy_pin.crosscheck.physics import PARITY, check_parity, check_physics, relative
 from redundancy_pin.crosscheck.report import checked_row, merged
 from redundancy_pin.crosscheck.states import batches
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
@@ -52,8 +45,7 @@ def checked(case: RandomCase) -> Iterator[CheckRow]:
     """Yield the rows of all checks on a random robot, those of users and those of the two closed forms."""
     states, robot = case.states, case.robot
     along = RneaDynamics(robot).along(states.motion)
-    for check in (check_closures, check_power, check_round_trip):
-        yield from check(states, along)
+    yield from check_physics(states, along)
     yield from check_parity(states, along, "compiled", CompiledDynamics)
     if robot.closed_form is None:
         return

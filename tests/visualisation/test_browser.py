@@ -372,7 +372,7 @@ def test_the_block_of_a_slide_is_where_it_slides(browser: Any, tmp_path: Path) -
     view = show(robot)
     view.save(tmp_path / "press.html")
     _open(browser, tmp_path / "press.html")
-    crank = next(reading.position for reading in view.scene.readings if reading.name == "crank")
+    crank = next(reading.position for reading in view.scene.joints if reading.name == "crank")
     for frame in (0, len(view.scene.t) // 2):
         _seek(browser, float(view.scene.t[frame]))
         x, y, z = browser.execute_script(JOINT, "press")
@@ -401,7 +401,7 @@ def test_names_are_text_and_every_joint_is_at_its_own_place(browser: Any, tmp_pa
     assert browser.execute_script(rows) == [*HOSTILE]
     frame = len(view.scene.t) // 2
     _seek(browser, float(view.scene.t[frame]))
-    q = np.array([reading.position[frame] for reading in view.scene.readings])
+    q = np.array([reading.position[frame] for reading in view.scene.joints])
     for joint, (origin, _) in zip(joints, _frames_by_hand(joints, q), strict=True):
         np.testing.assert_allclose(browser.execute_script(JOINT, joint.name), origin, atol=SINGLE, err_msg=joint.name)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from io import BytesIO
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 import zoo
-from matplotlib.colors import to_hex
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from scipy.optimize import brentq
@@ -153,8 +155,8 @@ def _horizontals(axes: Any) -> set[float]:
 
 
 def _bands(axes: Any) -> list[tuple[float, float]]:
-    """Return bottom and top of each hatched band."""
-    hatched = [patch for patch in axes.patches if patch.get_hatch()]
+    """Return bottom and top of each hatched band beyond a limit."""
+    hatched = [patch for patch in axes.patches if patch.get_label() == "beyond a limit"]
     return sorted((float(p.get_xy()[1]), float(p.get_xy()[1] + p.get_height())) for p in hatched)
 
 
@@ -221,6 +223,18 @@ def test_limits_that_differ_are_named() -> None:
     assert _horizontals(axes) == {-0.2, -0.25}
     assert {text.get_text() for text in axes.texts} == {"limit of carrier_1", "limit of carrier_2"}
     assert _bands(axes) == [pytest.approx((axes.get_ylim()[0], -0.25))]  # what none of them may do
+
+
+def test_the_effort_limits_of_a_plan_are_drawn() -> None:
+    bound = 0.9 * float(np.abs(plan().tau).max())
+    judged = replace(plan().limits.judged_by, effort=np.array([bound, np.inf]))
+    limited = replace(plan(), limits=LimitReport((), (), judged))
+    for drawn in (rp.plot.efforts(limited), rp.plot.plan(limited)):
+        axes = _panel(drawn, "main force")
+        assert _horizontals(axes) <= {-bound, bound}
+        assert _horizontals(axes)
+        assert "limit of " in axes.texts[0].get_text()  # the other actuator has none
+        assert _bands(axes) == []
 
 
 def test_phases_are_shaded_from_one_to_the_next_and_named() -> None:
@@ -309,9 +323,85 @@ def test_a_reference_is_drawn_behind_the_efforts_of_a_plan_of_one_sample_too(tmp
     axes = _panel(drawn, "main torque")
     assert (_lines(axes, len(corner().t)) == 0.5).all(axis=0).sum() == 3
     assert _legend(axes)[0] == "no carriers"
-    names = ("t", "tau", "carrier_force", "condition", "margin", "regular", "carriers")
+    names = ("t", "tau", "carrier_force", "condition", "margin", "status", "carriers")
     one = replace(computed(), **{name: getattr(computed(), name)[:1] for name in names})
     rp.plot.save(rp.plot.efforts(one), tmp_path / "one.png")
+
+
+def _pixels(drawn: Figure, axes: Any, color: str) -> int:
+    """Return how many pixels within axes have nearly a colour, in the picture that a notebook shows."""
+    picture = imread(BytesIO(drawn._repr_png_()[0]))[::-1, :, :3]
+    scale = picture.shape[0] / drawn.bbox.height
+    x0, y0, x1, y1 = (int(scale * edge) for edge in axes.get_window_extent().extents)
+    return int((np.abs(picture[y0:y1, x0:x1] - to_rgb(color)).max(axis=2) < 0.1).sum())
+
+
+def test_a_sample_without_neighbours_is_a_point() -> None:
+    apart = np.abs(computed().tau[:, 0] - computed().tau[:, 1])
+    k = int(np.argmax(np.where(computed().regular, apart, 0.0)))  # the actuators have different efforts
+    names = ("t", "tau", "carrier_force", "condition", "margin", "status")
+    one = replace(
+        computed(),
+        carriers=computed().carriers[k : k + 1],
+        **{name: getattr(computed(), name)[k : k + 1] for name in names},
+    )
+    lone = np.where(np.arange(len(computed().t)) == k, 1.0, np.nan)[:, None] * computed().tau
+    for each in (one, replace(computed(), tau=lone)):
+        drawn = rp.plot.efforts(each)
+        for stroke in STROKES[:2]:
+            assert _pixels(drawn, drawn.axes[0], stroke.color) > 10
+    robot = zoo.robot_of("2rpr")
+    motion = reference.circle().sample(0.01)[:1]
+    drawn = rp.plot.path(robot, motion)
+    assert _pixels(drawn, drawn.axes[0], STROKES[0].color) > 10
+    (start,) = [line for line in rp.plot.snapshots(rp.show(robot, motion), 1).axes[0].lines if line.get_zorder() == 4.1]
+    np.testing.assert_allclose(start.get_xydata(), motion.x, atol=1e-9)
+    axes = rp.plot.locus(locus_of("2rpr"), motion=motion.x).axes[0]
+    assert next(line for line in axes.lines if line.get_label() == "motion").get_marker() == "o"
+
+
+def test_bounds_of_efforts_are_drawn_and_samples_without_efforts_within_them_are_shaded() -> None:
+    robot, bound = zoo.robot_of("2rpr"), 0.45
+    motion = reference.circle().sample(0.002)
+    reduced = rp.VirtualWork(robot).reduce(motion)
+    solved = rp.distribute(reduced, lower=[-bound, -1.2 * bound], upper=bound)
+    drawn = rp.plot.efforts(rp.plot.curves(robot, reduced, solved, bounds=[(-bound, bound), (-1.2 * bound, bound)]))
+    axes = drawn.axes[0]
+    assert _horizontals(axes) == {bound, -bound, -1.2 * bound}
+    assert _bands(axes)[0][1] == pytest.approx(-1.2 * bound)
+    assert _bands(axes)[-1][0] == pytest.approx(bound)
+    assert {"bound infeasible", "beyond a limit"} <= set(_legend(drawn))
+    shaded = np.zeros(len(motion), dtype=bool)
+    for patch in (patch for patch in axes.patches if patch.get_label() == "bound infeasible"):
+        shaded |= (motion.t >= patch.get_x()) & (motion.t <= patch.get_x() + patch.get_width())
+    np.testing.assert_array_equal(shaded, solved.status == SampleStatus.BOUND_INFEASIBLE)
+    assert 0 < shaded.sum() < len(shaded)
+    one_sided = rp.plot.efforts(rp.plot.curves(robot, reduced, solved, bounds=[(-np.inf, bound)] * 2))
+    assert _horizontals(one_sided.axes[0]) == {bound}
+    far = rp.plot.efforts(rp.plot.curves(robot, reduced, rp.distribute(reduced), bounds=[(-np.inf, 50.0)] * 2))
+    assert "limit ≤ 50" in [text.get_text() for text in far.axes[0].texts]
+    for wrong in ([(-1.0, 1.0)] * 3, [1.0, 2.0], [(np.nan, 1.0)] * 2):
+        with pytest.raises(InputError, match="do not fit 2 actuators"):
+            rp.plot.curves(robot, reduced, solved, bounds=wrong)
+
+
+def test_a_comparison_leaves_out_near_singular_efforts_and_not_those_that_do_not_exist() -> None:
+    robot = zoo.robot_of("3rrr")
+    reduced = rp.VirtualWork(robot).reduce(reference.corner().sample(0.01))
+    largest = np.abs(rp.distribute(reduced).tau).max()
+    bounded = rp.distribute(reduced, lower=-0.5 * largest, upper=0.5 * largest)
+    assert set(bounded.status.tolist()) == {SampleStatus.OK, SampleStatus.BOUND_INFEASIBLE}
+    assert rp.plot.comparison({"bounded": rp.plot.curves(robot, reduced, bounded)}).get_suptitle() == "3rrr"
+
+
+def test_one_sample_is_a_mark_and_far_limits_are_not_written() -> None:
+    robot = zoo.robot_of("2rpr")
+    result = rp.inverse_dynamics(robot, rp.PlatformMotion([0.0], [[0.2, 0.3]], [[-0.1, 0.0]], [[0.0, 0.0]]))
+    drawn = rp.plot.efforts(rp.plot.curves(robot, result.reduced, result.efforts))
+    for axes, values in zip(drawn.axes, (result.efforts.tau, result.reduced.carrier_force), strict=True):
+        marked = [line.get_ydata()[0] for line in axes.lines if line.get_marker() not in ("", "None")]
+        np.testing.assert_array_equal(marked, values[0])
+    assert not [text for axes in drawn.axes for text in axes.texts if "limits" in text.get_text()]  # ±1000 N
 
 
 def test_a_figure_of_ones_own_is_a_list_of_panels() -> None:
@@ -375,6 +465,31 @@ def test_a_simulation_says_how_it_ended_and_draws_what_is_known_where_its_robot_
         rp.plot.simulation(simulated, other)
     with pytest.raises(InputError, match=r"plan runs from 0 to .* s, the simulation from 9 to 9.4 s"):
         rp.plot.simulation(replace(simulated, t=simulated.t + 9.0), followed)
+
+
+def test_forces_and_impulses_of_joint_stops_are_drawn(tmp_path: Path) -> None:
+    """A bar that falls onto a stop: m g c cos φ holds it there."""
+    moments = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
+    inertial = f'<inertial><origin xyz="0.2 0 0"/><mass value="1.5"/>{moments}</inertial>'
+    (tmp_path / "bar.urdf").write_text(
+        f'<robot name="bar"><link name="base"/><link name="bar">{inertial}</link><joint name="hinge" type="revolute">'
+        '<parent link="base"/><child link="bar"/><axis xyz="0 0 1"/>'
+        '<limit lower="-0.5" upper="2" effort="10" velocity="10"/></joint></robot>'
+    )
+    robot = rp.load_robot(tmp_path / "bar.urdf", gravity=(0, -9.81, 0), actuated="hinge")
+    start = closed_state(robot, [0.3], [0.0])
+    ended = rp.simulate(robot, start=start, duration=0.1, dt=0.01)
+    assert len(rp.plot.simulation(ended, robot=robot).axes) == 1
+    fell = rp.simulate(robot, start=start, duration=1.0, dt=0.01, joint_stops="inelastic")
+    (impact,) = (event for event in fell.events if event.impulse)
+    _, axes = rp.plot.simulation(fell, robot=robot).axes
+    force = next(line.get_ydata() for line in axes.lines if len(line.get_ydata()) == len(fell))
+    np.testing.assert_array_equal(force, fell.stop_force[:, 0])
+    assert force[-1] == pytest.approx(1.5 * 9.81 * 0.2 * np.cos(-0.5), rel=1e-9)
+    mark = next(line for line in axes.lines if line.get_marker() == "X")
+    assert mark.get_xdata() == [impact.t]
+    assert f"{impact.impulse:.3g} N·s" in axes.texts[0].get_text()
+    assert axes.get_legend_handles_labels()[1] == ["hinge"]
 
 
 # --- paths, snapshots, maps -------------------------------------------------------------------------------------------
@@ -538,58 +653,3 @@ def test_what_cannot_be_drawn_is_refused() -> None:
         with pytest.raises(InputError, match="dict") as caught:
             one({})  # type: ignore[operator]
         assert any(word in caught.value.remedy for word in ("rp.", "load_plan"))
-
-
-def test_one_sample_is_a_mark_and_far_limits_are_not_written() -> None:
-    robot = zoo.robot_of("2rpr")
-    result = rp.inverse_dynamics(robot, rp.PlatformMotion([0.0], [[0.2, 0.3]], [[-0.1, 0.0]], [[0.0, 0.0]]))
-    drawn = rp.plot.efforts(rp.plot.curves(robot, result.reduced, result.efforts))
-    for axes, values in zip(drawn.axes, (result.efforts.tau, result.reduced.carrier_force), strict=True):
-        marked = [line.get_ydata()[0] for line in axes.lines if line.get_marker() not in ("", "None")]
-        np.testing.assert_array_equal(marked, values[0])
-    assert not [text for axes in drawn.axes for text in axes.texts if "limits" in text.get_text()]  # ±1000 N
-
-
-def test_bounds_of_efforts_are_drawn_and_where_none_keep_them_is_hatched() -> None:
-    robot, motion = zoo.robot_of("2rpr"), reference.circle().sample(0.01)
-    result = rp.inverse_dynamics(robot, motion, upper=3.0)
-    drawn = rp.plot.efforts(rp.plot.curves(robot, result.reduced, result.efforts, bounds=result.bounds))
-    axes, without = drawn.axes[0], np.flatnonzero(result.efforts.status == SampleStatus.BOUND_INFEASIBLE)
-    assert [line.get_ydata()[0] for line in axes.lines if len(set(line.get_ydata())) == 1] == [3.0]
-    spans = [
-        patch.get_extents().transformed(axes.transData.inverted())
-        for patch in axes.patches
-        if patch.get_hatch() == "xxx"
-    ]
-    assert len(spans) == 2
-    for k in without:
-        assert any(span.x0 <= motion.t[k] <= span.x1 for span in spans)
-    covered = sum(span.x1 - span.x0 for span in spans)
-    assert covered <= (len(without) + 2) * 0.01 + 1e-9
-    names = [text.get_text() for legend in drawn.legends for text in legend.get_texts()]
-    assert "no efforts" in names
-
-
-def test_forces_and_impulses_of_joint_stops_are_drawn(tmp_path: Path) -> None:
-    """A bar that falls onto a stop: m g c cos φ holds it there."""
-    moments = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
-    inertial = f'<inertial><origin xyz="0.2 0 0"/><mass value="1.5"/>{moments}</inertial>'
-    (tmp_path / "bar.urdf").write_text(
-        f'<robot name="bar"><link name="base"/><link name="bar">{inertial}</link><joint name="hinge" type="revolute">'
-        '<parent link="base"/><child link="bar"/><axis xyz="0 0 1"/>'
-        '<limit lower="-0.5" upper="2" effort="10" velocity="10"/></joint></robot>'
-    )
-    robot = rp.load_robot(tmp_path / "bar.urdf", gravity=(0, -9.81, 0), actuated="hinge")
-    start = closed_state(robot, [0.3], [0.0])
-    ended = rp.simulate(robot, start=start, duration=0.1, dt=0.01)
-    assert len(rp.plot.simulation(ended, robot=robot).axes) == 1
-    fell = rp.simulate(robot, start=start, duration=1.0, dt=0.01, joint_stops="inelastic")
-    (impact,) = (event for event in fell.events if event.impulse)
-    _, axes = rp.plot.simulation(fell, robot=robot).axes
-    force = next(line.get_ydata() for line in axes.lines if len(line.get_ydata()) == len(fell))
-    np.testing.assert_array_equal(force, fell.stop_force[:, 0])
-    assert force[-1] == pytest.approx(1.5 * 9.81 * 0.2 * np.cos(-0.5), rel=1e-9)
-    mark = next(line for line in axes.lines if line.get_marker() == "X")
-    assert mark.get_xdata() == [impact.t]
-    assert f"{impact.impulse:.3g} N·s" in axes.texts[0].get_text()
-    assert axes.get_legend_handles_labels()[1] == ["hinge"]

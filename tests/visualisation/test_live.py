@@ -186,3 +186,24 @@ def test_what_goes_with_no_sliders_is_refused(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(sys.modules, "ipywidgets", None)
     with pytest.raises(RedundancyPinError, match=r"redundancy_pin\[live\]"):
         rp.show(robot, live=True)
+
+
+def test_arrows_grow_with_the_efforts_up_to_the_size_of_the_machine() -> None:
+    """The legs of the 2-RPR carry the more, the flatter they lie."""
+    robot = rp.load_robot("2rpr", gravity=[0.0, -9.81, 0.0], end_effector_mass=1.0)
+    live, size = rp.show(robot, live=True), robot.characteristic_length
+    longest = []
+    for y in (0.2, 0.1, 0.05):
+        live.set(y=y)
+        assert live.message == ""
+        efforts = dict(zip(robot.actuated, live.tau.tolist(), strict=True))
+        arrows = [arrow for arrow in live.scene.arrows if arrow.group == "main"]
+        wanted = np.array([arrow.per_unit * efforts[arrow.name] for arrow in arrows])
+        longest.append(np.abs(wanted).max() / size)
+        shown = [joint.position.item() for joint in live.scene.joints]
+        names = [joint.name for joint in live.scene.joints]
+        np.testing.assert_array_equal(shown, robot.joint_positions(live.q[None], names)[0])
+        drawn = [arrow.length.item() for arrow in arrows]
+        np.testing.assert_allclose(drawn, np.clip(wanted, -size, size), rtol=1e-9)
+    assert 0.6 < longest[0] < 1.0 or 0.6 < longest[1] < 1.0, longest  # longer than arrows of a motion may be
+    assert longest[2] > 1.0

@@ -152,13 +152,13 @@ def test_values_of_the_joints_are_those_of_the_scene() -> None:
     view = view_of("3rrr")
     readings = data_in(page_of("3rrr"), "readings")
     np.testing.assert_allclose(readings["t"], view.scene.t, rtol=1e-5)
-    assert [one["name"] for one in readings["joints"]] == [one.name for one in view.scene.readings]
-    for sent, own in zip(readings["joints"], view.scene.readings, strict=True):
+    assert [one["name"] for one in readings["joints"]] == [one.name for one in view.scene.joints]
+    for sent, own in zip(readings["joints"], view.scene.joints, strict=True):
         np.testing.assert_allclose(sent["position"], own.position, rtol=1e-5, atol=1e-12)
         assert (sent["effort"] is None) == (own.effort is None)
         if own.effort is not None:
             np.testing.assert_allclose(sent["effort"], own.effort, rtol=1e-5, atol=1e-12)
-            assert sent["effort_unit"] == ("N" if own.unit == "m" else "N·m")
+            assert sent["effort_unit"] == ("N·m" if own.turning else "N")
     assert {path for path, _ in readings["parts"]} <= objects_in(page_of("3rrr")).keys()
 
 
@@ -185,8 +185,8 @@ def test_the_page_forbids_itself_the_network_and_names_no_address() -> None:
 
 def test_names_and_titles_are_text_and_neither_markup_nor_a_part_of_the_page() -> None:
     scene, usual = view_of("four_bar").scene, page_of("four_bar")
-    named = replace(scene.readings[0], name="</script><b>{{ viewer }}", effort=np.full(len(scene.t), np.nan))
-    text = View(replace(scene, title="<b>&</b>", readings=(named, *scene.readings[1:]))).html()
+    named = replace(scene.joints[0], name="</script><b>{{ viewer }}", effort=np.full(len(scene.t), np.nan))
+    text = View(replace(scene, title="<b>&</b>", joints=(named, *scene.joints[1:]))).html()
     assert "<b>" not in text.split("<script>")[0]
     for mark in ("</script", "MeshCat="):
         assert text.count(mark) == usual.count(mark)

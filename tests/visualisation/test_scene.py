@@ -30,7 +30,7 @@ from redundancy_pin.visualisation.viewer.scene import (
     MARGIN_COLORS,
     MOST_FRAMES,
     MOST_POINTS,
-    Arrow,
+    JointCourse,
     Scene,
     frame_samples,
     make_scene,
@@ -56,7 +56,7 @@ def in_world(scene: Scene, body: int, point: Array) -> Array:
     return scene.placement[:, body, :3, :3] @ point + scene.placement[:, body, :3, 3]
 
 
-def arrow_of(scene: Scene, name: str) -> Arrow:
+def arrow_of(scene: Scene, name: str) -> JointCourse:
     return next(arrow for arrow in scene.arrows if arrow.name == name)
 
 
@@ -206,7 +206,7 @@ def test_arrows_are_scaled_to_the_largest_effort_away_from_singularities() -> No
     n = len(motion)
     margin = np.ones(n)
     tau = np.zeros((n, 3))
-    tau[0, 0], tau[-1] = -5.0, [1e6, np.nan, np.inf]
+    tau[0, 0], tau[1, 1], tau[-1] = -5.0, np.inf, [1e6, np.nan, np.inf]
     margin[-1] = 0.5 * NEAR_SINGULAR_MARGIN
     scene = make_scene(
         robot,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, assign, require_type, runs
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, assign, require_type, runs
 from redundancy_pin.dynamics.distribution import Distribution
 from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import InputError, PlanFileError
@@ -39,11 +39,11 @@ class Curves:
         limits: (k,) limits of the carriers.
         condition: (N,) condition number of the scaled W.
         margin: (N,) smallest singular value of the scaled W.
-        regular: (N,) samples that are neither near-singular nor singular: effort axes are scaled to these.
+        status: (N,) a ``SampleStatus`` each.
+        bounds: (m, 2) smallest and largest main efforts, N or N·m, infinite for none; () where none are known.
         instants: singular instants, s.
         thresholds: condition numbers that mean something to the motion.
         main_names, carrier_names: of the joints, for legends; numbered where left out.
-        bounds: (m, 2) smallest and largest main efforts, N or N·m, infinite for none; () where none are known.
     """
 
     title: str
@@ -55,13 +55,13 @@ class Curves:
     limits: tuple[CarrierLimits, ...]
     condition: Array
     margin: Array
-    regular: BoolArray
+    status: IntArray
+    bounds: ArrayLike = ()
     carriers_turn: bool = False
     instants: tuple[float, ...] = ()
     thresholds: tuple[float, ...] = ()
     main_names: tuple[str, ...] = ()
     carrier_names: tuple[str, ...] = ()
-    bounds: ArrayLike = ()
 
     def __post_init__(self) -> None:
         """Number the joints that have no names."""
@@ -70,19 +70,22 @@ class Curves:
         assign(self, carrier_names=self.carrier_names or tuple(f"carrier {i + 1}" for i in range(moved)))
 
     @property
-    def windows(self) -> tuple[tuple[float, float], ...]:
-        """First and last time, s, of each stretch of samples below the near-singular margin."""
-        near = runs(self.margin < NEAR_SINGULAR_MARGIN)
-        return tuple((float(self.t[start]), float(self.t[stop - 1])) for start, stop in near)
+    def regular(self) -> BoolArray:
+        """(N,) samples that are neither near-singular nor singular: effort axes are scaled to these."""
+        return np.asarray(self.status == SampleStatus.OK)
 
     @property
-    def gaps(self) -> tuple[tuple[float, float], ...]:
-        """Times, s, from the last sample with main efforts to the next one, of each stretch without."""
-        last = len(self.t) - 1
-        without: BoolArray = np.asarray(~np.isfinite(self.tau).all(axis=1))
-        return tuple(
-            (float(self.t[max(start - 1, 0)]), float(self.t[min(stop, last)])) for start, stop in runs(without)
-        )
+    def windows(self) -> tuple[tuple[float, float], ...]:
+        """First and last time, s, of each interval of samples below the near-singular margin."""
+        return self._intervals(self.margin < NEAR_SINGULAR_MARGIN)
+
+    @property
+    def infeasible(self) -> tuple[tuple[float, float], ...]:
+        """First and last time, s, of each interval of samples that have no efforts within their bounds."""
+        return self._intervals(np.asarray(self.status == SampleStatus.BOUND_INFEASIBLE))
+
+    def _intervals(self, flags: BoolArray) -> tuple[tuple[float, float], ...]:
+        return tuple((float(self.t[start]), float(self.t[stop - 1])) for start, stop in runs(flags))
 
 
 def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -> Curves:
@@ -101,22 +104,23 @@ def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -
     )
     own: dict[str, Any]
     if isinstance(subject, Plan):
-        threshold = subject.parameters.get("threshold") if subject.parameters.get("measure") == "condition" else None
+        limits, parameters = subject.limits.judged_by, subject.parameters
+        threshold = parameters.get("threshold") if parameters.get("measure") == "condition" else None
         planner, status = (text.replace("_", " ") for text in (subject.planner, subject.status.value))
         own = {
             "title": f"{subject.robot.name}: {planner}, {status}",
-            "limits": subject.limits.judged_by.of_carriers,
+            "bounds": np.outer(limits.effort, [-1.0, 1.0]),
+            "limits": limits.of_carriers,
             "condition": subject.condition,
             "margin": subject.margin,
-            "regular": subject.sample_status == SampleStatus.OK,
+            "status": subject.sample_status,
             "instants": subject.findings.singular_instants,
             "thresholds": (float(threshold),) if isinstance(threshold, (int, float)) else (),
-            "bounds": np.multiply.outer(subject.limits.judged_by.effort, [-1.0, 1.0]),
         }
     else:
         own = {"title": run_title(subject), "limits": subject.robot.carrier_limits}
         own |= dict.fromkeys(("condition", "margin"), np.full(len(subject), np.nan))
-        own["regular"] = np.ones(len(subject), dtype=bool)  # the efforts are those that acted
+        own["status"] = np.full(len(subject), SampleStatus.OK)  # the efforts are those that acted
         with suppress(PlanFileError):
             classes = classify(robot_of_record(subject.robot, robot), subject.q)
             own |= {"condition": classes.condition, "margin": classes.parallel_margin}
@@ -182,7 +186,7 @@ def curves(
         bounds: (m, 2) smallest and largest main efforts that ``distribute`` was given, N or N·m, infinite for none.
 
     Raises:
-        InputError: parts of different length.
+        InputError: parts of different length, or bounds that do not fit the actuators.
     """
     samples = len(reduced.t)
     sliding = CarrierMotion.parked(samples, robot.k) if carriers is None else carriers
@@ -191,6 +195,12 @@ def curves(
             f"{samples} samples of dynamics do not fit {len(efforts)} of efforts and carriers of shape "
             f"{sliding.s.shape}.",
             remedy="Pass what belongs to one motion.",
+        )
+    ends = np.asarray(bounds, dtype=float)
+    if ends.shape not in ((0,), (robot.m, 2)) or np.isnan(ends).any():
+        raise InputError(
+            f"Bounds of shape {ends.shape} do not fit {robot.m} actuators, or are not numbers.",
+            remedy=f"Pass {robot.m} rows of a smallest and a largest effort, infinite for none.",
         )
     return Curves(
         title=robot.name if title is None else title,
@@ -201,7 +211,7 @@ def curves(
         limits=robot.carrier_limits,
         condition=efforts.condition,
         margin=efforts.margin,
-        regular=efforts.status == SampleStatus.OK,
+        status=efforts.status,
         instants=tuple(crossing.t for crossing in crossings),
         thresholds=tuple(thresholds),
         bounds=bounds,

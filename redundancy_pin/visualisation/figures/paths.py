@@ -1,4 +1,4 @@
-"""Figures in the plane: the path of a motion, the mechanism at several instants, singular curves of the workspace.
+"""Figures in the plane: the path of a motion, and the mechanism at several instants.
 
 Spatial machines are drawn obliquely ("3d"), with the directions of the axes, or as a projection that the title names.
 """
@@ -6,23 +6,29 @@ Spatial machines are drawn obliquely ("3d"), with the directions of the axes, or
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, stretches
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.coordinates import mode_name
-from redundancy_pin.singularities.classify import SingularityKind
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.motion import PlatformMotion, require_sampled
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.robot_record import robot_of_record
+from redundancy_pin.robot import Robot
+from redundancy_pin.simulation.result import Simulation
+from redundancy_pin.singularities.classify import classify_motion
 from redundancy_pin.singularities.crossings import Crossing
-from redundancy_pin.singularities.locus import SingularLocus
-from redundancy_pin.visualisation.figures.shading import brightest, shade
+from redundancy_pin.visualisation.figures.curves import curves_of
 from redundancy_pin.visualisation.figures.style import STROKES, Stroke, figure, legend_below
-from redundancy_pin.visualisation.figures.time_panels import Background, Windows, condition_panel, draw_panel
-from redundancy_pin.visualisation.viewer import mechanism
+from redundancy_pin.visualisation.figures.time_panels import Background, background_of, condition_panel, draw_panel
 from redundancy_pin.visualisation.viewer import scene as scenes
+from redundancy_pin.visualisation.viewer.mechanism import base_hinges, links
 from redundancy_pin.visualisation.viewer.page import View
+from redundancy_pin.visualisation.viewer.scene import FLAT, traced
 from redundancy_pin.visualisation.viewer.solids import ROLE_NAMES, points_of
 
 if TYPE_CHECKING:
@@ -92,146 +98,92 @@ def _draw_path(axes: Axes, point: Array, stroke: Stroke, label: str, start_label
     axes.annotate("", xy=(x[head], y[head]), xytext=(x[tail], y[tail]), arrowprops=arrow)
 
 
-def _draw_singular(axes: Axes, points: Sequence[ArrayLike], color: str, label: str = "singular") -> None:
-    if len(points):
-        axes.plot(*np.array(points).T, "x", color=color, markersize=9, markeredgewidth=2, zorder=3.1, label=label)
+def draw_singular(axes: Axes, points: ArrayLike, color: str, label: str = "singular") -> None:
+    """Draw crosses at singular points (c, 2) of the picture, m."""
+    places = np.asarray(points, dtype=float)
+    if len(places):
+        axes.plot(*places.T, "x", color=color, markersize=9, markeredgewidth=2, zorder=3.1, label=label)
 
 
 def plot_path(
-    title: str,
-    t: Array,
-    point: Array,
-    mechanism: Sequence[Array],
-    hinges: Array,
-    condition: Array,
+    subject: Plan | Simulation | Robot,
+    motion: PlatformMotion | None = None,
     *,
-    thresholds: Sequence[float] = (),
-    windows: Windows = (),
-    instants: Sequence[float] = (),
-    singular_points: Sequence[ArrayLike] = (),
+    crossings: Sequence[Crossing] = (),
+    robot: Robot | None = None,
+    title: str | None = None,
 ) -> Figure:
-    """Draw the mechanism with the path, the path enlarged if it is small, and the condition number over time.
+    """Draw the mechanism at the start of a motion, the path of its platform, and the condition number.
 
-    All of it in the base frame, m: the path ``point`` (N, 2) in x and y, or (N, 3), the lines (2, 2) or (2, 3) of the
-    mechanism at the start, the ``hinges`` (h, 2) or (h, 3) on the base, and where the path meets singularities, (2,) or
-    (3,) each. ``condition`` (N,) is infinite at a singularity. Points with three coordinates are drawn
-    obliquely, and the path once more as a projection on x and y.
+    A path that is small beside the machine is drawn once more, enlarged. A machine that is not flat is seen obliquely,
+    and its path drawn once more as a projection on x and y.
+
+    Args:
+        subject: a plan, a simulation, or the robot that the motion is for.
+        motion: of a robot.
+        crossings: from ``find_crossings`` along the same motion, to mark.
+        robot: of a plan or a simulation from a file, if the files of the robot have moved, or it was changed in Python.
+        title: of the figure.
+
+    Raises:
+        InputError: a plan or a simulation with a motion, a robot without one, or a robot without a platform.
+        PlanFileError: the robot of the plan or the simulation is gone or has changed.
     """
-    everything, spatial = np.concatenate([point, hinges, *mechanism]), point.shape[1] == 3
-    zoomed = spatial or np.ptp(point, axis=0).max() < _ZOOM_BELOW * np.ptp(everything, axis=0).max()
+    if isinstance(subject, (Plan, Simulation)) is (motion is not None):
+        raise InputError(
+            "path draws a plan, a simulation, or a robot with a motion.",
+            remedy="Pass path(plan), path(run) or path(robot, motion).",
+        )
+    if isinstance(subject, Robot) and robot is not None:
+        raise InputError("robot= goes with a plan or a simulation.", remedy="Pass path(robot, motion).")
+    robot = subject if isinstance(subject, Robot) else robot_of_record(subject.robot, robot)
+    if robot.platform is None:
+        raise InputError(f"{robot.name} has no platform whose path could be drawn.", remedy="Use rp.show to see it.")
+    drawn = None if isinstance(subject, Robot) else curves_of(subject, robot)
+    if isinstance(subject, Simulation) and drawn:
+        t, q, condition = subject.t, subject.q, drawn.condition
+    else:
+        followed = subject.motion if isinstance(subject, Plan) else cast(PlatformMotion, motion)
+        require_sampled(followed)
+        tree = inverse_kinematics(robot, followed)
+        t, q, condition = followed.t, tree.q, classify_motion(tree).condition
+    instants = tuple(crossing.t for crossing in crossings) or (drawn.instants if drawn else ())
+    background = replace(background_of(drawn) if drawn else Background(), instants=instants)
+    panel = condition_panel(t, condition, drawn.thresholds if drawn else (), singular=bool(instants))
+
+    point, hinges, lines = traced(robot, q), base_hinges(robot), [np.stack(ends) for ends in links(robot, q[0])]
+    places = np.array([[np.interp(one, t, along) for along in point.T] for one in instants]).reshape(-1, 3)
+    everything = np.concatenate([point, hinges, *lines])
+    flat = bool(np.ptp(everything[:, 2]) < FLAT * robot.characteristic_length)
+    zoomed = not flat or np.ptp(point, axis=0).max() < _ZOOM_BELOW * np.ptp(everything, axis=0).max()
     ratios = [1.0, 1.0, 1.4] if zoomed else [1.0, 1.4]
-    with figure(10.0 if zoomed else 8.0, 3.6, title) as drawn:
-        *panels, last = drawn.subplots(1, len(ratios), width_ratios=ratios)
-        views = ("3d", "xy") if spatial else ("xy", "xy")
-        seen = [projection(view)[:, : point.shape[1]].T for view in views]
-        draw_mechanism(panels[0], [line @ seen[0] for line in mechanism], hinges @ seen[0])
-        for axes, title, view, matrix in zip(panels, ("mechanism at the start", "path"), views, seen, strict=False):
-            _draw_path(axes, point @ matrix, STROKES[0], "path", "start")
-            _draw_singular(axes, [np.asarray(place) @ matrix for place in singular_points], STROKES[1].color)
-            axes.set_title(title)
-            label_plane(axes, view, flat=not spatial)
-        panel = condition_panel(t, condition, thresholds, singular=bool(instants))
-        draw_panel(last, panel, 1.4 * drawn.get_figwidth() / sum(ratios) - 0.8)
-        Background(instants=instants, windows=windows).draw(last)
-        last.set(xlim=(t[0], t[-1]), xlabel="time t [s]")
-        legend_below(drawn)
-        return drawn
+    with figure(10.0 if zoomed else 8.0, 3.6, title or (drawn.title if drawn else robot.name)) as page:
+        *panels, last = page.subplots(1, len(ratios), width_ratios=ratios)
+        for axes, name, plane in zip(panels, ("mechanism at the start", "path"), ("xy" if flat else "3d", "xy"),
+                                     strict=False):  # fmt: skip
+            seen = projection(plane).T
+            if axes is panels[0]:
+                draw_mechanism(axes, [line @ seen for line in lines], hinges @ seen)
+            _draw_path(axes, point @ seen, STROKES[0], "path", "start")
+            draw_singular(axes, places @ seen, STROKES[1].color)
+            axes.set_title(name)
+            label_plane(axes, plane, flat=flat)
+        draw_panel(last, panel, 1.4 * page.get_figwidth() / sum(ratios) - 0.8)
+        background.draw(last)
+        last.set(xlim=(t[0], t[-1]) if t[-1] > t[0] else None, xlabel="time t [s]")
+        legend_below(page)
+        return page
 
 
-def plot_plane_paths(
-    title: str,
-    paths: Mapping[str, Array],
-    *,
-    mechanism: Sequence[Array] = (),
-    hinges: Array | None = None,
-    singular: Sequence[ArrayLike] = (),
-) -> Figure:
-    """Draw paths (N, 2), m, by their label, with start, direction, mechanism and hinges, and singular points."""
+def plot_plane_paths(title: str, paths: Mapping[str, Array]) -> Figure:
+    """Draw paths (N, 2), m, by their label, with start and direction."""
     with figure(6.0, 5.2) as drawn:
         axes = drawn.add_subplot(title=title)
-        draw_mechanism(axes, mechanism, hinges)
         for stroke, (label, point) in zip(STROKES, paths.items(), strict=False):
             _draw_path(axes, point, stroke, label)
-        _draw_singular(axes, singular, "#000000")
         label_plane(axes)
         legend_below(drawn)
         return drawn
-
-
-_LOCUS_STROKES: dict[SingularityKind, dict[str, Any]] = {
-    SingularityKind.TYPE_II: {"color": "#D55E00", "linewidth": 2.0, "linestyle": "-", "label": "type II (parallel)"},
-    SingularityKind.TYPE_I: {"color": "#000000", "linewidth": 1.4, "linestyle": (0, (5, 2)),
-                             "label": "type I (serial), border of the working mode"},
-    SingularityKind.COMBINED: {"color": "#000000", "linewidth": 2.0, "linestyle": "-.", "label": "combined"},
-}  # fmt: skip
-
-
-def draw_locus(locus: SingularLocus, *, motion: Array | None = None, crossings: Sequence[Crossing] = ()) -> Figure:
-    """Draw a singular locus: type I and type II curves over the margin, readable in black and white.
-
-    The colour is the distance to type II (smallest singular value of the scaled W): darker is nearer; hatched is out of
-    reach in this working mode. A robot with a single coordinate gets its margins as curves.
-
-    Args:
-        locus: from ``singular_locus``.
-        motion: (N, n) platform coordinates of a motion to draw over it, base frame, m and rad.
-        crossings: singularities along that motion, to mark.
-
-    Raises:
-        InputError: something else than a locus.
-    """
-    if not isinstance(locus, SingularLocus):
-        raise InputError(
-            f"locus draws a singular locus, not a {type(locus).__name__}.",
-            remedy="Pass what rp.singular_locus(robot) returns.",
-        )
-    mode = [f"working mode {mode_name(locus.robot.working_mode)}"] if locus.robot.working_mode else []
-    fixed = [f"{name} = {round(value, 6) + 0.0:g} rad" for name, value in locus.fixed.items()]
-    plane = len(locus.axes) == 2
-    with figure(7.0, 5.6 if plane else 4.0) as drawn:
-        axes = drawn.add_subplot(title=", ".join([f"Singularities of {locus.robot.name}", *mode, *fixed]))
-        if plane:
-            _draw_plane(drawn, axes, locus)
-            if motion is not None:
-                axes.plot(*motion[:, list(locus.free)].T, color="#0072B2", zorder=2.6, label="motion")
-            places = [crossing.x[list(locus.free)] for crossing in crossings]
-            _draw_singular(axes, places, "#0072B2", "singular instant")
-        else:
-            _draw_line(axes, locus)
-        legend_below(drawn)
-        return drawn
-
-
-def _draw_plane(drawn: Figure, axes: Axes, locus: SingularLocus) -> None:
-    size = np.abs(locus.margin)
-    image = shade(axes, locus.axes, size, (locus.reachable, locus.reachable), brightest(size))
-    bar = drawn.colorbar(image, ax=axes, shrink=0.8, extend="max")
-    bar.set_label("margin to type II: σ_min of scaled W [–]")
-    spatial = ["xyz".index(name) for name in locus.names]  # which of the world's axes the picture has
-    for ends in mechanism.links(locus.robot, locus.q_reference):
-        axes.plot(*np.stack(ends)[:, spatial].T, "-o", color="#5A5A5A", linewidth=1.6, markersize=3.5, zorder=2.0)
-    for curve in locus.curves:
-        axes.plot(*curve.points[:, list(locus.free)].T, zorder=2.5, **_LOCUS_STROKES[curve.kind])
-    axes.plot(*mechanism.base_hinges(locus.robot)[:, spatial].T, "^", color="#000000", markersize=8, zorder=3.0,
-              label="base hinge")  # fmt: skip
-    home = locus.reference[list(locus.free)]
-    axes.plot(*home, "D", color="#0072B2", markersize=6, zorder=3.0, label="reference")
-    axes.set_aspect("equal", adjustable="box")
-    x, y = (f"{name} [{unit}]" for name, unit in zip(locus.names, locus.units, strict=True))
-    axes.set(xlabel=x, ylabel=y)
-
-
-def _draw_line(axes: Axes, locus: SingularLocus) -> None:
-    (coordinate,) = locus.axes
-    axes.plot(coordinate, locus.serial_margin, color="#000000", linestyle=(0, (5, 2)), label="margin to type I")
-    axes.plot(coordinate, np.abs(locus.margin), color="#D55E00", linestyle="-", label="margin to type II")
-    for curve in locus.curves:
-        place = float(curve.points[0, 0])
-        label = f"{curve.kind.label.replace('_', ' ')} at {place:.6g}"
-        axes.axvline(place, color="#000000", linewidth=1.0, linestyle=":", label=label)
-    axes.plot(locus.reference[0], 0.0, "D", color="#0072B2", markersize=6, clip_on=False, label="reference")
-    axes.set_ylim(bottom=0.0)
-    axes.set(xlabel=f"{locus.names[0]} [{locus.units[0]}]", ylabel="smallest scaled singular value [–]")
 
 
 def scene_in(view: object) -> scenes.Scene:
@@ -316,15 +268,14 @@ def draw_frame(
 def draw_path(axes: Axes, scene: scenes.Scene, *, plane: str = "xy") -> None:
     """Draw the path of the platform in the colours of the margin, wider near singularities."""
     points, classes = scene.path @ projection(plane).T, scenes.margin_classes(scene.path_margin)
-    if len(points) < 2:
-        return
-    halo = 5.4 if (classes == 0).any() else 3.6  # seen on a platform of its colour
-    axes.plot(*points.T, color="#FFFFFF", linewidth=halo, zorder=3.9)
-    for a, b in stretches(classes):  # each up to where the next one begins
-        number, color = int(classes[a]), scenes.margin_color(scene.path_margin[a])
-        name = f"margin {scenes.margin_labels()[number]}" if number >= 0 else None
-        axes.plot(*points[a : b + 1].T, color=color, linewidth=1.6 if number else 3.4, zorder=4.0, label=name)
-    axes.plot(*points[0], "o", color="#000000", markersize=4, zorder=4.1)
+    if len(points) > 1:
+        halo = 5.4 if (classes == 0).any() else 3.6  # seen on a platform of its colour
+        axes.plot(*points.T, color="#FFFFFF", linewidth=halo, zorder=3.9)
+        for a, b in stretches(classes):  # each up to where the next one begins
+            number, color = int(classes[a]), scenes.margin_color(scene.path_margin[a])
+            name = f"margin {scenes.margin_labels()[number]}" if number >= 0 else None
+            axes.plot(*points[a : b + 1].T, color=color, linewidth=1.6 if number else 3.4, zorder=4.0, label=name)
+    axes.plot(*points[:1].T, "o", color="#000000", markersize=4, zorder=4.1)
 
 
 def _ends(length: float, place: Array) -> Array:

@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,15 +32,11 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, PlanFileError
 from redundancy_pin.kinematics.coordinates import angle_columns, distance
-from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.motion import PlatformMotion, require_sampled
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.result import Simulation
-from redundancy_pin.singularities.classify import classify_motion
-from redundancy_pin.singularities.crossings import Crossing
 from redundancy_pin.visualisation.figures.curves import (
     Curves,
     curves,
@@ -48,14 +44,15 @@ from redundancy_pin.visualisation.figures.curves import (
     curves_of_plan,
     plan_title,
 )
-from redundancy_pin.visualisation.figures.paths import draw_locus as locus
+from redundancy_pin.visualisation.figures.maps import draw_locus as locus
+from redundancy_pin.visualisation.figures.maps import draw_workspace as workspace
 from redundancy_pin.visualisation.figures.paths import draw_snapshots as snapshots
-from redundancy_pin.visualisation.figures.paths import plot_path
+from redundancy_pin.visualisation.figures.paths import plot_path as path
 from redundancy_pin.visualisation.figures.style import STROKES, save
 from redundancy_pin.visualisation.figures.time_panels import (
-    Background,
     Curve,
     Panel,
+    background_of,
     condition_panel,
     fitted_range,
     plot_panel_grid,
@@ -63,9 +60,6 @@ from redundancy_pin.visualisation.figures.time_panels import (
     series,
 )
 from redundancy_pin.visualisation.figures.video import save_video as video
-from redundancy_pin.visualisation.figures.workspace_map import draw_workspace as workspace
-from redundancy_pin.visualisation.viewer.mechanism import base_hinges, links
-from redundancy_pin.visualisation.viewer.scene import FLAT, traced
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -101,8 +95,7 @@ SHOWN_DISTANCES = 1e-6
 def main_panel(drawn: Curves) -> Panel:
     """Return the main efforts and their bounds; near a singularity they may leave the picture."""
     curves = series(drawn.main_names, drawn.t, drawn.tau, fitted=drawn.regular)
-    bounded = np.isfinite(drawn.bounds).any()
-    return Panel(f"main {drawn.main_unit}", curves, limits=drawn.bounds if bounded else (), height=1.3)
+    return Panel(f"main {drawn.main_unit}", curves, limits=drawn.bounds, height=1.3)
 
 
 def force_panel(drawn: Curves, events: Sequence[LimitEvent] = ()) -> Panel:
@@ -137,8 +130,8 @@ def _carrier_panel(
 def efforts(subject: Plan | Simulation | Curves) -> Figure:
     """Draw the main efforts and, where there are carriers, their forces, over time.
 
-    The axis of the main efforts is fitted to regular samples: next to a singularity they grow without bound. Their
-    bounds are drawn, and stretches without efforts are hatched.
+    The axis of the main efforts is fitted to regular samples: next to a singularity they grow without bound. What their
+    bounds forbid is hatched, and samples that have no efforts within the bounds are shaded.
 
     Args:
         subject: a plan, a simulation, or ``curves`` of an inverse-dynamics computation.
@@ -182,7 +175,7 @@ def condition(subject: Plan | Simulation | Curves, *, robot: Robot | None = None
 
 
 def _over_time(drawn: Curves, panels: Sequence[Panel]) -> Figure:
-    return plot_time_panels(drawn.title, panels, instants=drawn.instants, windows=drawn.windows, gaps=drawn.gaps)
+    return plot_panel_grid(drawn.title, [panels], None, background_of(drawn))
 
 
 def singularity_panel(drawn: Curves) -> Panel:
@@ -206,15 +199,15 @@ def plan(
         reference_name: what the legend calls them.
     """
     drawn = curves_of_plan(plan)
-    main = main_panel(drawn)
+    main, events = main_panel(drawn), plan.limits.violated
     if reference is not None:
         thin = tuple(
             Curve("" if i else reference_name, plan.t, column, reference=True) for i, column in enumerate(reference.T)
         )
         main = replace(main, curves=(*thin, *main.curves))
-    events = plan.limits.violated
     columns = [[main, force_panel(drawn, events), singularity_panel(drawn)], _carrier_column(drawn, events)]
-    return plot_panel_grid(title or plan_title(plan), columns, (9.6, 7.2), Background(plan, drawn.instants))
+    background = replace(background_of(drawn, plan), windows=())  # the greys are those of the phases
+    return plot_panel_grid(title or plan_title(plan), columns, (9.6, 7.2), background)
 
 
 def _carrier_column(drawn: Curves, events: Sequence[LimitEvent] = ()) -> list[Panel]:
@@ -242,9 +235,9 @@ def simulation(
         PlanFileError: the robot is gone or has changed.
     """
     drawn = curves_of(run, robot)
-    columns = [[main_panel(drawn)]]
+    left, right = [main_panel(drawn)], []
     if drawn.carrier_names:
-        columns = [[main_panel(drawn), force_panel(drawn)], _carrier_column(drawn)]
+        left, right = [*left, force_panel(drawn)], _carrier_column(drawn)
     if plan is not None:
         planned = curves_of_plan(plan)
         if (planned.main_names, planned.carrier_names) != (drawn.main_names, drawn.carrier_names):
@@ -252,14 +245,12 @@ def simulation(
                 f"The plan is for {plan.robot.name}, the simulation of {run.robot.name}: they have other joints.",
                 remedy="Pass the plan that was simulated.",
             )
-        behind = [[main_panel(planned), force_panel(planned)], carrier_panels(planned)]
-        columns = [list(map(_over, *both)) for both in zip(columns, behind, strict=False)]
-        columns[0].append(_distance_panel(run, plan, robot_of_record(run.robot, robot)))
-    columns[0] += _stop_panels(run, robot)
-    if len({len(column) for column in columns}) > 1:  # both columns have as many panels
-        columns = [[panel for column in columns for panel in column]]
-    size = (9.6 if len(columns) > 1 else 7.2, 1.1 + 1.75 * sum(panel.height for panel in columns[0]))
-    return plot_panel_grid(title or drawn.title, columns, size, Background(None, windows=drawn.windows))
+        left = [_over(*both) for both in zip(left, (main_panel(planned), force_panel(planned)), strict=False)]
+        left.append(_distance_panel(run, plan, robot_of_record(run.robot, robot)))
+        right = [_over(*both) for both in zip(right, carrier_panels(planned), strict=False)]
+    left += _stop_panels(run, robot)
+    columns = [left, right] if len(left) == len(right) else [[*left, *right]]
+    return plot_panel_grid(title or drawn.title, columns, None, background_of(drawn))
 
 
 def _stop_panels(run: Simulation, robot: Robot | None) -> list[Panel]:
@@ -310,67 +301,6 @@ def distance_panel(label: str, curves: Mapping[str, tuple[Array, Array]], least:
     return Panel(label, lines, log=True, within=(max(0.5 * LEAST_DISTANCE, least * top), 3.0 * top))
 
 
-def path(
-    subject: Plan | Simulation | Robot,
-    motion: PlatformMotion | None = None,
-    *,
-    crossings: Sequence[Crossing] = (),
-    robot: Robot | None = None,
-    title: str | None = None,
-) -> Figure:
-    """Draw the mechanism at the start of a motion, the path of its platform, and the condition number.
-
-    A machine that is not flat is seen obliquely, and its path drawn once more as a projection on x and y.
-
-    Args:
-        subject: a plan, a simulation, or the robot that the motion is for.
-        motion: of a robot.
-        crossings: from ``find_crossings`` along the same motion, to mark.
-        robot: of a plan or a simulation from a file, if the files of the robot have moved, or it was changed in Python.
-        title: of the figure.
-
-    Raises:
-        InputError: a plan or a simulation with a motion, a robot without one, or a robot without a platform.
-        PlanFileError: the robot of the plan or the simulation is gone or has changed.
-    """
-    if isinstance(subject, (Plan, Simulation)) is (motion is not None):
-        raise InputError(
-            "path draws a plan, a simulation, or a robot with a motion.",
-            remedy="Pass path(plan), path(run) or path(robot, motion).",
-        )
-    if isinstance(subject, Robot) and robot is not None:
-        raise InputError("robot= goes with a plan or a simulation.", remedy="Pass path(robot, motion).")
-    robot = robot_of_record(subject.robot, robot) if isinstance(subject, (Plan, Simulation)) else subject
-    if robot.platform is None:
-        raise InputError(f"{robot.name} has no platform whose path could be drawn.", remedy="Use rp.show to see it.")
-    drawn = None if isinstance(subject, Robot) else curves_of(subject, robot)
-    if isinstance(subject, Simulation) and drawn:
-        t, q, condition = subject.t, subject.q, drawn.condition
-    else:
-        followed = subject.motion if isinstance(subject, Plan) else cast(PlatformMotion, motion)
-        require_sampled(followed)
-        tree = inverse_kinematics(robot, followed)
-        t, q, condition = followed.t, tree.q, classify_motion(tree).condition
-    point, hinges = traced(robot, q), base_hinges(robot)
-    mechanism = [np.stack(ends) for ends in links(robot, q[0])]
-    everything = np.concatenate([point, hinges, *mechanism])
-    axes = 2 if np.ptp(everything[:, 2]) < FLAT * robot.characteristic_length else 3
-    instants = tuple(crossing.t for crossing in crossings) or (drawn.instants if drawn else ())
-    places = [np.array([np.interp(one, t, point[:, i]) for i in range(axes)]) for one in instants]
-    return plot_path(
-        title or (drawn.title if drawn else robot.name),
-        t,
-        point[:, :axes],
-        [line[:, :axes] for line in mechanism],
-        hinges[:, :axes],
-        condition,
-        instants=instants,
-        singular_points=places,
-        thresholds=drawn.thresholds if drawn else (),
-        windows=drawn.windows if drawn else (),
-    )
-
-
 def comparison(subjects: Mapping[str, Plan | Simulation | Curves], *, title: str | None = None) -> Figure:
     """Draw the main efforts of several plans along the same motion, one panel an actuator, with their peaks.
 
@@ -391,28 +321,23 @@ def comparison(subjects: Mapping[str, Plan | Simulation | Curves], *, title: str
             f"{len(drawn)} plans with {sorted(kinds)} actuators cannot be compared in one figure.",
             remedy=f"Pass one to {len(STROKES)} plans of the same kind of robot.",
         )
-    (_, unit), first = next(iter(kinds)), next(iter(drawn.values()))
-    names = first.main_names
-    cases, cut = {}, False
-    for label, each in drawn.items():
-        counts = each.regular[:, None] if isinstance(subjects[label], Curves) else np.isfinite(each.tau)
-        cut = cut or not counts.all()
-        cases[label] = (each.t, np.where(counts, each.tau, np.nan))
-    heading = title or first.title.partition(":")[0] + (", near-singular samples left out" if cut else "")
-    return plot_comparison(heading, names, unit.partition("[")[2].rstrip("]"), cases)
-
-
-def plot_comparison(title: str, names: tuple[str, ...], unit: str, cases: Mapping[str, tuple[Array, Array]]) -> Figure:
-    """Draw the efforts of each case over time, (N,) and (N, m) by label, one panel an actuator, with their peaks."""
+    (_, kind), first = next(iter(kinds)), next(iter(drawn.values()))
+    unit = kind[kind.index("[") + 1 : -1]
+    counted = {
+        label: each.regular[:, None] if isinstance(subjects[label], Curves) else np.isfinite(each.tau)
+        for label, each in drawn.items()
+    }
 
     def curve(i: int, stroke: int, label: str) -> Curve:
-        t, tau = cases[label]
-        peak = float(np.nanmax(np.abs(tau[:, i]), initial=0.0))
-        return Curve(f"{label}: peak {peak:.3g} {unit}", t, tau[:, i], stroke)
+        tau = np.where(counted[label], drawn[label].tau, np.nan)[:, i]
+        peak = float(np.nanmax(np.abs(tau), initial=0.0))
+        return Curve(f"{label}: peak {peak:.3g} {unit}", drawn[label].t, tau, stroke)
 
     panels = [
-        Panel(f"{name} [{unit}]", tuple(curve(i, stroke, label) for stroke, label in enumerate(cases)))
-        for i, name in enumerate(names)
+        Panel(f"{name} [{unit}]", tuple(curve(i, k, label) for k, label in enumerate(drawn)))
+        for i, name in enumerate(first.main_names)
     ]
+    cut = any((np.isfinite(each.tau) & ~counted[label]).any() for label, each in drawn.items())
+    heading = title or first.title.partition(":")[0] + (", near-singular samples left out" if cut else "")
     within = fitted_range([curve for panel in panels for curve in panel.curves])
-    return plot_time_panels(title, [replace(panel, within=within) for panel in panels])
+    return plot_time_panels(heading, [replace(panel, within=within) for panel in panels])

@@ -8,14 +8,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from redundancy_pin.errors import shortened
 from redundancy_pin.io.files import refusing, replacing_file, require_suffix
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
     from matplotlib.legend import Legend
 
@@ -60,16 +59,12 @@ INSTANT: dict[str, Any] = {
 }  # fmt: skip
 """How a singular instant is drawn, and what legends call it."""
 
-# How a stretch of near-singular samples is drawn, and what legends call it
+# How an interval of near-singular samples is drawn, and what legends call it
 WINDOW: dict[str, Any] = {"facecolor": "#D9D9D9", "edgecolor": "none", "label": "near-singular"}
-# How a stretch without efforts is drawn, and what legends call it
-GAP: dict[str, Any] = {
-    "facecolor": "none",
-    "edgecolor": "#BDBDBD",
-    "hatch": "xxx",
-    "linewidth": 0.0,
-    "label": "no efforts",
-}
+# How an interval without efforts within their bounds is drawn, and what legends call them
+INFEASIBLE: dict[str, Any] = {
+    "facecolor": "#FBE9DF", "edgecolor": "#DDA98C", "hatch": "\\\\\\", "linewidth": 0.6, "label": "bound infeasible"
+}  # fmt: skip
 _FORMATS = (".png", ".svg", ".pdf")
 
 _LETTERS, _KEY = 15.0, 9  # letters of a legend on an inch, and how many of them an entry takes with its line and space
@@ -167,18 +162,13 @@ def picture_format(path: str | Path) -> str:
     return require_suffix(path, _FORMATS)[1:]
 
 
-def log_scale(axes: Axes, which: Literal["x", "y"] = "y") -> None:
-    """Make an axis logarithmic."""
-    axes.set(**{f"{which}scale": "log"})
-    write_numbers(axes.xaxis if which == "x" else axes.yaxis)
-
-
-def write_numbers(axis: Axis) -> None:
-    """Give a logarithmic axis numbers a reader need not translate: 20 in place of 2×10¹."""
+def log_scale(axes: Axes) -> None:
+    """Make the vertical axis logarithmic, with numbers a reader need not translate: 20 in place of 2×10¹."""
     from matplotlib.ticker import LogFormatter
 
+    axes.set_yscale("log")
     # decades on the axis below which some, and below which all numbers between powers of ten are written
-    for set_formatter in (axis.set_major_formatter, axis.set_minor_formatter):
+    for set_formatter in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
         set_formatter(LogFormatter(minor_thresholds=(2.0, 0.6)))
 
 
@@ -191,8 +181,8 @@ def legend_above(axes: Axes, width: float) -> None:
         _show_names(legend)
 
 
-def legend_below(drawn: Figure, handles: Sequence[Any] = ()) -> None:
-    """Put a legend under all axes: each thing once that no legend of the axes names, and ``handles`` after them."""
+def legend_below(drawn: Figure) -> None:
+    """Put a legend under all axes: each thing once that no legend of the axes names."""
     legends = [axes.get_legend() for axes in drawn.axes]
     named = {text.get_text() for legend in legends if legend for text in legend.get_texts()}
     found = {
@@ -201,7 +191,6 @@ def legend_below(drawn: Figure, handles: Sequence[Any] = ()) -> None:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
         if str(label).removeprefix(_ZERO_WIDTH) not in named
     }
-    found |= {str(handle.get_label()): handle for handle in handles}
     found = dict(sorted(found.items(), key=lambda item: -item[1].get_zorder()))  # what is behind all comes last
     if found:
         columns = _columns([*found], drawn.get_figwidth())

@@ -19,12 +19,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, stretches
+from redundancy_pin.arrays import Array, BoolArray, runs, stretches
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.visualisation.figures.curves import Curves
 from redundancy_pin.visualisation.figures.style import (
     BEYOND,
     CARRIER_STROKES,
-    GAP,
+    INFEASIBLE,
     INSTANT,
     STROKES,
     WINDOW,
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Windows = Sequence[tuple[float, float]]
-"""First and last time of each near-singular stretch, s."""
+"""First and last time of each of several intervals, s."""
 
 _CONDITION_TOP = 1e3  # largest condition number of the axis: at a singular instant it is infinite
 _CONDITION_LINEAR = 10.0  # up to this condition number the axis is linear
@@ -94,8 +95,8 @@ class Background:
 
     plan: Plan | None = None  # whose phases are shaded
     instants: Sequence[float] = ()  # singular instants, s, drawn as dotted lines
-    windows: Windows = ()  # near-singular stretches, shaded
-    gaps: Windows = ()  # stretches without efforts, hatched
+    windows: Windows = ()  # near-singular intervals, shaded
+    infeasible: Windows = ()  # intervals without efforts within their bounds, shaded
 
     def draw(self, axes: Axes) -> None:
         """Draw it behind a panel, labelled for the legend under the figure."""
@@ -106,12 +107,16 @@ class Background:
             axes.axvspan(start, end, facecolor=fill, edgecolor="#777777", linewidth=0, zorder=0.2, label=name)
             if i:
                 axes.axvline(start, color="#777777", linewidth=0.5, zorder=0.6)
-        for start, end in self.windows:
-            axes.axvspan(start, end, zorder=0.5, **WINDOW)
-        for start, end in self.gaps:
-            axes.axvspan(start, end, zorder=0.45, **GAP)
+        for shaded, style, order in ((self.windows, WINDOW, 0.5), (self.infeasible, INFEASIBLE, 0.55)):
+            for start, end in shaded:
+                axes.axvspan(start, end, zorder=order, **style)
         for instant in self.instants:
             axes.axvline(instant, zorder=1.6, **INSTANT)
+
+
+def background_of(drawn: Curves, plan: Plan | None = None) -> Background:
+    """Return singular instants, near-singular and infeasible intervals of curves, and the phases of a plan."""
+    return Background(plan, drawn.instants, drawn.windows, drawn.infeasible)
 
 
 def phase_spans(plan: Plan) -> list[tuple[int, float, float]]:
@@ -141,23 +146,18 @@ def condition_panel(t: Array, condition: Array, thresholds: Sequence[float] = ()
 
 
 def plot_time_panels(
-    title: str,
-    panels: Sequence[Panel],
-    *,
-    plan: Plan | None = None,
-    instants: Sequence[float] = (),
-    windows: Windows = (),
-    gaps: Windows = (),
+    title: str, panels: Sequence[Panel], *, plan: Plan | None = None, instants: Sequence[float] = ()
 ) -> Figure:
-    """Draw panels one above the other, from top to bottom, over a ``Background`` of the other arguments."""
-    size = 7.2, 1.1 + 1.75 * sum(panel.height for panel in panels)
-    return plot_panel_grid(title, [panels], size, Background(plan, instants, windows, gaps))
+    """Draw panels one above the other, with the phases of a ``plan`` and singular ``instants``, s, behind them."""
+    return plot_panel_grid(title, [panels], None, Background(plan, instants))
 
 
 def plot_panel_grid(
-    title: str, columns: Sequence[Sequence[Panel]], size: tuple[float, float], background: Background
+    title: str, columns: Sequence[Sequence[Panel]], size: tuple[float, float] | None, background: Background
 ) -> Figure:
-    """Draw columns of panels, all of the same heights, in a figure of some width and height, inches."""
+    """Draw columns of panels, all of the same heights, in a figure of some width and height, inches; None fits."""
+    if size is None:
+        size = (9.6 if len(columns) > 1 else 7.2), 1.1 + 1.75 * sum(panel.height for panel in columns[0])
     with figure(*size, title) as drawn:
         heights = [panel.height for panel in columns[0]]
         axes = drawn.subplots(len(heights), len(columns), sharex=True, height_ratios=heights, squeeze=False)
@@ -187,8 +187,9 @@ def draw_panel(axes: Axes, panel: Panel, width: float, *, alike: Sequence[Panel]
         style: dict[str, Any] = {"color": stroke.color, "linestyle": stroke.dash, "zorder": 2.2}
         if curve.reference:
             style = {"color": "#6E6E6E", "linestyle": "-", "linewidth": 1.0, "zorder": 2.0}
-        if np.isfinite(curve.value).sum() == 1:  # no line
-            style["marker"] = stroke.marker
+        single = _single_samples(curve.value)
+        if single:
+            style |= {"marker": stroke.marker, "markersize": 4.0, "markevery": single}
         axes.plot(curve.t, curve.value, label=legend_label(curve.label), **{**style, **curve.style})
     for i, (level, name) in enumerate(panel.levels):
         stroke = STROKES[1 + i % (len(STROKES) - 1)]
@@ -210,6 +211,11 @@ def draw_panel(axes: Axes, panel: Panel, width: float, *, alike: Sequence[Panel]
         _fit(axes, panel, alike or (panel,))
     else:
         axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color="#6E6E6E")
+
+
+def _single_samples(value: Array) -> list[int]:
+    """Return the samples of (N,) that no line shows, because both neighbours are absent or not finite."""
+    return [start for start, stop in runs(np.isfinite(value)) if stop - start == 1]
 
 
 def fitted_range(curves: Sequence[Curve], edges: Sequence[float] = ()) -> tuple[float, float]:
@@ -242,7 +248,8 @@ def _fit(axes: Axes, panel: Panel, alike: Sequence[Panel]) -> None:
     near = np.abs(limits[np.isfinite(limits)]).min(initial=np.inf) <= _FAR * np.abs(extent).max()
     if len(limits) and (limits == limits[0]).all() and np.isnan(shown).all() and near:
         low, high = limits[0]
-        text = f"limits ±{high:g}" if low == -high else f"limits {low:g}, {high:g}"
+        one_sided = f"limit ≤ {high:g}" if np.isinf(low) else f"limit ≥ {low:g}" if np.isinf(high) else ""
+        text = one_sided or (f"limits ±{high:g}" if low == -high else f"limits {low:g}, {high:g}")
         axes.text(0.985, 0.95, text, transform=axes.transAxes, ha="right", va="top", fontsize=7.5, color="#444444")
     names = [brief(curve.label) for curve in panel.curves if not curve.reference]
     for side, end, outermost in zip(shown.T, axes.get_ylim(), (np.min, np.max), strict=True):

@@ -23,7 +23,7 @@ from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.types import slides
 from redundancy_pin.status import SampleStatus
 from redundancy_pin.visualisation.viewer.meshcat_scene import import_meshcat, send_frame, send_scene
-from redundancy_pin.visualisation.viewer.scene import Scene, make_scene, placements
+from redundancy_pin.visualisation.viewer.scene import Scene, joints_over, make_scene, placements
 
 By = Literal["platform", "actuators"]
 """What the sliders set."""
@@ -168,14 +168,13 @@ class LiveRobot:
     @property
     def scene(self) -> Scene:
         """What is shown, as a scene of one frame."""
-        longest, efforts = self.robot.characteristic_length, self._efforts()
-        lengths = [np.nan_to_num(np.array([arrow.per_unit * efforts[arrow.name]])) for arrow in self._first.arrows]
-        arrows = tuple(
-            replace(arrow, length=np.clip(length, -longest, longest))
-            for arrow, length in zip(self._first.arrows, lengths, strict=True)
+        now = joints_over(self.robot, self.q[None], {name: np.array([one]) for name, one in self._efforts().items()})
+        joints = tuple(
+            replace(joint, per_unit=first.per_unit, longest=self.robot.characteristic_length)
+            for joint, first in zip(now, self._first.joints, strict=True)
         )
         placement, margin = placements(self.robot, self.q[None]), np.array([self.margin])
-        return replace(self._first, placement=placement, arrows=arrows, margin=margin)
+        return replace(self._first, placement=placement, joints=joints, margin=margin)
 
     def _efforts(self) -> dict[str, float]:
         """Return the effort of each actuator by name, N or N·m; NaN where no finite one holds the robot."""

@@ -111,12 +111,8 @@ def _hinges(robot: Robot, body: int, data: pin.Data) -> Array:
 
 
 def _floats(model: pin.Model, index: int) -> bool:
-    """Return whether a joint of several freedoms shifts its body."""
-    if model.joints[index].nv < 2:
-        return False
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    return bool(np.abs(motion_subspace(model, data, index)[:3]).max() > 0.0)
+    """Return whether a joint of several degrees of freedom shifts its body."""
+    return bool(model.joints[index].nv > 1 and np.abs(_subspace(model, index)[:3]).max() > 0.0)
 
 
 def _distinct(robot: Robot, points: Sequence[Array]) -> Array:
@@ -307,12 +303,17 @@ def along_z(axis: Array) -> Array:
 
 
 def joint_axis(model: pin.Model, index: int) -> Array:
-    """Return (3,) the unit axis of a joint of one freedom in its own frame."""
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    linear, angular = np.split(motion_subspace(model, data, index)[:, 0], 2)
+    """Return (3,) the unit axis of a joint of one degree of freedom in its own frame."""
+    linear, angular = np.split(_subspace(model, index)[:, 0], 2)
     axis: Array = angular if angular.any() else linear
     return axis / np.linalg.norm(axis)
+
+
+def _subspace(model: pin.Model, index: int) -> Array:
+    """Return (6, nv) the motion subspace of a joint in its own frame, linear rows first."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    return motion_subspace(model, data, index)
 
 
 def place(rotation: Array | None = None, translation: Array | None = None) -> Array:

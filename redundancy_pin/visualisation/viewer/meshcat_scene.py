@@ -89,7 +89,7 @@ def solid_path(scene: scenes.Scene, solid: Solid) -> str:
     return f"{_body_path(scene, solid.body)}/{_step(solid.name)}"
 
 
-def arrow_path(arrow: scenes.Arrow) -> str:
+def arrow_path(arrow: scenes.JointCourse) -> str:
     """Return where an arrow is in the tree of meshcat, below its root."""
     return f"forces/{arrow.group}_{_step(arrow.name)}"
 
@@ -147,7 +147,7 @@ def _add_solid(viewer: Any, scene: scenes.Scene, solid: Solid) -> None:
     _add(viewer, solid_path(scene, solid), shape, material, placement)
 
 
-def _add_arrow(viewer: Any, item: scenes.Arrow) -> None:
+def _add_arrow(viewer: Any, item: scenes.JointCourse) -> None:
     from meshcat import geometry
 
     shape = geometry.TriangularMeshGeometry(*(arc() if item.turning else arrow()))
@@ -155,7 +155,7 @@ def _add_arrow(viewer: Any, item: scenes.Arrow) -> None:
     _add(viewer, f"{arrow_path(item)}/effort/arrow", shape, material, order=_LAST)
 
 
-def _arrow_frames(scene: scenes.Scene, item: scenes.Arrow) -> tuple[Array, Array]:
+def _arrow_frames(scene: scenes.Scene, item: scenes.JointCourse) -> tuple[Array, Array]:
     """Return (F, 4, 4) where an arrow is and (F, 3) its scale.
 
     A negative effort mirrors its arrow: straight ones point the other way, arcs turn the other way.

@@ -141,17 +141,19 @@ def _data(scene: Scene) -> dict[str, Any]:
     Positions and efforts of the joints over the frames, which parts of the picture belong to which joint, which have
     the colour of the margin, and that colour over the frames.
     """
-    of_body = {reading.body: i for i, reading in enumerate(scene.readings)}
-    of_name = {f"joint_{reading.name}": i for i, reading in enumerate(scene.readings)}
+    of_body = {joint.body: i for i, joint in enumerate(scene.joints)}
+    of_name = {f"joint_{joint.name}": i for i, joint in enumerate(scene.joints)}
     parts = [(solid_path(scene, solid), of_name.get(solid.name, of_body.get(solid.body))) for solid in scene.solids]
     joints = [
         {
-            **{name: getattr(reading, name) for name in ("name", "kind", "unit")},
-            "position": _digits(reading.position),
-            "effort": None if reading.effort is None else _digits(reading.effort),
-            "effort_unit": "N" if reading.unit == "m" else "N·m",
+            "name": joint.name,
+            "kind": ROLE_NAMES[joint.role],
+            "unit": "rad" if joint.turning else "m",
+            "position": _digits(joint.position),
+            "effort": None if joint.effort is None else _digits(joint.effort),
+            "effort_unit": "N·m" if joint.turning else "N",
         }
-        for reading in scene.readings
+        for joint in scene.joints
     ]
     colors = [*MARGIN_COLORS, UNKNOWN_COLOR]
     return {

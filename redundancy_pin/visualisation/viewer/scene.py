@@ -6,7 +6,7 @@ Frames, the arrows of the efforts, the colours of the margin; the solids come fr
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -16,57 +16,58 @@ import pinocchio as pin
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, positive, read_only
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.robot.loop_joints import ends_of
 from redundancy_pin.robot.types import slides
 from redundancy_pin.visualisation.viewer.mechanism import along_z, joint_axis, place, rods_of, solids_of
-from redundancy_pin.visualisation.viewer.solids import ROLE_NAMES, Role, Solid
+from redundancy_pin.visualisation.viewer.solids import Role, Solid
 
 Group = Literal["main", "carrier"]
 """Whose effort an arrow shows."""
 
 # Colours of the arrows: the main actuators', the carriers'
 EFFORT_COLORS: Mapping[Group, str] = {"main": "#E4007C", "carrier": "#00A3A3"}
-# Where the classes of the margin part: below the first a pose is reported as near-singular
+# Bounds between the classes of the margin; below the first a pose is near-singular
 MARGIN_EDGES = (NEAR_SINGULAR_MARGIN, 0.1, 0.2, 0.4)
 # Colour of each class of the margin, from singular to far
 MARGIN_COLORS = ("#B2182B", "#EF6C00", "#F6B600", "#5BAA3A", "#2166AC")
 UNKNOWN_COLOR = "#9E9E9E"  # where there is no margin
 
-OBLIQUE = (0.8, -1.0, 0.6)  # from where machines that are not flat are seen
+OBLIQUE = (0.8, -1.0, 0.6)  # view direction of machines that are not flat
 
 FRAME_RATE = 60.0  # frames a second of the motion's own time
 MOST_FRAMES = 600  # longer motions get fewer frames a second; a viewer interpolates between them
-MOST_POINTS = 1000  # of the drawn path, but for changes of its colour
+MOST_POINTS = 1000  # of the drawn path, plus those where its colour changes
 # Length of the arrow of the largest force, radius of the arc of the largest torque, in sizes of the machine
 LONGEST_FORCE, LONGEST_TORQUE = 0.4, 0.16
-_BEYOND = 1.5  # efforts next to a singularity grow without bound; their arrows stop at this multiple of the longest
+_BEYOND = 1.5  # near a singularity efforts are unbounded; their arrows end at this multiple of the longest
 FLAT = 0.02  # extent along z, in sizes of the machine, below which it counts as flat
 
 
 @dataclass(frozen=True, eq=False)
-class Arrow:
-    """The effort of one actuator over the frames: straight for a force, an arc for a torque."""
-
-    name: str  # of the joint
-    body: int  # index of the joint; the arrow starts at its origin and turns with it
-    axis: Array  # (3,) unit axis of the joint in its own frame; positive efforts point along it
-    turning: bool  # whether it is a torque
-    group: Group
-    per_unit: float  # m of its length for each N or N·m
-    length: Array  # (F,) with its sign, m; the radius of an arc. Zero where no finite effort exists
-
-
-@dataclass(frozen=True, eq=False)
 class JointCourse:
-    """What a joint of one freedom does over the frames."""
+    """A joint of one degree of freedom over the frames, and the arrow of its effort: an arc for a torque."""
 
     name: str  # of the joint
-    body: int  # its index
-    kind: str  # as legends call it
-    unit: str  # of its position: m or rad
-    position: Array  # (F,)
+    body: int  # its index; the arrow starts at its origin and turns with it
+    role: Role  # actuated, passive or carrier
+    axis: Array  # (3,) unit axis in its own frame; positive efforts point along it
+    turning: bool
+    position: Array  # (F,) m or rad
     effort: Array | None  # (F,) of its actuator, N or N·m; NaN where there is none. None for passive joints
+    per_unit: float = 0.0  # m of arrow for each N or N·m; zero for no arrow
+    longest: float = np.inf  # m; longer arrows end there
+
+    @property
+    def length(self) -> Array:
+        """(F,) length of the arrow with its sign, or radius of the arc, m; zero where no finite effort exists."""
+        effort = np.zeros(len(self.position)) if self.effort is None else self.effort
+        lengths = self.per_unit * np.where(np.isfinite(effort), effort, 0.0)
+        return np.clip(lengths, -self.longest, self.longest)
+
+    @property
+    def group(self) -> Group:
+        """Whose effort the arrow shows."""
+        return "carrier" if self.role == "carrier" else "main"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,18 +79,22 @@ class Scene:
     t: Array  # (F,) time of each frame, s, from zero
     placement: Array  # (F, J, 4, 4) placement of each joint's frame in the world, m; of a rod its middle, z along it
     solids: tuple[Solid, ...]  # base and platform, links, joints, tracks, carriers
-    arrows: tuple[Arrow, ...]  # efforts
+    joints: tuple[JointCourse, ...]  # all joints of one degree of freedom, with their efforts
     margin: Array  # (F,) distance to type II, scaled; NaN where unknown
     path: Array  # (N, 3) places of the traced point, world, m
     path_margin: Array  # (N,) margin along it
     size: float  # of the machine, m: parts that have no size of their own are drawn in proportion to it
     captions: tuple[str, ...]  # what the arrows' lengths stand for, a line each
-    readings: tuple[JointCourse, ...] = ()  # of all joints of one freedom
 
     @property
     def duration(self) -> float:
         """Duration of the motion, s."""
         return float(self.t[-1])
+
+    @property
+    def arrows(self) -> tuple[JointCourse, ...]:
+        """The joints whose efforts have arrows."""
+        return tuple(joint for joint in self.joints if joint.per_unit)
 
     @property
     def is_flat(self) -> bool:
@@ -119,12 +124,13 @@ def make_scene(
     """
     positive(force_scale, "force_scale", "")
     frames, points = frame_samples(t), path_samples(margin)
-    efforts: list[tuple[str, Group, Array]] = []
+    efforts: dict[str, Array] = {}
     if tau is not None:
-        efforts += [(name, "main", tau[:, i]) for i, name in enumerate(robot.actuated)]
+        efforts |= dict(zip(robot.actuated, tau.T, strict=True))
     if carrier_force is not None:
-        efforts += [(name, "carrier", carrier_force[:, i]) for i, name in enumerate(robot.carriers)]
-    arrows, captions = _arrows(robot, efforts, np.abs(margin) < NEAR_SINGULAR_MARGIN, frames, force_scale)
+        efforts |= dict(zip(robot.carriers, carrier_force.T, strict=True))
+    joints = joints_over(robot, q[frames], {name: effort[frames] for name, effort in efforts.items()})
+    joints, captions = _scaled(robot, joints, efforts, np.abs(margin) < NEAR_SINGULAR_MARGIN, force_scale)
     moving = (*list(robot.model.names)[1:], *(f"rod {rod.name}" for rod in rods_of(robot)))
     return Scene(
         title=title,
@@ -132,30 +138,47 @@ def make_scene(
         t=t[frames] - t[0],
         placement=placements(robot, q[frames]),
         solids=solids_of(robot),
-        arrows=arrows,
+        joints=joints,
         margin=np.abs(margin[frames]),
         path=traced(robot, q[points]),
         path_margin=np.abs(margin[points]),
         size=robot.characteristic_length,
         captions=captions,
-        readings=_readings(robot, q[frames], {name: effort[frames] for name, _, effort in efforts}),
     )
 
 
-def _readings(robot: Robot, q: Array, efforts: Mapping[str, Array]) -> tuple[JointCourse, ...]:
-    readings = []
-    for body in range(1, robot.model.njoints):
-        name = str(robot.model.names[body])
-        if robot.model.joints[body].nv != 1:
+def joints_over(robot: Robot, q: Array, efforts: Mapping[str, Array]) -> tuple[JointCourse, ...]:
+    """Return the joints of one degree of freedom over (F, nq), with efforts (F,) by name, N or N·m; without arrows."""
+    joints, model = [], robot.model
+    for body in range(1, model.njoints):
+        name = str(model.names[body])
+        if model.joints[body].nv != 1:
             continue
         role: Role = "carrier" if name in robot.carriers else "actuated" if name in robot.actuated else "passive"
-        position = robot.joint_positions(q, [name])[:, 0]
-        turning = not slides(robot.model.joints[body])
-        if turning:
-            position = np.unwrap(position)
-        unit = "rad" if turning else "m"
-        readings.append(JointCourse(name, body, ROLE_NAMES[role], unit, read_only(position), efforts.get(name)))
-    return tuple(readings)
+        position, turning = robot.joint_positions(q, [name])[:, 0], not slides(model.joints[body])
+        position = read_only(np.unwrap(position) if turning else position)
+        joints.append(JointCourse(name, body, role, joint_axis(model, body), turning, position, efforts.get(name)))
+    return tuple(joints)
+
+
+def _scaled(
+    robot: Robot, joints: tuple[JointCourse, ...], efforts: Mapping[str, Array], singular: BoolArray, scale: float
+) -> tuple[tuple[JointCourse, ...], tuple[str, ...]]:
+    """Return joints with arrows for efforts (N,), and captions of the longest; forces and torques are scaled apart."""
+    captions, counted = [], slice(None) if singular.all() else ~singular
+    for turning, longest, unit, what in ((False, LONGEST_FORCE, "N", "force"), (True, LONGEST_TORQUE, "N·m", "torque")):
+        alike = [joint.name for joint in joints if joint.turning is turning and joint.name in efforts]
+        values = np.concatenate([np.zeros(1), *(np.abs(efforts[name][counted]) for name in alike)])
+        largest = float(values[np.isfinite(values)].max())
+        if largest == 0.0:
+            continue
+        length = longest * robot.characteristic_length * scale
+        captions.append(f"largest {what} away from singularities: {largest:.3g} {unit}")
+        joints = tuple(
+            replace(joint, per_unit=length / largest, longest=_BEYOND * length) if joint.name in alike else joint
+            for joint in joints
+        )
+    return joints, tuple(captions)
 
 
 def frame_samples(t: Array) -> IntArray:
@@ -203,29 +226,6 @@ def traced(robot: Robot, q: Array) -> Array:
         return np.zeros((0, 3))
     name = robot.platform.frame if robot.platform is not None else robot.closures[0].frame_a
     return constraint_system(robot).evaluate(q).placement(name)[1].T
-
-
-def _arrows(
-    robot: Robot, efforts: list[tuple[str, Group, Array]], singular: BoolArray, frames: IntArray, scale: float
-) -> tuple[tuple[Arrow, ...], tuple[str, ...]]:
-    """Return the arrows of efforts (N,), forces and torques each on a scale of their own, and what the longest mean."""
-    arrows, captions = [], []
-    bodies = {name: find_joint_index(robot.model, name) for name, _, _ in efforts}
-    for turns, longest, unit, what in ((False, LONGEST_FORCE, "N", "force"), (True, LONGEST_TORQUE, "N·m", "torque")):
-        alike = [entry for entry in efforts if slides(robot.model.joints[bodies[entry[0]]]) is not turns]
-        values = np.abs(np.array([effort for _, _, effort in alike]).reshape(len(alike), len(singular)))
-        values[~np.isfinite(values)] = 0.0
-        largest = float(values[:, slice(None) if singular.all() else ~singular].max(initial=0.0))
-        if largest == 0.0:
-            continue
-        per_unit = longest * robot.characteristic_length * scale / largest
-        captions.append(f"largest {what} away from singularities: {largest:.3g} {unit}")
-        for name, group, effort in alike:
-            lengths = per_unit * np.where(np.isfinite(effort[frames]), effort[frames], 0.0)
-            bounded = np.clip(lengths, -_BEYOND * largest * per_unit, _BEYOND * largest * per_unit)
-            axis = joint_axis(robot.model, bodies[name])
-            arrows.append(Arrow(name, bodies[name], axis, turns, group, per_unit, bounded))
-    return tuple(arrows), tuple(captions)
 
 
 def margin_classes(margin: Array) -> IntArray:
