@@ -501,8 +501,12 @@ class MotionOptions:
     @property
     def file(self) -> str | None:
         """The file that the motion is read from; None for a trajectory by name."""
+        from redundancy_pin.trajectory.reference import TRAJECTORIES
+
         name = self._parts[0]
-        return name if isinstance(name, str) and (Path(name).suffix or is_file(Path(name))) else None
+        if not isinstance(name, str) or name in TRAJECTORIES:
+            return None
+        return name if Path(name).suffix or is_file(Path(name)) else None
 
     @functools.cached_property
     def is_sampled(self) -> bool:

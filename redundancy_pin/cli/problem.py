@@ -23,6 +23,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.registry import PLANNERS, TIME_OPTIMAL, in_groups
 from redundancy_pin.robot.shipped import source_in
 from redundancy_pin.trajectory import Trajectory
+from redundancy_pin.trajectory.reference import TRAJECTORIES
 from redundancy_pin.trajectory.trajectory import Ends
 
 
@@ -147,7 +148,10 @@ def _motion(data: ProblemFile, folder: Path) -> options.MotionOptions:
         keys = dict(given)
         given = keys.pop("name")
     motion = options.MotionOptions(given, data.check_rates, keys)
-    return motion if motion.file is None else replace(motion, given=str(folder / given))
+    here = str(folder / given) if isinstance(given, str) else ""
+    beside = replace(motion, given=here)
+    is_ours = motion.file is not None or (here != "" and given not in TRAJECTORIES and beside.file == here)
+    return beside if is_ours else motion
 
 
 def _baseline(data: RobotKeys, own: RobotKeys) -> RobotKeys:

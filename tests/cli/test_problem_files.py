@@ -84,6 +84,22 @@ def test_paths_are_seen_from_the_folder_of_the_file() -> None:
     assert (read_problem("task/p.yaml").motion.sample(0.1).x == expected).all()  # type: ignore[union-attr]
 
 
+def test_a_trajectory_comes_before_a_file_of_its_name_and_files_need_no_suffix() -> None:
+    Path("task").mkdir()
+    for name in ("circle", "task/samples"):
+        write_motion(Path(name), reference.corner(), 0.05)
+    text = "planner: switch-off\nrobot: 2rpr\nmotion: {}\n"
+    Path("task/p.yaml").write_text(text.format("circle"), encoding="utf-8")
+    assert read_problem("task/p.yaml").motion.duration == reference.circle().duration  # type: ignore[union-attr]
+    Path("task/p.yaml").write_text(text.format("samples"), encoding="utf-8")
+    motion = read_problem("task/p.yaml").motion
+    assert isinstance(motion, rp.PlatformMotion)
+    assert motion.t[-1] == pytest.approx(reference.corner().duration)
+    shown = call("inverse-dynamics", "--robot", "2rpr", "--motion", "circle", "--json")
+    assert shown.exit_code == 0
+    assert '"circle' in shown.stdout
+
+
 @pytest.mark.parametrize(
     ("planner", "parameters", "flags"),
     [

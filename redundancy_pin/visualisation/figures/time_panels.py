@@ -245,7 +245,8 @@ def _fit(axes: Axes, panel: Panel, alike: Sequence[Panel]) -> None:
     edges = np.concatenate([in_reach(other.limits).ravel() for other in alike])
     axes.set_ylim(fitted_range(curves, edges[np.isfinite(edges)].tolist()))
     shown, limits = in_reach(panel.limits), np.reshape(panel.limits, (-1, 2))
-    near = np.abs(limits[np.isfinite(limits)]).min(initial=np.inf) <= _FAR * np.abs(extent).max()
+    used = np.abs(extent).max()
+    near = used == 0.0 or np.abs(limits[np.isfinite(limits)]).min(initial=np.inf) <= _FAR * used
     if len(limits) and (limits == limits[0]).all() and np.isnan(shown).all() and near:
         low, high = limits[0]
         one_sided = f"limit ≤ {high:g}" if np.isinf(low) else f"limit ≥ {low:g}" if np.isinf(high) else ""
