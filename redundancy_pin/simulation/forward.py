@@ -134,18 +134,8 @@ class ForwardDynamics:
         self._scale, self._unit = velocity_scale(robot), velocity_unit(robot)
         self.least_inertia = 1.0
         """Smallest pivot of the mass matrix over the largest, in kg, at the last state."""
+        self.adapt(np.array(robot.q_reference) if q is None else q)
         self._fresh = False
-        """Whether the independent velocities were chosen for the next configuration."""
-        self.use(self.choose_partition(np.array(robot.q_reference) if q is None else q))
-
-    def choose_partition(self, q: Array) -> Partition:
-        """Return the partition that suits a configuration (nq,).
-
-        Raises:
-            SingularPoseError: the closures have lost rank there.
-        """
-        self.chain.update(q, np.zeros(self.robot.model.nv))
-        return self._choose(self.chain.closure_rows(), q)
 
     def _choose(self, relative: Array, q: Array) -> Partition:
         columns = self.chain.pose_columns[self._moving]
@@ -157,8 +147,10 @@ class ForwardDynamics:
         Raises:
             SingularPoseError: the closures have lost rank there.
         """
-        self.use(self.choose_partition(q))
+        self.chain.update(q, np.zeros(self.robot.model.nv))
+        self.use(self._choose(self.chain.closure_rows(), q))
         self._fresh = True
+        """Whether the independent velocities were chosen for the next configuration."""
 
     def use(self, partition: Partition) -> None:
         """Take over a partition of the velocities."""

@@ -218,23 +218,30 @@ class FeedForward(Tracking):
     Args:
         plan: a plan, or a reference made by ``plan_reference`` or ``motion_reference``.
         motion: the trajectory that was planned for, for exact values between the samples of a plan.
+        sampling: of the simulation: the efforts are then those of the middle of the interval in which they act.
 
     Raises:
         InfeasiblePlanError, PlanFileError: see ``plan_reference``.
     """
 
-    def __init__(self, plan: Plan | MotionReference, *, motion: TimedTrajectory | None = None) -> None:
-        super().__init__(plan, motion)
-        self.jumps = self.reference.jumps
+    def __init__(
+        self,
+        plan: Plan | MotionReference,
+        *,
+        motion: TimedTrajectory | None = None,
+        sampling: Sampling | None = None,
+    ) -> None:
+        super().__init__(plan, motion, sampling)
+        self.jumps = None if sampling else self.reference.jumps
 
     @property
-    def open_loop(self) -> PiecewisePolynomial:  # type: ignore[override]
-        """The efforts as polynomials of time."""
-        return self.reference.efforts
+    def open_loop(self) -> PiecewisePolynomial | None:  # type: ignore[override]
+        """The efforts as polynomials of time; None of a sampled controller."""
+        return None if self.sampling else self.reference.efforts
 
     def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,) and carrier forces (k,) at time t."""
-        return self.reference.loads(t)
+        return self.reference.loads(t + self.lead)
 
 
 class Amplifiers:
