@@ -11,7 +11,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, each, frozen
+from redundancy_pin.arrays import Array, each, frozen, not_negative, positive
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import InputError
@@ -50,11 +50,8 @@ class Sampling:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if not (np.isfinite(self.period) and self.period > 0.0 and np.isfinite(self.delay) and self.delay >= 0.0):
-            raise InputError(
-                f"The sampling has period {self.period} s and delay {self.delay} s.",
-                remedy="Pass a positive period and a delay that is not negative.",
-            )
+        positive(self.period, "period", "s")
+        not_negative(self.delay, "delay")
 
 
 class EffortLaw(Protocol):
