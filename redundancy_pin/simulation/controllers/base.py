@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -134,7 +134,6 @@ class Adapted(Controller):
         for name in ("breaks", "jumps", "end", "sampling", "carrier_drive", "carrier_motion", "start_state"):
             if getattr(law, name, None) is not None:
                 setattr(self, name, getattr(law, name))
-        self.open_loop = _declared(law, "open_loop")
 
     def effort(self, t: float, state: State) -> Command:
         """Return the efforts of the object."""
@@ -145,12 +144,14 @@ class Adapted(Controller):
         return type(self._law).__name__
 
 
-def _declared(law: object, name: str) -> Any:
-    """Return what a law says of its ``effort``, None where a subclass or the object replaces that."""
+def _open_loop(controller: Controller) -> PiecewisePolynomial | None:
+    """Return the efforts as polynomials of time; None where ``effort`` was replaced without them."""
+    law: object = controller._law if type(controller) is Adapted else controller
     owner = next((one for one in type(law).__mro__ if "effort" in vars(one)), None)
-    if owner is None or name not in vars(owner) or "effort" in getattr(law, "__dict__", {}):
+    if owner is None or "open_loop" not in vars(owner) or "effort" in getattr(law, "__dict__", {}):
         return None
-    return getattr(law, name, None)
+    polynomials: PiecewisePolynomial | None = getattr(law, "open_loop", None)
+    return polynomials
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,8 +257,7 @@ class Amplifiers:
         self._saturates = bool(np.isfinite(tau_limit).any() or np.isfinite(force_limit).any())
         self.limits: Array = np.concatenate(self._limits)
         """(m + k,) of main efforts and carrier forces."""
-        adapted = isinstance(controller, Adapted)
-        polynomials = controller.open_loop if adapted else _declared(controller, "open_loop")
+        polynomials = _open_loop(controller)
         fits = polynomials is not None and polynomials.coefficients.shape[2] == len(self.limits)
         self.open_loop = polynomials if polynomials is not None and fits else None
         """What the controller commands as polynomials of time, before it saturates; None where it heeds the state."""

@@ -68,7 +68,6 @@ class NoisyAmplifier(Adapted):
 
     def __init__(self, controller: Controller | EffortLaw, random: np.random.Generator, noise: float) -> None:
         super().__init__(controller)
-        self.open_loop = None  # its efforts are no function of time
         self._random, self._noise = random, not_negative(noise, "noise")
 
     def effort(self, t: float, state: State) -> Command:
