@@ -60,3 +60,16 @@ def test_open_loop_of_a_digital_controller_is_that_of_the_middle_of_the_interval
     assert run.parameters["drive"] == "FeedForward"
     with pytest.raises(InputError, match=r"FeedForward was made for Sampling.*simulation has None"):
         rp.simulate(held.robot, drive)
+
+
+@pytest.mark.parametrize("sampling", [None, Sampling(PERIOD)])
+def test_a_regulator_commands_no_more_than_the_limits_that_it_was_told(held, sampling):
+    robot = held.robot
+    state = rp.simulation.closed_state(robot, held.platform(0.0)[0] + 0.01)
+    free, bound = (
+        controller_by_name("LQR", held, sampling=sampling, step=0.1, **limits).effort(0.0, state)
+        for limits in ({}, {"effort_limit": 0.5, "carrier_force_limit": 0.25})
+    )
+    for unlimited, limited, most in zip(free, bound, (0.5, 0.25), strict=True):
+        assert np.abs(unlimited).max() > 2.0 * most
+        np.testing.assert_allclose(limited, np.clip(unlimited, -most, most), rtol=1e-12)
