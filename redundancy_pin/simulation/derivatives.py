@@ -60,8 +60,8 @@ def row_derivatives(chain: ClosedChain, q: Array, v: Array, a: Array) -> RowDeri
     by_q, rate_by_q, rate_by_v = Kd.copy(), Kdd.copy(), 2.0 * Kd
     if robot.platform is not None and robot.platform.is_pose:
         turning = [r + robot.platform.axes.index(axis) for axis in ("rx", "ry", "rz")]
-        spin, spin_rate = (_skew(rows[turning] @ motion) for rows, motion in ((K, v), (K, a)))
-        spin_rate += _skew(Kd[turning] @ v)
+        spin, spin_rate = (pin.skew(rows[turning] @ motion) for rows, motion in ((K, v), (K, a)))
+        spin_rate += pin.skew(Kd[turning] @ v)
         by_q[turning] -= spin @ K[turning]
         rate_by_q[turning] -= spin @ Kd[turning] + spin_rate @ K[turning]
         rate_by_v[turning] -= spin @ K[turning]
@@ -83,10 +83,6 @@ def _world_columns(chain: ClosedChain, q: Array, v: Array, a: Array) -> tuple[Ar
         column, velocity = pin.Motion(J[:, joint.idx_v]), data.ov[joint.id]
         ddJ[:, joint.idx_v] = (data.oa[joint.id].cross(column) + velocity.cross(velocity.cross(column))).vector
     return J, dJ, ddJ
-
-
-def _skew(w: Array) -> Array:
-    return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +212,7 @@ def _rotation_rate(robot: Robot, rate: Array) -> Array:
     result = np.zeros((robot.n + robot.k, robot.n + robot.k))
     if robot.platform is not None and robot.platform.is_pose:
         at = [robot.platform.axes.index(axis) for axis in ("rx", "ry", "rz")]
-        result[np.ix_(at, at)] = _skew(rate[at])
+        result[np.ix_(at, at)] = pin.skew(rate[at])
     return result
 
 

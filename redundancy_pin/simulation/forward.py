@@ -37,46 +37,40 @@ from redundancy_pin.simulation.rank_loss import LOST, Sheet, rank_ratio
 
 @dataclass(frozen=True, eq=False)
 class Partition:
-    """Dependent and independent tree velocities.
+    """Dependent and independent tree velocities; those of carriers driven by motion are neither.
 
     Attributes:
         dependent: (r,) velocity indices solved for from J_c v = 0.
         independent: (d,) the others that are free to move.
-        prescribed: (p,) those whose motion is given (carriers driven by motion).
     """
 
     dependent: IntArray
     independent: IntArray
-    prescribed: IntArray
 
 
-def choose(
-    relative: Array, pose_columns: IntArray, free: IntArray, prescribed: IntArray, q: Array | None = None
-) -> Partition:
+def choose(relative: Array, pose_columns: IntArray, free: IntArray, q: Array) -> Partition:
     """Choose the dependent ones of the velocities that move the pose, by J_c (r, p) without units.
 
-    Carriers driven by force (``free``) are always independent, those driven by motion ``prescribed``; ``q`` is for the
-    error.
+    Carriers driven by force (``free``) are always independent; ``q`` (nq,) is for the error.
 
     Raises:
         SingularPoseError: J_c has lost row rank: the closures do not determine how the machine moves on.
     """
     rows = len(relative)
     if rows == 0:
-        return Partition(np.empty(0, dtype=np.intp), np.concatenate([pose_columns, free]), prescribed)
+        return Partition(np.empty(0, dtype=np.intp), np.concatenate([pose_columns, free]))
     triangle, order, *_ = lapack.dgeqp3(np.asfortranarray(relative))
     diagonal = np.abs(triangle.diagonal())
     if diagonal[-1] <= RANK_TOLERANCE * diagonal[0]:
-        place = "" if q is None else f"; q = {(np.round(q, 6) + 0.0).tolist()}"
         raise SingularPoseError(
-            f"The {rows} closure rows have lost rank (smallest pivot {diagonal[-1]:.3g} of {diagonal[0]:.3g}{place}): "
-            "the machine can move on in more than one way.",
+            f"The {rows} closure rows have lost rank (smallest pivot {diagonal[-1]:.3g} of {diagonal[0]:.3g}; "
+            f"q = {(np.round(q, 6) + 0.0).tolist()}): the machine can move on in more than one way.",
             remedy="Choose lengths or a motion that keep away from this pose, or come to it at speed.",
             pivots=diagonal.tolist(),
-            **({} if q is None else {"q": np.asarray(q).tolist()}),
+            q=np.asarray(q).tolist(),
         )
     order = pose_columns[order - 1]
-    return Partition(order[:rows], np.concatenate([order[rows:], free]), prescribed)
+    return Partition(order[:rows], np.concatenate([order[rows:], free]))
 
 
 _POOR_CHOICE = 1e-2
@@ -134,22 +128,12 @@ class ForwardDynamics:
         self._scale, self._unit = velocity_scale(robot), velocity_unit(robot)
         self.least_inertia = 1.0
         """Smallest pivot of the mass matrix over the largest, in kg, at the last state."""
+        self.adapt(np.array(robot.q_reference) if q is None else q)
         self._fresh = False
-        """Whether the independent velocities were chosen for the next configuration."""
-        self.use(self.choose_partition(np.array(robot.q_reference) if q is None else q))
-
-    def choose_partition(self, q: Array) -> Partition:
-        """Return the partition that suits a configuration (nq,).
-
-        Raises:
-            SingularPoseError: the closures have lost rank there.
-        """
-        self.chain.update(q, np.zeros(self.robot.model.nv))
-        return self._choose(self.chain.closure_rows(), q)
 
     def _choose(self, relative: Array, q: Array) -> Partition:
         columns = self.chain.pose_columns[self._moving]
-        return choose(relative[:, self._moving], columns, self._free, self._given, q)
+        return choose(relative[:, self._moving], columns, self._free, q)
 
     def adapt(self, q: Array) -> None:
         """Choose the independent velocities anew for a configuration (nq,).
@@ -157,8 +141,10 @@ class ForwardDynamics:
         Raises:
             SingularPoseError: the closures have lost rank there.
         """
-        self.use(self.choose_partition(q))
+        self.chain.update(q, np.zeros(self.robot.model.nv))
+        self.use(self._choose(self.chain.closure_rows(), q))
         self._fresh = True
+        """Whether the independent velocities were chosen for the next configuration."""
 
     def use(self, partition: Partition) -> None:
         """Take over a partition of the velocities."""

@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from math import nan
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, frozen, read_only
+from redundancy_pin.arrays import Array, frozen, one_of
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.errors import IllPosedModelError, InfeasiblePlanError, InputError, SingularPoseError
-from redundancy_pin.kinematics.coordinates import distance, moved
+from redundancy_pin.errors import IllPosedModelError, InfeasiblePlanError, SingularPoseError
+from redundancy_pin.kinematics.coordinates import moved
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import MotionReference, plan_reference
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import row_scale
-from redundancy_pin.simulation.controllers.base import Command, Controller, Sampling, Tracking
+from redundancy_pin.simulation.controllers.base import Controller, FeedForward, Sampling
 from redundancy_pin.simulation.controllers.by_name import controller_by_name
-from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
+from redundancy_pin.simulation.summary import platform_error
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -140,6 +141,7 @@ def replay(
         InputError: an unknown drive.
         PlanFileError: the plan's robot cannot be loaded.
     """
+    one_of(drive, "drive", get_args(Drive))
     try:
         reference = plan_reference(plan, motion=motion)
         robot = reference.robot
@@ -165,7 +167,7 @@ def replay(
         return Replay(name, drive, ResultStatus.NOT_CONVERGED.value, str(reason))
     except InfeasiblePlanError as reason:
         return Replay(name, drive, ResultStatus.UNBOUNDED.value, str(reason))
-    error = away_from(reference, run)
+    error = platform_error(run, reference, robot)
     return Replay(
         plan=name,
         drive=drive,
@@ -185,12 +187,6 @@ def replay(
     )
 
 
-def away_from(reference: MotionReference, run: Simulation) -> Array:
-    """Return (N,) how far (``distance``) the platform is from a motion at the times of a simulation, m."""
-    planned = np.array([reference.platform(t)[0] for t in run.t.tolist()])
-    return read_only(distance(reference.robot, np.array(run.x), planned))
-
-
 def rms_over_time(t: Array, values: Array) -> float:
     """Return the root mean square over time of (N,) values at times (N,), s; the first where there is one time."""
     span = float(t[-1] - t[0])
@@ -206,44 +202,34 @@ def displaced(robot: Robot, reference: MotionReference) -> State:
 
 
 def _controller(
-    plan: Plan, reference: MotionReference, drive: str, sampling: Sampling, dynamics: Dynamics | None
+    plan: Plan, reference: MotionReference, drive: Drive, sampling: Sampling, dynamics: Dynamics | None
 ) -> Controller:
-    match drive:
-        case "open loop" | "carriers by motion":
-            return controller_by_name("open loop", reference)
-        case "open loop, samples":
-            return _SampleEfforts(plan, reference)
-        case "computed torque":
-            return controller_by_name(drive, reference, sampling=sampling, dynamics=dynamics)
-        case "LQR":
-            return controller_by_name(drive, reference, sampling=sampling, step=LQR_STEP, dynamics=dynamics)
-    known = ", ".join((*DRIVES, "carriers by motion"))
-    raise InputError(f"drive is {drive!r}.", remedy=f"Pass one of: {known}.")
+    if drive in ("open loop", "carriers by motion"):
+        return FeedForward(reference)
+    if drive == "open loop, samples":
+        return _sample_efforts(plan, reference)
+    settings = {"step": LQR_STEP} if drive == "LQR" else {}
+    return controller_by_name(drive, reference, sampling=sampling, dynamics=dynamics, **settings)
 
 
-class _SampleEfforts(Tracking):
-    """Efforts of the samples, linear in between; where a sample occurs twice they jump."""
-
-    open_loop: PiecewisePolynomial
-
-    def __init__(self, plan: Plan, reference: MotionReference) -> None:
-        super().__init__(reference)
-        efforts = np.concatenate([plan.tau, plan.carrier_force], axis=1)
-        bad = ~np.isfinite(efforts).all(axis=1)
-        if bad.any():
-            t = float(plan.t[int(bad.argmax())])
-            raise InfeasiblePlanError(
-                f"The plan states no finite efforts at its sample at t = {t:.6g} s.",
-                remedy="Replay the continuous motion that it stands for: drive 'open loop'.",
-                constraint="effort",
-                time=t,
-            )
-        self.open_loop = PiecewisePolynomial.linear(plan.t, efforts)
-        self.breaks = np.unique(plan.t)[1:-1]
-
-    def effort(self, t: float, state: State) -> Command:
-        both = self.open_loop.at(t)
-        return both[: self.robot.m], both[self.robot.m :]
+def _sample_efforts(plan: Plan, reference: MotionReference) -> FeedForward:
+    """Return the efforts of the samples, linear in between; where a sample occurs twice they jump."""
+    efforts = np.concatenate([plan.tau, plan.carrier_force], axis=1)
+    bad = ~np.isfinite(efforts).all(axis=1)
+    if bad.any():
+        t = float(plan.t[int(bad.argmax())])
+        raise InfeasiblePlanError(
+            f"The plan states no finite efforts at its sample at t = {t:.6g} s.",
+            remedy="Replay the continuous motion that it stands for: drive 'open loop'.",
+            constraint="effort",
+            time=t,
+        )
+    sampled = copy(reference)
+    sampled.efforts = PiecewisePolynomial.linear(plan.t, efforts)
+    sampled.jumps = sampled.efforts.jumps()
+    controller = FeedForward(sampled)
+    controller.breaks = np.unique(plan.t)[1:-1]
+    return controller
 
 
 def distance_off_track(robot: Robot, s: Array) -> float:

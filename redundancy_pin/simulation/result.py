@@ -211,16 +211,16 @@ def _check(simulation: Simulation) -> None:
     robot, (n, nv, r) = simulation.robot, (getattr(simulation, one).shape[1] for one in ("xd", "v", "closure_force"))
     m, k = len(robot.actuated), len(robot.carriers)
     widths = {
-        "t": (),
+        "t gap energy": (),
         "q": (len(robot.q_reference),),
-        "v": (nv,),
-        "a": (nv,),
+        "v a stop_force": (nv,),
+        "x": (4, 4) if simulation.x.ndim == 3 else (n,),
         "xd": (n,),
+        "s sd sdd carrier_force": (k,),
+        "tau actuated_rate": (m,),
         "closure_force": (r,),
     }
-    widths |= {"x": (4, 4) if simulation.x.ndim == 3 else (n,), "tau": (m,), "actuated_rate": (m,)}
-    widths |= {"s": (k,), "sd": (k,), "sdd": (k,), "carrier_force": (k,), "gap": (), "energy": (), "stop_force": (nv,)}
-    for name, width in widths.items():
+    for name, width in ((name, width) for names, width in widths.items() for name in names.split()):
         value, shape = getattr(simulation, name), (len(simulation.t), *width)
         if not isinstance(value, np.ndarray) or value.dtype != np.float64:
             raise InputError(f"{name} is no array of floats")

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, frozen, one_of, positive, read_only
+from redundancy_pin.arrays import Array, frozen, one_of, positive, read_only, require_type
 from redundancy_pin.dynamics.default import DynamicsLike
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
 from redundancy_pin.kinematics.closure import constraint_system
@@ -141,8 +141,10 @@ def simulate(
     if unknown:
         raise InputError(f"stop_at names {unknown[0]!r}.", remedy=f"Known kinds: {', '.join(KINDS)}.")
     positive(dt, "dt", "s")
-    if duration is not None and not 0.0 < float(duration) < np.inf:
-        raise InputError(f"duration is {duration} s.", remedy="Pass a positive, finite duration.", name="duration")
+    if sampling is not None:
+        require_type(sampling, Sampling, "A Sampling", "Pass sampling=Sampling(period, delay), both in seconds.")
+    if duration is not None:
+        duration = positive(duration, "duration", "s")
     for name, value, fits in (("max_step", max_step, max_step > 0.0), ("max_steps", max_steps, max_steps >= 1)):
         if not fits:
             raise InputError(f"{name} is {value}.", remedy="Pass a positive number.")
@@ -244,9 +246,12 @@ def _times(
     controller: Controller, start: float, duration: float | None, dt: float, restart_at: str
 ) -> tuple[Array, Array]:
     """Return the times to record and the times at which the integration starts anew."""
-    if duration is None and controller.end is None:
+    if duration is not None:
+        last = start + duration
+    elif controller.end is not None:
+        last = float(controller.end)
+    else:
         raise InputError("Nothing says how long to simulate.", remedy="Pass duration=, in seconds.")
-    last = float(controller.end) if duration is None and controller.end is not None else start + float(duration or 0.0)
     if not (np.isfinite(last) and last > start):
         raise InputError(
             f"The simulation would last from {start} to {last} s.", remedy="Pass a positive, finite duration."

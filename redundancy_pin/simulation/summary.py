@@ -6,10 +6,20 @@ from typing import Any
 
 import numpy as np
 
+from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.kinematics.coordinates import distance
 from redundancy_pin.planners.reference import MotionReference
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.result import Simulation
+
+
+def platform_error(run: Simulation, reference: MotionReference, robot: Robot) -> Array:
+    """Return the distance (N,) of the platform from a motion at the samples of a simulation, m.
+
+    Rotations count times the characteristic length of ``robot``.
+    """
+    planned = np.array([reference.platform(t)[0] for t in run.t.tolist()])
+    return read_only(distance(robot, np.array(run.x), planned))
 
 
 def summary(run: Simulation, reference: MotionReference, robot: Robot) -> dict[str, Any]:
@@ -20,9 +30,7 @@ def summary(run: Simulation, reference: MotionReference, robot: Robot) -> dict[s
         reference: the motion that it was to follow.
         robot: the robot that was simulated; angles count times its characteristic length in distances, m.
     """
-    during = run.t <= reference.end
-    planned = np.array([reference.platform(t)[0] for t in run.t[during].tolist()])
-    away = distance(robot, run.x[during], planned)
+    away = platform_error(run, reference, robot)[run.t <= reference.end]
     return {
         "robot": run.robot.name,
         "status": run.status.value,

@@ -197,12 +197,12 @@ export plan.npz --to plan.npz => --to plan.npz does not end in .csv or .json or 
 {RUN} --noise -1 --period 0.01 => noise is -1.0
 {RUN} --delay 1 => error: --delay: delay goes with a sampled controller
 {RUN} --encoders => error: --encoders: encoders goes with a sampled controller
-{RUN} --period -1 => The sampling has period -1.0 s and delay 0.0 s
+{RUN} --period -1 => --period: period is -1 s, expected a positive number
 {RUN} --friction coulomb=1 => error: --friction: friction has no 'coulomb'
 {RUN} --friction revolute_coulomb=-1 => revolute_coulomb is -1.0
 {RUN} --stop-at never --stop-at track => --stop-at is never and track
 {RUN} --effort-limit 1,2 => effort_limit is [1.0
-{RUN} --duration -1 => duration is -1.0 s
+{RUN} --duration -1 => --duration: duration is -1 s
 {RUN} --dt -1 => dt is -1 s
 {RUN} --noise 1 --period 0.01 --seed -3 => error: --seed: seed is -3
 {RUN} --out run.txt => --out run.txt does not end in .npz or .csv

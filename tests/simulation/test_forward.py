@@ -63,7 +63,7 @@ def test_any_choice_of_independent_velocities_gives_the_same_acceleration() -> N
     for seed in range(6):
         skewed = 10.0 ** np.random.default_rng(seed).uniform(-2.0, 2.0, robot.model.nv)
         relative = chain.closure_rows() / skewed[chain.pose_columns]
-        other = choose(relative, chain.pose_columns, robot.carrier_velocity, np.empty(0, dtype=np.intp))
+        other = choose(relative, chain.pose_columns, robot.carrier_velocity, state.q)
         dynamics.adapt(state.q)
         dynamics.use(other)
         np.testing.assert_allclose(dynamics.acceleration(state.q, state.v, force), expected, atol=BALANCE)
@@ -81,7 +81,7 @@ def test_closure_forces_do_not_depend_on_a_choice_that_no_longer_suits() -> None
         np.array([model.joints[model.getJointId(f"{kind}_{leg}")].idx_v for leg in (1, 2)])
         for kind in ("slide", "swivel")
     )
-    unsuited.use(Partition(slides, np.concatenate([swivels, robot.carrier_velocity]), np.empty(0, dtype=np.intp)))
+    unsuited.use(Partition(slides, np.concatenate([swivels, robot.carrier_velocity])))
     evaluated = unsuited.forces(state.q, state.v, force, a)
     np.testing.assert_allclose(
         evaluated.closure_force, suited.forces(state.q, state.v, force, a).closure_force, atol=BALANCE

@@ -117,8 +117,9 @@ def test_the_integrator_starts_anew_where_efforts_jump() -> None:
 
 
 def test_samplings_out_of_their_domain_are_refused() -> None:
-    for period, delay in ((0.0, 0.0), (-1.0, 0.0), (0.01, -0.1), (np.nan, 0.0), (0.01, np.inf)):
-        with pytest.raises(InputError, match="positive period"):
+    wrong = ((0.0, 0.0, "period is 0 s"), (-1.0, 0.0, "period is -1 s"), (np.nan, 0.0, "period is nan s"))
+    for period, delay, message in (*wrong, (0.01, -0.1, "delay is -0.1"), (0.01, np.inf, "delay is inf")):
+        with pytest.raises(InputError, match=message):
             Sampling(period, delay)
 
 

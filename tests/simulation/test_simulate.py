@@ -232,13 +232,15 @@ def parting_state(robot: Robot) -> State:
 
 REFUSED = {
     "no duration": ({}, "how long"),
-    "negative duration": ({"duration": -1.0}, "duration"),
-    "infinite duration": ({"duration": np.inf}, "finite duration"),
+    "negative duration": ({"duration": -1.0}, "duration is -1 s"),
+    "infinite duration": ({"duration": np.inf}, "duration is inf s"),
     "zero step": ({"duration": 1.0, "dt": 0.0}, "dt is 0"),
     "tolerance": ({"duration": 1.0, "rtol": 0.0}, "rtol is 0"),
     "tolerance in words": ({"duration": 1.0, "rtol": "x"}, "rtol is .x"),
     "absolute tolerance": ({"duration": 1.0, "atol": -1.0}, "atol is -1"),
     "integrator": ({"duration": 1.0, "integrator": "Euler"}, "DOP853, RK45, Radau"),
+    "duration in words": ({"duration": "long"}, "duration is .long"),
+    "sampling": ({"duration": 1.0, "sampling": 1e-3}, r"A Sampling was expected, not float.*Sampling\(period"),
     "max_steps": ({"duration": 1.0, "max_steps": 0}, "max_steps is 0"),
     "part of a step": ({"duration": 1.0, "max_steps": 0.5}, "max_steps is 0.5"),
     "max_step": ({"duration": 1.0, "max_step": np.nan}, "max_step is nan"),

@@ -6,12 +6,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, each, frozen
+from redundancy_pin.arrays import Array, each, frozen, not_negative, positive
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import InputError
@@ -50,11 +50,8 @@ class Sampling:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if not (np.isfinite(self.period) and self.period > 0.0 and np.isfinite(self.delay) and self.delay >= 0.0):
-            raise InputError(
-                f"The sampling has period {self.period} s and delay {self.delay} s.",
-                remedy="Pass a positive period and a delay that is not negative.",
-            )
+        positive(self.period, "period", "s")
+        not_negative(self.delay, "delay")
 
 
 class EffortLaw(Protocol):
@@ -137,7 +134,6 @@ class Adapted(Controller):
         for name in ("breaks", "jumps", "end", "sampling", "carrier_drive", "carrier_motion", "start_state"):
             if getattr(law, name, None) is not None:
                 setattr(self, name, getattr(law, name))
-        self.open_loop = _declared(law, "open_loop")
 
     def effort(self, t: float, state: State) -> Command:
         """Return the efforts of the object."""
@@ -148,12 +144,14 @@ class Adapted(Controller):
         return type(self._law).__name__
 
 
-def _declared(law: object, name: str) -> Any:
-    """Return what a law says of its ``effort``, None where a subclass or the object replaces that."""
+def _open_loop(controller: Controller) -> PiecewisePolynomial | None:
+    """Return the efforts as polynomials of time; None where ``effort`` was replaced without them."""
+    law: object = controller._law if type(controller) is Adapted else controller
     owner = next((one for one in type(law).__mro__ if "effort" in vars(one)), None)
-    if owner is None or name not in vars(owner) or "effort" in getattr(law, "__dict__", {}):
+    if owner is None or "open_loop" not in vars(owner) or "effort" in getattr(law, "__dict__", {}):
         return None
-    return getattr(law, name, None)
+    polynomials: PiecewisePolynomial | None = getattr(law, "open_loop", None)
+    return polynomials
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,23 +216,30 @@ class FeedForward(Tracking):
     Args:
         plan: a plan, or a reference made by ``plan_reference`` or ``motion_reference``.
         motion: the trajectory that was planned for, for exact values between the samples of a plan.
+        sampling: of the simulation: the efforts are then those of the middle of the interval in which they act.
 
     Raises:
         InfeasiblePlanError, PlanFileError: see ``plan_reference``.
     """
 
-    def __init__(self, plan: Plan | MotionReference, *, motion: TimedTrajectory | None = None) -> None:
-        super().__init__(plan, motion)
-        self.jumps = self.reference.jumps
+    def __init__(
+        self,
+        plan: Plan | MotionReference,
+        *,
+        motion: TimedTrajectory | None = None,
+        sampling: Sampling | None = None,
+    ) -> None:
+        super().__init__(plan, motion, sampling)
+        self.jumps = None if sampling else self.reference.jumps
 
     @property
-    def open_loop(self) -> PiecewisePolynomial:  # type: ignore[override]
-        """The efforts as polynomials of time."""
-        return self.reference.efforts
+    def open_loop(self) -> PiecewisePolynomial | None:  # type: ignore[override]
+        """The efforts as polynomials of time; None of a sampled controller."""
+        return None if self.sampling else self.reference.efforts
 
     def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,) and carrier forces (k,) at time t."""
-        return self.reference.loads(t)
+        return self.reference.loads(t + self.lead)
 
 
 class Amplifiers:
@@ -252,8 +257,7 @@ class Amplifiers:
         self._saturates = bool(np.isfinite(tau_limit).any() or np.isfinite(force_limit).any())
         self.limits: Array = np.concatenate(self._limits)
         """(m + k,) of main efforts and carrier forces."""
-        adapted = isinstance(controller, Adapted)
-        polynomials = controller.open_loop if adapted else _declared(controller, "open_loop")
+        polynomials = _open_loop(controller)
         fits = polynomials is not None and polynomials.coefficients.shape[2] == len(self.limits)
         self.open_loop = polynomials if polynomials is not None and fits else None
         """What the controller commands as polynomials of time, before it saturates; None where it heeds the state."""

@@ -18,7 +18,6 @@ from redundancy_pin.simulation.controllers.base import (
     EffortLaw,
     FeedForward,
     Sampling,
-    Tracking,
 )
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import JointFriction
@@ -54,16 +53,11 @@ def controller_by_name(
     """
     one_of(name, "The controller", DRIVES)
     if name == "open loop":
-        return FeedForward(reference) if sampling is None else _SampledFeedForward(reference, None, sampling)
+        return FeedForward(reference, sampling=sampling)
     made: Any = ComputedTorque if name == "computed torque" else TimeVaryingLqr
     limits = {"effort_limit": effort_limit, "carrier_force_limit": carrier_force_limit}
     controller: Controller = made(reference, sampling=sampling, **limits, **settings)
     return controller
-
-
-class _SampledFeedForward(Tracking):
-    def effort(self, t: float, state: State) -> Command:
-        return self.reference.loads(t + self.lead)
 
 
 class NoisyAmplifier(Adapted):
@@ -74,7 +68,6 @@ class NoisyAmplifier(Adapted):
 
     def __init__(self, controller: Controller | EffortLaw, random: np.random.Generator, noise: float) -> None:
         super().__init__(controller)
-        self.open_loop = None  # its efforts are no function of time
         self._random, self._noise = random, not_negative(noise, "noise")
 
     def effort(self, t: float, state: State) -> Command:

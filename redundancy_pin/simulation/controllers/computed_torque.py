@@ -81,19 +81,16 @@ class ReducedModel:
         system, rates, mass, at_rest = self._equations(q, v) if self._kernel is None else self._kernel.equations(q, v)
         _, _, inverse, singular = lapack.dgesv(system, self._identity)
         if singular or np.abs(system).max() * np.abs(inverse).max() * RANK_TOLERANCE > 1.0:
-            raise self._singular()
+            raise SingularPoseError(
+                f"{robot.name} is at a type I pose: platform and carriers do not describe its motion there.",
+                remedy="Control it along a motion that keeps away from this pose.",
+            )
         self._basis[self._columns, :n] = inverse[:, rows:]
         self._particular[self._columns] = -inverse.dot(rates)
         effort = at_rest + mass.dot(self._particular)
         basis = self._basis
         return ReducedEquations(
             basis.T.dot(mass.dot(basis)), basis.T.dot(effort), basis[robot.actuated_velocity, :n].T.copy()
-        )
-
-    def _singular(self) -> SingularPoseError:
-        return SingularPoseError(
-            f"{self.robot.name} is at a type I pose: platform and carriers do not describe its motion there.",
-            remedy="Control it along a motion that keeps away from this pose.",
         )
 
     def _equations(self, q: Array, v: Array) -> Equations:

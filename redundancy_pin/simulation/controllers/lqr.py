@@ -307,14 +307,12 @@ class TimeVaryingLqr(Tracking):
         self.weights = bryson_weights(reference) if weights is None else weights
         _require_weights(self.weights, 2 * (robot.n + robot.k), robot.m + robot.k)
         self._limit = np.concatenate(load_limits(robot, effort_limit, carrier_force_limit))
-        self._saturates = bool(np.isfinite(self._limit).any())
         self.model = linear_model(reference, step, dynamics)
         if sampling is None:
             self.t, self.riccati, self.holds_end = _continuous(self.model, self.weights)
+            self._gain = PiecewisePolynomial.linear(self.t, self.riccati.K.reshape(len(self.t), -1))
         else:
             self.t, self.riccati, self.holds_end = _sampled(self.model, self.weights, sampling)
-        if sampling is None:
-            self._gain = PiecewisePolynomial.linear(self.t, self.riccati.K.reshape(len(self.t), -1))
         nothing = np.zeros(robot.m + robot.k)
         # time of the last answer of a digital controller, its δu, and the δu that acted then: δu of the sample before
         self._memory: tuple[float, Array, Array] = (np.inf, nothing, nothing)
@@ -334,17 +332,14 @@ class TimeVaryingLqr(Tracking):
         x, xd, s, sd, planned = self.reference.course(t)
         error = state_error(robot, state, x, xd, s, sd)
         K = self.gain(t)
-        if self.sampling is None:
-            command = planned - K @ error
-            if self._saturates:
-                command = np.clip(command, -self._limit, self._limit)
-            return command[:m], command[m:]
-        planned = self.reference.efforts.at(t + self.lead)
-        acting = self._acting(t, self.sampling.period)
-        if K.shape[1] > len(error):
-            error = np.concatenate([error, acting])
-        command = np.clip(planned - K @ error, -self._limit, self._limit)
-        self._memory = (t, command - planned, acting)
+        if self.sampling is not None:
+            planned = self.reference.efforts.at(t + self.lead)
+            acting = self._acting(t, self.sampling.period)
+            if K.shape[1] > len(error):
+                error = np.concatenate([error, acting])
+        command = np.minimum(np.maximum(planned - K @ error, -self._limit), self._limit)
+        if self.sampling is not None:
+            self._memory = (t, command - planned, acting)
         return command[:m], command[m:]
 
     def _acting(self, t: float, period: float) -> Array:

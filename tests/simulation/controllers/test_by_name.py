@@ -44,3 +44,32 @@ def test_friction_goes_by_kind_of_joint(held):
 def test_an_unknown_name_is_refused(held):
     with pytest.raises(InputError, match="controller is 'PID'"):
         controller_by_name("PID", held)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_open_loop_of_a_digital_controller_is_that_of_the_middle_of_the_interval_in_which_it_acts(held, compiled):
+    """Half a period late, and held for one: the middle of the interval is the next reading, which is a sample."""
+    sampling = Sampling(PERIOD, 0.5 * PERIOD)
+    drive = controller_by_name("open loop", held, sampling=sampling)
+    dynamics = held.robot if compiled else None
+    run = rp.simulate(held.robot, drive, sampling=sampling, dt=PERIOD, rtol=1e-6, atol=1e-8, dynamics=dynamics)
+    planned = np.array([np.concatenate(held.loads(t)) for t in run.t])
+    planned[0] = planned[1]  # until the first output acts, the first output acts
+    np.testing.assert_allclose(np.concatenate([run.tau, run.carrier_force], axis=1), planned, atol=1e-9)
+    assert np.abs(np.diff(planned[1:], axis=0)).max() > 0.01
+    assert run.parameters["drive"] == "FeedForward"
+    with pytest.raises(InputError, match=r"FeedForward was made for Sampling.*simulation has None"):
+        rp.simulate(held.robot, drive)
+
+
+@pytest.mark.parametrize("sampling", [None, Sampling(PERIOD)])
+def test_a_regulator_commands_no_more_than_the_limits_that_it_was_told(held, sampling):
+    robot = held.robot
+    state = rp.simulation.closed_state(robot, held.platform(0.0)[0] + 0.01)
+    free, bound = (
+        controller_by_name("LQR", held, sampling=sampling, step=0.1, **limits).effort(0.0, state)
+        for limits in ({}, {"effort_limit": 0.5, "carrier_force_limit": 0.25})
+    )
+    for unlimited, limited, most in zip(free, bound, (0.5, 0.25), strict=True):
+        assert np.abs(unlimited).max() > 2.0 * most
+        np.testing.assert_allclose(limited, np.clip(unlimited, -most, most), rtol=1e-12)
