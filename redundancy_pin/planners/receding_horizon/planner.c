@@ -245,7 +245,7 @@ static int update_slowing(Planner *p, const Preview *preview, double t, const do
         double by = SLOWER[i][0] * slowest;
         wanted[tried] = by >= LEAST_RATE ? by : 0.0, part[tried++] = SLOWER[i][1];
     }
-    for (int i = 0; i < tried && (double)p->work.iterations < p->work.most; i++) {
+    for (int i = 0; i < tried; i++) {
         int twice = 0;
         for (int j = 0; j < i; j++) twice |= wanted[j] == wanted[i] && part[j] == part[i];
         if (twice) continue;
