@@ -84,7 +84,6 @@ def record_plan(planner: RecedingHorizon, motion: PlatformMotion | None) -> Reco
         objective=planner.weights,
         limits=planner.limits,
         slow_down=planner.slows_down,
-        max_iterations=planner.max_iterations,
     )
     preview = Preview.of(_smooth_motion(robot) if motion is None else motion)
     if preview.polynomials is None:
@@ -126,9 +125,7 @@ def _smooth_motion(robot: Robot) -> PlatformMotion:
 def plan_source(planner: RecedingHorizon, prefix: str) -> str:
     """Return the C of the planner without the prefix."""
     robot = planner.robot
-    settings = settings_of(
-        robot, planner.step, planner.horizon, planner.max_iterations or np.inf, planner.weights, planner.resolved
-    )
+    settings = settings_of(robot, planner.step, planner.horizon, planner.weights, planner.resolved)
     listed = ", ".join(map(as_initialiser, settings))
     text = importlib.resources.files(__package__).joinpath("plan.c").read_text(encoding="utf-8")
     return "\n".join(
@@ -170,16 +167,14 @@ def plan_stack_bytes(planner: RecedingHorizon) -> int:
     return int(8 * (of_window + of_plan + of_solver)) + stack_bytes(robot)
 
 
-def most_iterations(planner: RecedingHorizon, *, first: bool = False) -> int:
-    """Return the steps of the interior point method in an update at most; ``max_iterations`` do not bound a first one.
+def most_iterations(*, slows: bool) -> int:
+    """Return the steps of the interior point method in an update at most.
 
     Programmes begin with a solution before, without one, and relaxed, about the last plan and about another motion;
     each change of the speed that is tried has those that are not relaxed.
     """
-    if planner.max_iterations is not None and not first:
-        return planner.max_iterations
     tried = MOST_ROUNDS * 2 * ITERATIONS * (len(SLOWER) + 4)
-    return 2 * MOST_ROUNDS * (2 * ITERATIONS + RELAXED_ITERATIONS) + (tried if planner.slows_down else 0)
+    return 2 * MOST_ROUNDS * (2 * ITERATIONS + RELAXED_ITERATIONS) + (tried if slows else 0)
 
 
 def plan_facts(planner: RecedingHorizon, recorded: RecordedPlan) -> dict[str, Any]:
@@ -202,8 +197,7 @@ def plan_facts(planner: RecedingHorizon, recorded: RecordedPlan) -> dict[str, An
         "step": f"{planner.step:g}",
         "horizon": f"{planner.horizon:g}",
         "slows": planner.slows_down,
-        "iterations": most_iterations(planner),
-        "first": most_iterations(planner, first=True),
+        "iterations": most_iterations(slows=planner.slows_down),
         # of structures whose places a compiler may pad, with room for what stands beside the planner
         "doubles": int(planner_library(_sizes(planner)).rp_planner_size()) // 8 + _near(robot) + 64,
         "stack": plan_stack_bytes(planner),

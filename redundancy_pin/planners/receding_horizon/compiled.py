@@ -66,7 +66,7 @@ STATUSES = {
 
 REASONS = (
     "",
-    "the solver found none in {iterations} iterations",
+    "the solver found none",
     "no plan keeps every limit",
     "ahead {left:.0%} of the force is missing",
     "at t = {known:.6g} s the preview leads where the machine cannot go, to {place}",
@@ -154,7 +154,6 @@ class CompiledPlanner:
     Args:
         dynamics: the backend.
         step, horizon: s.
-        iterations: of an update but the first, at most.
         weights: of the objective.
         limits: in force; ``set_limits`` changes them.
         slow_down: whether the platform may go more slowly where no plan keeps every limit.
@@ -173,7 +172,6 @@ class CompiledPlanner:
         dynamics: Dynamics,
         step: float,
         horizon: float,
-        iterations: float,
         weights: Weights,
         limits: ResolvedLimits,
         slow_down: bool,
@@ -182,7 +180,7 @@ class CompiledPlanner:
         number: int = 0,
         layout: str = "",
     ) -> None:
-        self._made_of = dynamics, step, horizon, iterations, weights
+        self._made_of = dynamics, step, horizon, weights
         self._slow_down, self._terms = slow_down, Terms(dynamics)
         sizes = sizes_of(dynamics.robot, step, horizon, self._terms.count)
         n, m, k, count = (sizes[name] for name in ("N", "M", "K", "COUNT"))
@@ -222,7 +220,8 @@ class CompiledPlanner:
         return CompiledPlanner, (*self._made_of, self._limits, self._slow_down, *going_on)
 
     def _settings(self) -> Array:
-        return np.concatenate([*map(np.ravel, settings_of(self._robot, *self._made_of[1:], self._limits))])
+        _, step, horizon, weights = self._made_of
+        return np.concatenate([*map(np.ravel, settings_of(self._robot, step, horizon, weights, self._limits))])
 
     def set_limits(self, limits: ResolvedLimits) -> None:
         """Use limits from the next update on."""
@@ -330,7 +329,7 @@ class CompiledPlanner:
             used = result[start : start + order * pieces * width].reshape(order, pieces, width)
             return PiecewisePolynomial(result[first : first + pieces + 1], used)
 
-        told = STATUSES[status], REASONS[why].format(left=left, iterations=iterations, known=0.0, place="")
+        told = STATUSES[status], REASONS[why].format(left=left, known=0.0, place="")
         if why == BLOCKED:
             place = place_of(self._known.states(np.array([blocked]))[0][0]) if self._known else []
             told = told[0], REASONS[why].format(known=float(result[places["node"]][known]), place=place)
@@ -372,12 +371,10 @@ def sizes_of(robot: Robot, step: float, horizon: float, terms: int) -> dict[str,
     return {"N": robot.n, "PLACES": places, "M": robot.m, "K": robot.k, "TERMS": terms, "STEPS": steps, "COUNT": count}
 
 
-def settings_of(
-    robot: Robot, step: float, horizon: float, iterations: float, weights: Weights, limits: ResolvedLimits
-) -> list[Array]:
+def settings_of(robot: Robot, step: float, horizon: float, weights: Weights, limits: ResolvedLimits) -> list[Array]:
     """Return the members of ``Settings`` of ``planner.c``."""
     of_limits = (getattr(limits, name).ravel() for name in _LIMITS)
-    return [np.array([step, horizon, iterations]), row_scale(robot), np.array(astuple(weights)), *of_limits]
+    return [np.array(step), np.array(horizon), row_scale(robot), np.array(astuple(weights)), *of_limits]
 
 
 def planner_source(sizes: Mapping[str, int], *more: str) -> str:

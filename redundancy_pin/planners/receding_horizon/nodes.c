@@ -77,7 +77,6 @@ typedef struct {
     double bound[BOUNDS], active[BOUNDS];
     /* interior point method */
     long iterations, rounds;
-    double most;   /* iterations of an update, all attempts together */
     int before;   /* whether there is a solution to begin with, of the last plan or the round before */
     double node_before[COUNT];
     Solution solution;

@@ -3,13 +3,13 @@
 enum { NOTHING, NOT_FOUND, LIMITS, FORCE_MISSING, UNREACHABLE, SPEED_BETWEEN, FORCE_BETWEEN, EFFORT_BETWEEN };   /* reasons */
 
 typedef struct {
-    double step, horizon, iterations, row_scale[N], weight[UNMET + 1];
+    double step, horizon, row_scale[N], weight[UNMET + 1];
     double track[2 * K], speed[K], acceleration[K], jerk[K], carrier_force[K], effort[M];
 } Settings;
 
 typedef struct {
     Settings settings;
-    long slows, started, guesses, current, seen, number, changes;
+    long slows, started, guesses, current, seen, number, changes, iterations;   /* of this update, whatever is kept */
     double unit[3 * K], tau, row[N], largest, held_until, broken[BREAKS];
     Scaling scaling, other_scaling;
     Result result[2];   /* that of the last update, and the next one */
@@ -177,6 +177,7 @@ static int attempt(Planner *p, const Sight *v, double t, const double *s, const 
     for (long b = 0; b < v->preview->breaks && g.breaks < BREAKS; b++)
         if (v->preview->broken[b] > first && v->preview->broken[b] < final) p->broken[g.breaks++] = clock_at(v->scaling, v->preview->broken[b]);
     int status = plan_from_now(v, &g, made, &p->work, p->plan);
+    p->iterations += p->work.iterations;
     if (status == UNSOLVED || status == STOPPED) return status;
     made->t = t, made->status = status, made->reason = NOTHING, made->singulars = 0;
     if (status == RELAXED) made->reason = made->relaxed ? LIMITS : FORCE_MISSING;
@@ -313,14 +314,14 @@ static int update_planner(Planner *p, double t, const Preview *preview, const do
         }
         p->number = preview->number;
     }
-    p->work.iterations = 0, p->work.most = p->started ? p->settings.iterations : INFINITY;
+    p->iterations = 0;
     Sight v = sight_of(p, 0, preview, &p->scaling);
     int status = p->slows ? update_slowing(p, preview, t, s, sd) : update_along(p, &v, t, s, sd);
     if (status == UNSOLVED || status == STOPPED) return status;
     Result *last = last_of(p);
     double sigma, rate, bend;
     sigma_at(&p->scaling, t, &sigma, &rate, &bend);
-    last->changes = p->changes, last->so_far = p->largest, last->iterations = p->work.iterations;
+    last->changes = p->changes, last->so_far = p->largest, last->iterations = p->iterations;
     if (last->status == OK && p->changes && smaller(final_rate(&p->scaling), rate) < FULL) last->status = TIME_SCALED;
     return (int)last->status;
 }

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from numbers import Integral
 
 from numpy.typing import ArrayLike
 
@@ -40,8 +39,6 @@ class RecedingHorizon:
         limits: in place of the robot's own. ``actuator_speed`` is judged, by ``run_online``: the motion is given.
         slow_down: where no plan keeps every limit, lead the platform along its path more slowly: ``Command.scaling``
             then says which time of the preview it is at, and the status is ``TIME_SCALED``.
-        max_iterations: of the interior point method in an update but the first, all its programmes together. Where they
-            do not do, the last plan goes on, and the status is ``FALLBACK``: a bound on the time of an update.
 
     Attributes:
         limits: in force from the next update on; may be set between updates. ``resolved`` has them as arrays.
@@ -62,7 +59,6 @@ class RecedingHorizon:
         objective: Goal | Weights = "peak",
         limits: Limits | None = None,
         slow_down: bool = False,
-        max_iterations: int | None = None,
     ) -> None:
         dynamics = as_dynamics(dynamics)
         robot = dynamics.robot
@@ -79,14 +75,9 @@ class RecedingHorizon:
         self._given_limits = group_of(limits, Limits)
         self.resolved = self._given_limits.resolved(robot)
         self.slows_down = slow_down
-        if max_iterations is not None and not (isinstance(max_iterations, Integral) and max_iterations > 0):
-            raise InputError(f"max_iterations is {max_iterations!r}.", remedy="Pass a whole number from 1 on, or None.")
-        self.max_iterations = max_iterations
         self._source: object = None
         self._preview: Preview | None = None
-        self.updates = CompiledPlanner(
-            dynamics, step, horizon, max_iterations or math.inf, self.weights, self.resolved, slow_down
-        )
+        self.updates = CompiledPlanner(dynamics, step, horizon, self.weights, self.resolved, slow_down)
 
     @property
     def started(self) -> bool:

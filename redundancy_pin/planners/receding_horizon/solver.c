@@ -535,7 +535,7 @@ static int interior_point(const Given *g, Work *w, int warm) {
     double count = 0.0, most, after, dpeak, dnu[BORDER], give = w->relaxed ? 1.0 / g->weight[UNMET] : 0.0;
     for (int c = 0; c < w->bounds; c++) count += w->active[c];
     int last = w->relaxed ? RELAXED_ITERATIONS : ITERATIONS;
-    for (int iteration = 0; iteration < last && (double)w->iterations < w->most; iteration++, w->iterations++) {
+    for (int iteration = 0; iteration < last; iteration++, w->iterations++) {
         apply(w, w->x, w->tau, w->peak, w->g);
         double barrier = weigh(w, count, &most), rows = set_row_missing(w, give);
         if (!(barrier < DIVERGED)) return 0;

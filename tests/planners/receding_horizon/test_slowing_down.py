@@ -201,33 +201,8 @@ def test_iterations_are_those_of_all_speeds_that_were_tried() -> None:
     assert slows.update(0.0, CIRCLE).status is plain.update(0.0, CIRCLE).status is UpdateStatus.RELAXED
     tried = slows.updates.last.iterations - plain.updates.last.iterations
     assert tried > 15  # each of some fifteen speeds takes one iteration at least
-    assert slows.updates.last.iterations <= most_iterations(slows)
-    assert most_iterations(plain) == 2560
-
-
-def test_an_update_takes_no_more_iterations_than_were_allowed_and_goes_on_with_the_last_plan() -> None:
-    """The first apart: there is no last plan. Where they do, nothing changes."""
-    plain, bounded = (
-        RecedingHorizon(machine()[0], slow_down=True, max_iterations=most, limits=Limits(acceleration=5.0))
-        for most in (None, 60)
-    )
-    assert most_iterations(bounded) == 60
-    for t in (0.02 * np.arange(5)).tolist():
-        own, other = plain.update(t, CIRCLE), bounded.update(t, CIRCLE)
-        assert other.status is own.status is UpdateStatus.OK
-        np.testing.assert_array_equal(other.tau, own.tau)
-    plain.limits = bounded.limits = Limits(effort=0.1, acceleration=2.0)
-    wanted, command = plain.update(0.1, CIRCLE), bounded.update(0.1, CIRCLE)
-    assert wanted.status is UpdateStatus.RELAXED
-    assert plain.updates.last.iterations > 100
-    assert bounded.updates.last.iterations <= 60
-    assert command.status is UpdateStatus.FALLBACK
-    assert "60 iterations" in command.reason
-    np.testing.assert_array_equal(command.motion_at(0.11), other.motion_at(0.11))
-    copied = copy.deepcopy(bounded)
-    assert copied.update(0.12, CIRCLE).status is UpdateStatus.FALLBACK
-    with pytest.raises(InputError, match="whole number"):
-        RecedingHorizon(machine()[0], max_iterations=0)
+    assert slows.updates.last.iterations <= most_iterations(slows=True)
+    assert most_iterations(slows=False) == 2560
 
 
 def test_limits_that_are_loosened_let_it_go_on() -> None:
