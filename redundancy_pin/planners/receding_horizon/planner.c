@@ -9,7 +9,7 @@ typedef struct {
 
 typedef struct {
     Settings settings;
-    long slows, started, guesses, current, seen, number, changes, iterations;   /* of this update, whatever is kept */
+    long slows, started, guesses, current, seen, number, changes;
     double unit[3 * K], tau, row[N], largest, held_until, broken[BREAKS];
     Scaling scaling, other_scaling;
     Result result[2];   /* that of the last update, and the next one */
@@ -48,19 +48,24 @@ static void value_of(int order, int width, const double *edge, const double *pie
    where the acceleration is given, is that of the last plan. Returns the number of its pieces, at most `room`. */
 static long begun_with(int order, int width, long pieces, const double *edge, const double *piece, double t, double start, long own,
                        double *to_edge, double *to, long room) {
-    long first = piece_at(edge, pieces, t, 0), many = start > t + SAME ? piece_at(edge, pieces, start, 1) - first + 1 : 0;
-    double begins = to_edge[0];
-    int link = begins > start + SAME;
-    if (many > room - own - link) first += many - (room - own - link), many = room - own - link;
-    long more = many + link, total = more + own;
+    double begins = to_edge[0], end = edge[pieces];
+    int link = begins > start + SAME, held = start > larger(t, end) + SAME;   /* behind its end the last one is held */
+    long first = piece_at(edge, pieces, t, 0), many = start > t + SAME && t < end - SAME ? piece_at(edge, pieces, start, 1) - first + 1 : 0;
+    if (many > room - own - held - link) first += many - (room - own - held - link), many = room - own - held - link;
+    long more = many + held + link, total = more + own;
     if (!more) return own;
     memmove(to_edge + more, to_edge, (size_t)(own + 1) * sizeof *to_edge);
     for (int d = order - 1; d >= 0; d--) memmove(to + (d * total + more) * width, to + d * own * width, (size_t)(own * width) * sizeof *to);
     for (int d = 0; d < order; d++)
         for (long i = 0; i < many; i++) memcpy(to + (d * total + i) * width, piece + (d * pieces + first + i) * width, (size_t)width * sizeof *to);
-    for (int j = 0; j < width && many; j++) shift(to + j, order, total * width, larger(smaller(t, edge[pieces]) - edge[first], 0.0));
-    for (int d = 0; d < order - 1 && t >= edge[pieces]; d++) memset(to + d * total * width, 0, (size_t)(many * width) * sizeof *to);   /* held */
+    for (int j = 0; j < width && many; j++) shift(to + j, order, total * width, larger(t - edge[first], 0.0));
     for (long i = 0; i < many; i++) to_edge[i] = larger(t, edge[first + i]);
+    if (held) {
+        to_edge[many] = larger(t, end);
+        for (int d = 0; d < order - 1; d++) memset(to + (d * total + many) * width, 0, (size_t)width * sizeof *to);
+        value_of(order, width, edge, piece, pieces, end, to + ((order - 1) * total + many) * width);
+        many++;
+    }
     to_edge[many] = start;
     if (link) {
         double before[M > K ? M : K];
@@ -177,7 +182,6 @@ static int attempt(Planner *p, const Sight *v, double t, const double *s, const 
     for (long b = 0; b < v->preview->breaks && g.breaks < BREAKS; b++)
         if (v->preview->broken[b] > first && v->preview->broken[b] < final) p->broken[g.breaks++] = clock_at(v->scaling, v->preview->broken[b]);
     int status = plan_from_now(v, &g, made, &p->work, p->plan);
-    p->iterations += p->work.iterations;
     if (status == UNSOLVED || status == STOPPED) return status;
     made->t = t, made->status = status, made->reason = NOTHING, made->singulars = 0;
     if (status == RELAXED) made->reason = made->relaxed ? LIMITS : FORCE_MISSING;
@@ -314,14 +318,14 @@ static int update_planner(Planner *p, double t, const Preview *preview, const do
         }
         p->number = preview->number;
     }
-    p->iterations = 0;
+    p->work.iterations = 0;   /* of all attempts, whatever is kept */
     Sight v = sight_of(p, 0, preview, &p->scaling);
     int status = p->slows ? update_slowing(p, preview, t, s, sd) : update_along(p, &v, t, s, sd);
     if (status == UNSOLVED || status == STOPPED) return status;
     Result *last = last_of(p);
     double sigma, rate, bend;
     sigma_at(&p->scaling, t, &sigma, &rate, &bend);
-    last->changes = p->changes, last->so_far = p->largest, last->iterations = p->iterations;
+    last->changes = p->changes, last->so_far = p->largest, last->iterations = p->work.iterations;
     if (last->status == OK && p->changes && smaller(final_rate(&p->scaling), rate) < FULL) last->status = TIME_SCALED;
     return (int)last->status;
 }

@@ -356,7 +356,7 @@ static int plan_from_now(const Sight *v, const Given *g, Result *result, Work *w
     else result->tau = g->tau, memcpy(result->row, g->row, sizeof result->row);
     memcpy(w->row_unit, result->row, sizeof w->row_unit);
     w->tau_unit = result->tau * (g->first ? 1.0 : smaller(larger(g->peak / g->tau, SMALLEST), 1.0));
-    w->iterations = w->rounds = 0;
+    w->rounds = 0;
     w->before = !g->first;
     if (w->before) memcpy(w->node_before, g->node, sizeof w->node_before), w->solution = *g->solution;
     if (!plan_rounds(g, w, t, count, refused, plan)) return UNSOLVED;

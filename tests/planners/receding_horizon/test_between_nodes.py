@@ -141,18 +141,24 @@ def test_where_a_plan_begins_at_a_singular_instant_the_command_goes_on_from_the_
         last = command
 
 
-def test_where_the_last_plan_has_ended_before_a_singular_instant_it_is_held_up_to_there() -> None:
-    """After missed updates: efforts and forces are its last ones."""
-    planner = planner_of(horizon=0.1)
+@pytest.mark.parametrize(("step", "before", "t"), [(STEP, 0.068, 0.214), (0.0215, 0.125, 0.2135)])
+def test_where_the_last_plan_ends_before_a_singular_instant_it_is_held_up_to_there(
+    step: float, before: float, t: float
+) -> None:
+    """After missed updates: efforts and forces are its last ones, whether it ends before the update or behind it."""
+    planner = RecedingHorizon(backends()[0], step=step, horizon=0.1)
     root = float(rp.find_crossings(planner.robot, ACROSS)[0].t)
-    last = planner.update(root - 0.15, ACROSS)
-    t = root - 0.2 * STEP
+    slow = Trajectory(_ARC, SpeedProfile(_ARC.length, 0.3, 0.2))  # it is not at the singular line yet
+    last = planner.update(before, slow)
     command = planner.update(t, ACROSS)
     assert planner.updates.last.nodes[0] == pytest.approx(root, abs=1e-8)
-    times = np.linspace(t, root - 1e-9, 5)
-    for own, before in ((command.efforts, last.efforts), (command.forces, last.forces)):
-        assert before.end < t
-        np.testing.assert_allclose(own(times), np.tile(before.at(before.end), (5, 1)), rtol=1e-9, atol=1e-9)
+    for own, old in ((command.efforts, last.efforts), (command.forces, last.forces)):
+        assert (np.diff(own.edges) > 0.0).all()
+        times = np.linspace(t, root - 1e-9, 30)
+        expected = old(np.minimum(times, old.end))
+        np.testing.assert_allclose(own(times), expected, rtol=1e-9, atol=1e-9)
+    assert (last.efforts.end < t) == (step == STEP)
+    assert last.efforts.end < root - 1e-4
 
 
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
