@@ -16,8 +16,8 @@ typedef char robot_plan_fits[sizeof(Memory) <= sizeof(robot_plan) ? 1 : -1];
 
 static void command_at(const Memory *m, double t, robot_command *command) {
     const Result *last = &m->planner.result[m->planner.current];
-    double bend;
-    command->status = t > last->known_until + SAME ? FALLBACK : (int)last->status; /* a plan that nobody has renewed */
+    double bend, renewed = larger(last->known_until, last->t + m->planner.settings.step);
+    command->status = t > renewed + SAME ? FALLBACK : (int)last->status; /* a plan that nobody has renewed */
     command->reason = (int)last->reason, command->iterations = (int)last->iterations;
     command->residual = last->residual, command->peak = last->peak, command->known_until = last->known_until;
     extended(last->edge, last->piece, last->pieces, t, command->s, command->sd, command->sdd);

@@ -110,7 +110,7 @@ def _resumed(problem: InitialValueProblem, progress: SimulationProgress) -> Simu
     if machine is None:
         return None
     renewed = replace(progress, sheet=None, near=NEAR, rows_renewed=progress.t)
-    renewed = renewed.restarted(machine, np.flatnonzero(functions.touching(q)).tolist(), ())
+    renewed = renewed.restarted(machine, np.flatnonzero(functions.touching(q)).tolist(), functions.held)
     return past_stop(problem, renewed) or renewed
 
 

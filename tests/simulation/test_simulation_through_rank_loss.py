@@ -540,6 +540,15 @@ def test_with_two_freedoms_the_sheet_is_a_surface(options: str) -> None:
     np.testing.assert_allclose(np.sin(crossing), 0.0, atol=5e-3)  # 20 ms between samples
 
 
+@pytest.mark.parametrize("behind", [1e-3, 6e-3, 4e-2])
+def test_a_start_shortly_behind_a_flat_pose_with_two_freedoms_goes_on(behind: float) -> None:
+    robot: Robot = parallelogram("pendulum")
+    start, rate = (-behind, 0.4), (-0.1, 0.3)
+    run = rp.simulate(robot, start=closed_state(robot, start, rate), duration=0.2, dt=0.02)
+    assert run.status is ResultStatus.OK
+    np.testing.assert_allclose(run.x, with_pendulum(run.t, start, rate), atol=EXACT)
+
+
 @pytest.mark.long_for("rates0", "rates2")
 @pytest.mark.parametrize("rates", [(-3.0, -2.9), (-3.0, -3.001), (-3.0, 1.0)])
 def test_loops_that_move_by_themselves_are_flat_while_another_one_is(rates: tuple[float, float]) -> None:
