@@ -346,6 +346,11 @@ def test_a_coarse_mesh_does_not_promise_a_few_per_cent() -> None:
     assert found is not None
     assert re.search("of a coarse mesh: efforts between its nodes are up to [1-9.]+ times as large", said)
     assert "by more than that (how much is found with a shorter dt)" in said
+    fine = refused(*line[:-3], "--effort", "0.1")
+    found_there = re.search(r"every effort limit .* from 0.1 to (\S+) N", fine)
+    assert found_there is not None
+    assert "by a few per cent more than that" in fine
+    assert call(*line[:-3], "--effort", str(1.03 * float(found_there[1]))).exit_code == 0
     refused(*line, str(1.02 * float(found[1])))
     shorter = refused(*line, "0.1", "--dt", "0.005")
     found = re.search(r"every effort limit .* from 0.1 to (\S+) N", shorter)

@@ -287,6 +287,16 @@ def test_measured_carriers_limits_that_change_and_slowing_down_are_as_in_python(
     assert (UpdateStatus.TIME_SCALED if slow_down else UpdateStatus.RELAXED) in seen
 
 
+@pytest.mark.parametrize(("slow_down", "most"), [(False, 2560), (True, 12160)])
+def test_the_header_states_the_iterations_of_an_update_at_most(folders: Any, slow_down: bool, most: int) -> None:
+    """Eight programmes, begun with a solution and without, and relaxed, about two motions; 15 speeds that are tried."""
+    settings = {"slow_down": True} if slow_down else {}
+    header = (folders("2rpr", **settings) / "unit.h").read_text()
+    stated = re.search(r"at\s+most (\d+) iterations", header)
+    assert stated is not None
+    assert int(stated[1]) == most
+
+
 def test_a_preview_that_leads_out_of_reach_is_refused_and_one_that_begins_there_too(
     folders: Any, tmp_path: Path
 ) -> None:
@@ -309,7 +319,8 @@ def test_previews_that_say_nothing_of_what_comes_are_none(folders: Any, tmp_path
     assert plan.update(0.39)[0] == 0
     assert plan.update(0.4 + 1e-6)[0] == 7
     assert plan.command_at(0.39)[0] == 0
-    assert plan.command_at(0.41)[0] == 4  # the last plan goes on
+    assert plan.command_at(0.395)[0] == 0  # within a step of the update
+    assert plan.command_at(0.415)[0] == 4  # the last plan goes on
     plan.reset()
     plan.ahead.end = np.inf
     assert plan.update(0.1)[0] == 7

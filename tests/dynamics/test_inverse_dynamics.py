@@ -227,6 +227,8 @@ def test_bounds_and_preference_are_kept() -> None:
     lower = np.where(np.arange(12) == 0, 0.1, -np.inf)
     assert (rp.inverse_dynamics(dynamics, motion, lower=lower).efforts.tau[:, 0] >= 0.1).all()
     assert (rp.inverse_dynamics(dynamics, motion, upper=-lower).efforts.tau[:, 0] <= -0.1).all()
+    np.testing.assert_array_equal(rp.inverse_dynamics(dynamics, motion, lower=lower).bounds[:, 0], lower)
+    np.testing.assert_array_equal(rp.inverse_dynamics(dynamics, motion, upper=3.0).bounds, [[-np.inf, 3.0]] * 12)
     preferred = np.arange(12.0)
     off = rp.inverse_dynamics(dynamics, motion, preferred=preferred).efforts.tau - preferred
     free = np.linalg.svd(reduced.W[0])[2][6:] / reduced.column_scale**2

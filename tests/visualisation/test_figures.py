@@ -370,10 +370,11 @@ def test_bounds_of_efforts_are_drawn_and_samples_without_efforts_within_them_are
     assert _horizontals(axes) == {bound, -bound, -1.2 * bound}
     assert _bands(axes)[0][1] == pytest.approx(-1.2 * bound)
     assert _bands(axes)[-1][0] == pytest.approx(bound)
-    assert {"bound infeasible", "beyond a limit"} <= set(_legend(drawn))
+    assert {"no efforts", "beyond a limit"} <= set(_legend(drawn))
     shaded = np.zeros(len(motion), dtype=bool)
-    for patch in (patch for patch in axes.patches if patch.get_label() == "bound infeasible"):
-        shaded |= (motion.t >= patch.get_x()) & (motion.t <= patch.get_x() + patch.get_width())
+    for patch in (patch for patch in axes.patches if patch.get_label() == "no efforts"):
+        shaded |= (motion.t > patch.get_x()) & (motion.t < patch.get_x() + patch.get_width())
+        assert patch.get_facecolor()[3] == 0.0  # what is near-singular shows behind it
     np.testing.assert_array_equal(shaded, solved.status == SampleStatus.BOUND_INFEASIBLE)
     assert 0 < shaded.sum() < len(shaded)
     one_sided = rp.plot.efforts(rp.plot.curves(robot, reduced, solved, bounds=[(-np.inf, bound)] * 2))
@@ -653,3 +654,16 @@ def test_what_cannot_be_drawn_is_refused() -> None:
         with pytest.raises(InputError, match="dict") as caught:
             one({})  # type: ignore[operator]
         assert any(word in caught.value.remedy for word in ("rp.", "load_plan"))
+
+
+def test_zero_efforts_without_bounds_have_no_limit() -> None:
+    """Of a massless 2-RPR without carriers; limits of carriers that are parked are written."""
+    robot = rp.load_robot("2rpr", carriers=False)
+    result = rp.inverse_dynamics(robot, reference.line().sample(0.05))
+    drawn = rp.plot.efforts(rp.plot.curves(robot, result.reduced, result.efforts, bounds=result.bounds))
+    assert not [text for text in drawn.axes[0].texts if "limit" in text.get_text()]
+    stands = Panel(
+        "carrier speed", (Curve("", result.reduced.t, np.zeros(len(result.reduced.t))),), limits=((-7.0, 7.0),)
+    )
+    parked = plot_panel_grid("parked", [[stands]], None, Background())
+    assert "limits ±7" in [text.get_text() for text in parked.axes[0].texts]

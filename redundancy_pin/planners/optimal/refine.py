@@ -70,17 +70,9 @@ class Planning(ABC):
 
     def relaxation(self, problem: Problem) -> Relaxation:
         """Return from where, and of which limits, the smallest relaxation is sought."""
-        return Relaxation(first_guess(problem), between=self._between)
-
-    def _between(self, outcome: Outcome) -> float:
-        found, marked = self.hidden(outcome)
-        return float(found.worst.max()) if marked.any() else 1.0
-
-    def hidden(self, outcome: Outcome) -> tuple[IntersampleCheck, BoolArray]:
-        """Return what is between the nodes of a relaxed motion, and the pieces (P,) that the nodes do not show."""
-        found = intersample_check(self.planned(outcome))
-        found = replace(found, use=np.zeros_like(found.use))  # limits that give way are no reason
-        return found, found.too_coarse([])
+        return Relaxation(
+            first_guess(problem), peaks=lambda outcome: intersample_check(self.planned(outcome)).peaks.peak
+        )
 
     def solve(self, problem: Problem, guess: Mapping[str, Array] | None, deadline: float, stop: Stop) -> Multistart:
         """Return solutions from all first guesses, one of them feasible.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.carrier_model import require_carriers
-from redundancy_pin.planners.intersample_check import IntersampleCheck
+from redundancy_pin.planners.intersample_check import IntersampleCheck, intersample_check
 from redundancy_pin.planners.optimal.infeasible import Relaxation
 from redundancy_pin.planners.optimal.mesh import NEAR_SINGULAR, steps_around, with_nodes
 from redundancy_pin.planners.optimal.path_problem import PathTask
@@ -192,7 +193,9 @@ class LeastTime(Planning):
         return Relaxation(_parked(problem, kinds), kinds, self._finer_relaxed)
 
     def _finer_relaxed(self, outcome: Outcome) -> Problem | None:
-        found, marked = self.hidden(outcome)
+        found = intersample_check(self.planned(outcome))
+        found = replace(found, use=np.zeros_like(found.use))  # limits that give way are no reason
+        marked = found.too_coarse([])
         return self.finer(outcome, found, marked, False) if marked.any() else None
 
 

@@ -77,15 +77,17 @@ class Curves:
     @property
     def windows(self) -> tuple[tuple[float, float], ...]:
         """First and last time, s, of each interval of samples below the near-singular margin."""
-        return self._intervals(self.margin < NEAR_SINGULAR_MARGIN)
+        near = runs(self.margin < NEAR_SINGULAR_MARGIN)
+        return tuple((float(self.t[start]), float(self.t[stop - 1])) for start, stop in near)
 
     @property
-    def infeasible(self) -> tuple[tuple[float, float], ...]:
-        """First and last time, s, of each interval of samples that have no efforts within their bounds."""
-        return self._intervals(np.asarray(self.status == SampleStatus.BOUND_INFEASIBLE))
-
-    def _intervals(self, flags: BoolArray) -> tuple[tuple[float, float], ...]:
-        return tuple((float(self.t[start]), float(self.t[stop - 1])) for start, stop in runs(flags))
+    def without_efforts(self) -> tuple[tuple[float, float], ...]:
+        """Times, s, of the samples with main efforts before and behind each interval of samples without."""
+        last = len(self.t) - 1
+        return tuple(
+            (float(self.t[max(start - 1, 0)]), float(self.t[min(stop, last)]))
+            for start, stop in runs(np.asarray(~np.isfinite(self.tau).all(axis=1)))
+        )
 
 
 def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -> Curves:

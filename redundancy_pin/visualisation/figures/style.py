@@ -62,8 +62,8 @@ INSTANT: dict[str, Any] = {
 # How an interval of near-singular samples is drawn, and what legends call it
 WINDOW: dict[str, Any] = {"facecolor": "#D9D9D9", "edgecolor": "none", "label": "near-singular"}
 # How an interval without efforts within their bounds is drawn, and what legends call them
-INFEASIBLE: dict[str, Any] = {
-    "facecolor": "#FBE9DF", "edgecolor": "#DDA98C", "hatch": "\\\\\\", "linewidth": 0.6, "label": "bound infeasible"
+WITHOUT_EFFORTS: dict[str, Any] = {
+    "facecolor": "none", "edgecolor": "#DDA98C", "hatch": "\\\\\\", "linewidth": 0.6, "label": "no efforts"
 }  # fmt: skip
 _FORMATS = (".png", ".svg", ".pdf")
 

@@ -25,10 +25,10 @@ from redundancy_pin.visualisation.figures.curves import Curves
 from redundancy_pin.visualisation.figures.style import (
     BEYOND,
     CARRIER_STROKES,
-    INFEASIBLE,
     INSTANT,
     STROKES,
     WINDOW,
+    WITHOUT_EFFORTS,
     brief,
     figure,
     legend_above,
@@ -96,7 +96,7 @@ class Background:
     plan: Plan | None = None  # whose phases are shaded
     instants: Sequence[float] = ()  # singular instants, s, drawn as dotted lines
     windows: Windows = ()  # near-singular intervals, shaded
-    infeasible: Windows = ()  # intervals without efforts within their bounds, shaded
+    without_efforts: Windows = ()  # hatched
 
     def draw(self, axes: Axes) -> None:
         """Draw it behind a panel, labelled for the legend under the figure."""
@@ -107,7 +107,7 @@ class Background:
             axes.axvspan(start, end, facecolor=fill, edgecolor="#777777", linewidth=0, zorder=0.2, label=name)
             if i:
                 axes.axvline(start, color="#777777", linewidth=0.5, zorder=0.6)
-        for shaded, style, order in ((self.windows, WINDOW, 0.5), (self.infeasible, INFEASIBLE, 0.55)):
+        for shaded, style, order in ((self.windows, WINDOW, 0.5), (self.without_efforts, WITHOUT_EFFORTS, 0.55)):
             for start, end in shaded:
                 axes.axvspan(start, end, zorder=order, **style)
         for instant in self.instants:
@@ -115,8 +115,8 @@ class Background:
 
 
 def background_of(drawn: Curves, plan: Plan | None = None) -> Background:
-    """Return singular instants, near-singular and infeasible intervals of curves, and the phases of a plan."""
-    return Background(plan, drawn.instants, drawn.windows, drawn.infeasible)
+    """Return singular instants, near-singular intervals and those without efforts, and the phases of a plan."""
+    return Background(plan, drawn.instants, drawn.windows, drawn.without_efforts)
 
 
 def phase_spans(plan: Plan) -> list[tuple[int, float, float]]:
@@ -246,7 +246,8 @@ def _fit(axes: Axes, panel: Panel, alike: Sequence[Panel]) -> None:
     axes.set_ylim(fitted_range(curves, edges[np.isfinite(edges)].tolist()))
     shown, limits = in_reach(panel.limits), np.reshape(panel.limits, (-1, 2))
     used = np.abs(extent).max()
-    near = used == 0.0 or np.abs(limits[np.isfinite(limits)]).min(initial=np.inf) <= _FAR * used
+    least = np.abs(limits[np.isfinite(limits)]).min(initial=np.inf)
+    near = np.isfinite(least) and (used == 0.0 or least <= _FAR * used)
     if len(limits) and (limits == limits[0]).all() and np.isnan(shown).all() and near:
         low, high = limits[0]
         one_sided = f"limit ≤ {high:g}" if np.isinf(low) else f"limit ≥ {low:g}" if np.isinf(high) else ""
