@@ -180,7 +180,7 @@ def summary(results: Results, files: Sequence[str]) -> dict[str, Any]:
 
     ``files`` are all of the results folder: a later run replaces the folder only if there are no others.
     """
-    about = {"format": "redundancy_pin results", "format_version": 1, "extent": results.extent.name,
+    about = {"format": "redundancy_pin results", "format_version": 2, "extent": results.extent.name,
              "versions": made_with()}  # fmt: skip
     experiments = {one.case.name: one.record() for one in results.runs}
     shown = {"cross_check": results.check.as_dict(), "experiments": experiments, "thesis": results.compared}

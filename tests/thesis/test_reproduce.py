@@ -89,7 +89,7 @@ def test_summary_is_strict_json_with_versions(done: Reproduction) -> None:
     data = json.loads((done.folder / "summary.json").read_text(), parse_constant=refuse)
     assert list(data) == ["format", "format_version", "extent", "versions", "cross_check", "experiments", "thesis",
                           "planned", "beyond", "future", "replay", "notes", "files"]  # fmt: skip
-    assert data["format_version"] == 1
+    assert data["format_version"] == 2
     assert {"redundancy_pin", "python", "pin", "numpy"} <= set(data["versions"])
     assert data["cross_check"]["passed"]
     assert list(data["experiments"]) == list(NAMES)
