@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import Literal, get_args
@@ -9,7 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, frozen, one_of, positive, read_only, require_type
+from redundancy_pin.arrays import Array, frozen, one_of, positive, read_only, require_type, whole
 from redundancy_pin.dynamics.default import DynamicsLike
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
 from redundancy_pin.kinematics.closure import constraint_system
@@ -145,9 +146,8 @@ def simulate(
         require_type(sampling, Sampling, "A Sampling", "Pass sampling=Sampling(period, delay), both in seconds.")
     if duration is not None:
         duration = positive(duration, "duration", "s")
-    for name, value, fits in (("max_step", max_step, max_step > 0.0), ("max_steps", max_steps, max_steps >= 1)):
-        if not fits:
-            raise InputError(f"{name} is {value}.", remedy="Pass a positive number.")
+    max_step = np.inf if max_step is np.inf else positive(max_step, "max_step", "s")
+    max_steps = whole(max_steps, "max_steps", 1, sys.maxsize)
     rtol, atol = positive(rtol, "rtol", ""), positive(atol, "atol", "")
     if rtol < LEAST_RTOL:
         raise InputError(f"rtol is {rtol}.", remedy=f"Pass at least {LEAST_RTOL}: below it is rounding.", name="rtol")
@@ -233,6 +233,7 @@ def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None, sampl
 
 def _start(robot: Robot, controller: Controller, start: State | None) -> State:
     state = controller.start_state(robot) if start is None else start
+    require_type(state, State, "A state to start from", "Make it with closed_state(robot, ...).")
     if state.q.shape != (robot.model.nq,) or state.v.shape != (robot.model.nv,):
         raise InputError(
             f"The start has q of shape {state.q.shape} and v of shape {state.v.shape}; {robot.name} has nq = "

@@ -244,6 +244,8 @@ REFUSED = {
     "max_steps": ({"duration": 1.0, "max_steps": 0}, "max_steps is 0"),
     "part of a step": ({"duration": 1.0, "max_steps": 0.5}, "max_steps is 0.5"),
     "max_step": ({"duration": 1.0, "max_step": np.nan}, "max_step is nan"),
+    "a step of text": ({"duration": 1.0, "max_step": "x"}, "max_step is 'x'"),
+    "a number to start from": ({"duration": 1.0, "start": 0.3}, "state to start from was expected, not float"),
     "carriers": ({"duration": 1.0, "carriers": "glued"}, "Use one of force, motion"),
     "no law": ({"duration": 1.0, "carriers": "motion"}, "carrier_motion"),
     "stop_at": ({"duration": 1.0, "stop_at": ["lunch"]}, "joint_limit"),

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, not_negative, one_of
+from redundancy_pin.errors import InputError
 from redundancy_pin.planners.reference import MotionReference
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import turning_velocities
@@ -53,6 +54,9 @@ def controller_by_name(
     """
     one_of(name, "The controller", DRIVES)
     if name == "open loop":
+        for unknown in settings.keys() - {"dynamics"}:
+            remedy = f"Leave it out, or choose one of {', '.join(DRIVES[1:])}."
+            raise InputError(f"Open loop has no setting {unknown}.", remedy=remedy, name=unknown)
         return FeedForward(reference, sampling=sampling)
     made: Any = ComputedTorque if name == "computed torque" else TimeVaryingLqr
     limits = {"effort_limit": effort_limit, "carrier_force_limit": carrier_force_limit}

@@ -44,6 +44,8 @@ def test_friction_goes_by_kind_of_joint(held):
 def test_an_unknown_name_is_refused(held):
     with pytest.raises(InputError, match="controller is 'PID'"):
         controller_by_name("PID", held)
+    with pytest.raises(InputError, match="Open loop has no setting bandwidth"):
+        controller_by_name("open loop", held, bandwidth=10.0)
 
 
 @pytest.mark.parametrize("compiled", [False, True])
