@@ -18,9 +18,9 @@ from PIL import Image
 import redundancy_pin as rp
 from redundancy_pin.io.files import replacing_file
 from redundancy_pin.planners.receding_horizon import run_online
-from redundancy_pin.thesis.figures import side_by_side
 from redundancy_pin.trajectory.waypoints import through_points
 from redundancy_pin.visualisation.figures.paths import draw_frame, draw_path, label_plane
+from redundancy_pin.visualisation.figures.plots import side_by_side
 from redundancy_pin.visualisation.figures.style import figure
 from redundancy_pin.visualisation.viewer.scene import Scene
 

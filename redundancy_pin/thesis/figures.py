@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -22,9 +22,7 @@ from redundancy_pin.visualisation.figures import plots
 from redundancy_pin.visualisation.figures.curves import Curves, curves_of_plan
 from redundancy_pin.visualisation.figures.paths import plot_plane_paths
 from redundancy_pin.visualisation.figures.time_panels import (
-    Background,
     Panel,
-    plot_panel_grid,
     plot_time_panels,
     series,
 )
@@ -232,23 +230,7 @@ def plans_of(plans: Plans, task: Case, coarser: float) -> Figure:
     outcomes = {method: plans.outcome(by_method(task, method, coarser)) for method in own}
     existing = {method: outcome for method, outcome in outcomes.items() if isinstance(outcome, Plan)}
     instants = curves_of_plan(existing[EFFORT]).instants if EFFORT in existing else ()
-    return side_by_side(task.title, existing, task.unit, instants=instants)
-
-
-def side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, instants: Sequence[float] = ()) -> Figure:
-    """Draw plans of one motion in columns: main efforts, and s, ṡ, s̈ of the carriers with their limits.
-
-    Each effort panel has its own scale, and its peak above it; the rows of the carriers share their scales.
-    """
-    columns: list[list[Panel]] = []
-    for name, plan in plans.items():
-        peak = f"peak {float(plan.peak_effort.max()):.3g} {unit}, {plan.status.value.replace('_', ' ')}"
-        efforts = series(plan.robot.actuated, plan.t, plan.tau)
-        main = Panel(f"main effort τ [{unit}]", efforts, height=1.25, title=f"{name}\n{peak}", legend=False)
-        rows = [replace(panel, legend=False, shared=True) for panel in plots.carrier_panels(curves_of_plan(plan))]
-        panels = [main, *rows]
-        columns.append(panels if not columns else [replace(panel, label="") for panel in panels])
-    return plot_panel_grid(title, columns, (2.0 + 2.6 * len(plans), 8.0), Background(None, instants))
+    return plots.side_by_side(task.title, existing, task.unit, instants=instants)
 
 
 def _future(results: Results) -> Iterator[Picture]:

@@ -9,8 +9,9 @@ import quick_results
 
 from redundancy_pin.thesis.case import Plans
 from redundancy_pin.thesis.cases import FULL, SINGULAR
-from redundancy_pin.thesis.figures import Results, pictures, side_by_side
+from redundancy_pin.thesis.figures import Results, pictures
 from redundancy_pin.thesis.measures import MotionRun
+from redundancy_pin.visualisation.figures.plots import side_by_side
 
 
 def draw(kind: str) -> tuple[MotionRun, Any]:

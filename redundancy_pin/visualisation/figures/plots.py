@@ -50,6 +50,7 @@ from redundancy_pin.visualisation.figures.paths import draw_snapshots as snapsho
 from redundancy_pin.visualisation.figures.paths import plot_path as path
 from redundancy_pin.visualisation.figures.style import STROKES, save
 from redundancy_pin.visualisation.figures.time_panels import (
+    Background,
     Curve,
     Panel,
     background_of,
@@ -214,6 +215,22 @@ def _carrier_column(drawn: Curves, events: Sequence[LimitEvent] = ()) -> list[Pa
     """Return the panels of the carriers under one legend."""
     position, *rest = carrier_panels(drawn, events)
     return [position, *(replace(panel, legend=False) for panel in rest)]
+
+
+def side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, instants: Sequence[float] = ()) -> Figure:
+    """Draw plans of one motion in columns: main efforts, and s, ṡ, s̈ of the carriers with their limits.
+
+    Each effort panel has its own scale, and its peak above it; the rows of the carriers share their scales.
+    """
+    columns: list[list[Panel]] = []
+    for name, plan in plans.items():
+        peak = f"peak {float(plan.peak_effort.max()):.3g} {unit}, {plan.status.value.replace('_', ' ')}"
+        efforts = series(plan.robot.actuated, plan.t, plan.tau)
+        main = Panel(f"main effort τ [{unit}]", efforts, height=1.25, title=f"{name}\n{peak}", legend=False)
+        rows = [replace(panel, legend=False, shared=True) for panel in carrier_panels(curves_of_plan(plan))]
+        panels = [main, *rows]
+        columns.append(panels if not columns else [replace(panel, label="") for panel in panels])
+    return plot_panel_grid(title, columns, (2.0 + 2.6 * len(plans), 8.0), Background(None, instants))
 
 
 def simulation(
