@@ -198,7 +198,7 @@ class CompiledPlanner:
         if memory is not None and layout != self._layout:
             raise InputError(
                 "The planner comes from another version of the package, or another compiler.",
-                remedy="Make a new one: its first update goes on from where the carriers are.",
+                remedy="Make a new one, and pass s and sd to its first update.",
             )
         self._memory = np.zeros(library.rp_planner_size() // 8 + 1) if memory is None else memory.copy()
         self._address = ctypes.c_void_p(self._memory.ctypes.data)
