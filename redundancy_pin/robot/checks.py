@@ -45,12 +45,15 @@ def require_matching(robot: Robot, motion: PlatformMotion) -> None:
         moves = "through poses" if wants_pose else f"in {robot.n} ({', '.join(names)})"
         columns = "x0 to x6 (position, unit quaternion)" if wants_pose else f"x0 to x{robot.n - 1}"
         form = "(N, 4, 4) poses" if wants_pose else f"(N, {robot.n})"
-        turns = tuple(names) == ("x", "y", "rz") and motion.xd.shape[1] == 2
-        held = "Add alpha=0 to the trajectory: the constant angle of the platform, rad. Or c" if turns else "C"
+        remedy = (
+            f"Choose another motion: in Python x as {form} and xd, xdd as (N, {robot.n}), in a file the "
+            f"columns {columns}, xd0 to xd{robot.n - 1} and xdd0 to xdd{robot.n - 1}."
+        )
+        if tuple(names) == ("x", "y", "rz") and motion.xd.shape[1] == 2:
+            remedy = f"Add alpha=0 to the trajectory: the constant angle of the platform, rad. {remedy}"
         raise InputError(
             f"The motion has {given}, x of shape {motion.x.shape}, but {robot.name} moves {moves}.",
-            remedy=f"{held}hoose another motion: in Python x as {form} and xd, xdd as (N, {robot.n}), in a file the "
-            f"columns {columns}, xd0 to xd{robot.n - 1} and xdd0 to xdd{robot.n - 1}.",
+            remedy=remedy,
             robot=robot.name,
             axes=tuple(names),
             poses=wants_pose,
