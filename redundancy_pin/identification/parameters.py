@@ -7,19 +7,19 @@ are linear in all of them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, UnsupportedRobotError, one_of
 from redundancy_pin.robot import JointForces, Robot
 from redundancy_pin.robot.loads import of_kind
-from redundancy_pin.robot.lookup import find_joint_index
+from redundancy_pin.robot.scales import force_terms
 from redundancy_pin.robot.types import slides
 
 INERTIAL = (
@@ -36,9 +36,19 @@ INERTIAL = (
 )
 """The ten of a body, in the order of ``pin.Inertia.toDynamicParameters``."""
 
-_INERTIAL_POWERS = (0, 1, 1, 1, 2, 2, 2, 2, 2, 2)
+_LENGTHS = (0, 1, 1, 1, 2, 2, 2, 2, 2, 2)
+"""Powers of a length in their units, kg mᵖ."""
+
 IN_JOINT = ("damping", "friction", "stiffness", "preload", "rotor inertia")
 """Those of a joint; the preload of a spring is its effort at position zero, −stiffness · rest."""
+
+NOT_NEGATIVE = ("mass", "damping", "friction", "stiffness", "rotor inertia")
+
+_STANDARD_GRAVITY = 9.80665
+"""m/s²: the time of a robot without gravity is that of its length at this acceleration."""
+
+_LEAST_MASS = 1e-9
+"""Mass of a body with moments and no mass, relative to the robot's: ``pin.Inertia`` divides by it."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +61,9 @@ class Parameter:
         joint: index of the joint in the Pinocchio model.
         unit: its unit.
         value: its value in the robot.
-        size: what it is compared with: M Lᵖ of an inertial one, M the moving mass and L the characteristic length; 1
-            of the others.
+        size: the scale that its value and interval are compared with, from the mass M of the robot, its
+            characteristic length L and T = √(L/g): M Lᵖ of a body; of a turning joint M L²/T (damping), M L²/T²
+            (friction, spring), M L²/gear² (rotor); of a sliding one the same less a factor L² (friction: L).
     """
 
     kind: str
@@ -78,7 +89,7 @@ def parameters_of(robot: Robot, patterns: Sequence[str] | None = None) -> tuple[
             (``JointForces``).
 
     Raises:
-        InputError: a pattern that matches no parameter.
+        InputError: no pattern, one that matches no parameter, a preload in a joint without stiffness.
         UnsupportedRobotError: a joint with more than one ``JointForces``.
 
     Example:
@@ -94,45 +105,66 @@ def parameters_of(robot: Robot, patterns: Sequence[str] | None = None) -> tuple[
             if (p.kind in INERTIAL and str(robot.model.names[p.joint]) in heavy)
             or (p.kind in IN_JOINT and (p.value != 0.0 or (p.of in driven and p.kind in ("damping", "friction"))))
         )
-    for pattern in patterns:
+    listed = [patterns] if isinstance(patterns, str) else list(patterns)
+    if not listed:
+        raise InputError("parameters is empty.", remedy='Name some, such as "mass of *", or leave it out.')
+    for pattern in listed:
         if not any(fnmatchcase(p.name, pattern) for p in everything):
             raise InputError(
                 f"No parameter of {robot.name} is named {pattern!r}.",
                 remedy=one_of(pattern, [p.name for p in everything]),
                 pattern=pattern,
             )
-    return tuple(p for p in everything if any(fnmatchcase(p.name, pattern) for pattern in patterns))
+    chosen = tuple(p for p in everything if any(fnmatchcase(p.name, pattern) for pattern in listed))
+    stiff = {p.of for p in everything if p.kind == "stiffness" and (p.value or p in chosen)}
+    for p in chosen:
+        if p.kind == "preload" and p.of not in stiff:
+            raise InputError(
+                f"The {p.name} belongs to a spring without stiffness.",
+                remedy=f'Add "stiffness of {p.of}" to the parameters, or declare it.',
+                joint=p.of,
+            )
+    return chosen
 
 
 def _of_bodies(robot: Robot) -> list[Parameter]:
-    length, mass = robot.characteristic_length, robot.moving_mass or 1.0
+    length, mass = robot.characteristic_length, _mass(robot)
     units = ("kg", "kg·m", "kg·m²")
     return [
         Parameter(kind, body.name, index, units[power], float(value), mass * length**power)
         for index, body in enumerate(robot.bodies, start=1)
         for kind, power, value in zip(
-            INERTIAL, _INERTIAL_POWERS, robot.model.inertias[index].toDynamicParameters(), strict=True
+            INERTIAL, _LENGTHS, robot.model.inertias[index].toDynamicParameters(), strict=True
         )
     ]
 
 
 def _of_joints(robot: Robot) -> list[Parameter]:
-    listed = []
+    listed, length, mass = [], robot.characteristic_length, _mass(robot)
+    time = math.sqrt(length / (float(np.linalg.norm(robot.gravity)) or _STANDARD_GRAVITY))
     for index in range(1, robot.model.njoints):
-        if robot.model.joints[index].nv != 1:
+        joint = robot.model.joints[index]
+        if joint.nv != 1:
             continue
-        name = str(robot.model.names[index])
-        load, turns = joint_forces(robot, name), not slides(robot.model.joints[index])
-        effort = "N·m" if turns else "N"
+        name, turns = str(robot.model.names[index]), not slides(joint)
+        load, effort = joint_forces(robot, name), "N·m" if turns else "N"
         units = (f"{effort}·s" if turns else "N·s/m", effort, "N·m/rad" if turns else "N/m", effort, "kg·m²")
         values = (load.damping, load.friction, load.stiffness, -load.stiffness * load.rest, load.rotor_inertia)
-        springs = robot.model.joints[index].nq == 1
+        # of the effort per acceleration, and of the position
+        inertia, step = (mass * length**2, 1.0) if turns else (mass, length)
+        force = inertia * step / time**2
+        sizes = (inertia / time, force, inertia / time**2, force, inertia / (load.gear**2 or 1.0))
         listed += [
-            Parameter(kind, name, index, unit, value, 1.0)
-            for kind, unit, value in zip(IN_JOINT, units, values, strict=True)
-            if springs or kind not in ("stiffness", "preload")
+            Parameter(kind, name, index, unit, value, size)
+            for kind, unit, value, size in zip(IN_JOINT, units, values, sizes, strict=True)
+            if joint.nq == 1 or kind not in ("stiffness", "preload")
         ]
     return listed
+
+
+def _mass(robot: Robot) -> float:
+    """Return the mass of a robot; 1 kg of one without any inertia."""
+    return force_terms(robot).mass or 1.0
 
 
 def joint_forces(robot: Robot, joint: str) -> JointForces:
@@ -157,16 +189,17 @@ def with_values(robot: Robot, parameters: Sequence[Parameter], values: Array) ->
     Raises:
         InputError: a negative damping, friction, stiffness or rotor inertia; a preload without stiffness.
     """
-    model, rest, of_joints = robot.model.copy(), list(robot.loads), dict[str, dict[str, float]]()
+    model, loads, of_joints = robot.model.copy(), list(robot.loads), dict[str, dict[str, float]]()
     inertias = {p.joint: model.inertias[p.joint].toDynamicParameters() for p in parameters if p.kind in INERTIAL}
     for parameter, value in zip(parameters, values.tolist(), strict=True):
         if parameter.kind in INERTIAL:
             inertias[parameter.joint][INERTIAL.index(parameter.kind)] = value
         else:
-            of_joints.setdefault(parameter.of, {})[parameter.kind] = value
+            of_joints.setdefault(parameter.of, {})[parameter.kind.replace(" ", "_")] = value
     for index, ten in inertias.items():
-        # FromDynamicParameters divides by the mass: massless bodies with moments have no centre
-        model.inertias[index] = pin.Inertia.FromDynamicParameters(ten) if ten[0] else pin.Inertia.Zero()
+        if ten.any():
+            ten[0] = ten[0] or _LEAST_MASS * _mass(robot)
+            model.inertias[index] = pin.Inertia.FromDynamicParameters(ten)
     for name, changes in of_joints.items():
         load = joint_forces(robot, name)
         stiffness = changes.get("stiffness", load.stiffness)
@@ -177,38 +210,13 @@ def with_values(robot: Robot, parameters: Sequence[Parameter], values: Array) ->
                 remedy="Identify its stiffness too, or declare it.",
                 joint=name,
             )
-        rest = [other for other in rest if other is not load]
-        rest.append(replace(_changed(load, changes), rest=-preload / stiffness if stiffness else 0.0))
-    return replace(robot, model=model, loads=tuple(rest), closed_form=None)
+        loads = [other for other in loads if other is not load]
+        loads.append(replace(load, **changes, rest=-preload / stiffness if stiffness else 0.0))
+    return replace(robot, model=model, loads=tuple(loads), closed_form=None)
 
 
-def unit_forces(robot: Robot, parameter: Parameter) -> JointForces:
-    """Return the forces of a joint whose parameter is 1, and all its others 0; of damping, friction and rotors."""
+def unit_load(robot: Robot, parameter: Parameter, value: float = 1.0) -> JointForces:
+    """Return the forces of a joint with a value of one parameter, not a preload, and zeros of the others."""
     load = joint_forces(robot, parameter.of)
     bare = JointForces(parameter.of, friction_speed=load.friction_speed, gear=load.gear)
-    return _changed(bare, {parameter.kind: 1.0})
-
-
-def _changed(load: JointForces, values: Mapping[str, float]) -> JointForces:
-    """Return forces of a joint with other values of some kinds, preload excepted."""
-    changes: dict[str, Any] = {kind.replace(" ", "_"): value for kind, value in values.items()}
-    return replace(load, **changes)
-
-
-def massless(robot: Robot) -> Robot:
-    """Return the robot without masses, armature and loads: only what is added to it takes effort."""
-    model = robot.model.copy()
-    for index in range(1, model.njoints):
-        model.inertias[index] = pin.Inertia.Zero()
-    model.armature = np.zeros(model.nv)
-    return replace(robot, model=model, loads=(), closed_form=None)
-
-
-def standard_values(parameters: Sequence[Parameter]) -> Array:
-    """Return (p,) their values in the robot."""
-    return read_only(np.array([p.value for p in parameters]))
-
-
-def index_of(robot: Robot, joint: str) -> int:
-    """Return the velocity index of a joint of one freedom."""
-    return int(robot.model.joints[find_joint_index(robot.model, joint)].idx_v)
+    return replace(bare, **{parameter.kind.replace(" ", "_"): value})

@@ -1,11 +1,14 @@
-"""Measured motions of a robot, and the motion of platform and carriers that they show."""
+"""Measured motions of a robot, and the smooth motion of platform and carriers that they show."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import BSpline, make_lsq_spline
+from scipy.sparse import csr_array, diags_array
 
 from redundancy_pin.arrays import Array, Frozen, assign, checked
 from redundancy_pin.errors import InputError
@@ -14,7 +17,7 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.checks import is_pose
 
-_DEGREE = 5
+DEGREE = 5
 """Of the splines: accelerations are cubic, without jumps in the jerk."""
 
 
@@ -53,6 +56,8 @@ class Records(Frozen):
         carrier_force: ArrayLike | None = None,
     ) -> None:
         time = checked(t, "t", ("N",))
+        if not len(time):
+            raise InputError("Records have no sample.", remedy="Pass at least one time.")
         if not (np.diff(time) > 0.0).all():
             k = int(np.argmax(np.diff(time) <= 0.0)) + 1
             raise InputError(
@@ -90,18 +95,28 @@ class Records(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class SmoothMotion(Frozen):
-    """The smooth motion that records show, and what of it is used.
+    """The smooth motion of N samples that records show, and how noise of what was measured enters it.
+
+    The c measured columns are motors or platform coordinates, and carriers.
 
     Attributes:
         motion, carriers: of platform and carriers, samples at both ends left out.
         kept: which samples of the records they are.
-        noise: standard deviation of what was measured about the splines, by column, m and rad.
+        jacobian: (N, n, c − k) ẋ per measured rate.
+        noise: (c,) standard deviation of what was measured about the splines, m and rad.
+        knots: of the splines, s.
+        basis: (N, K) splines, their first and second derivatives, sparse.
+        gram: (K, K) sum over all samples of products of the splines, sparse.
     """
 
     motion: PlatformMotion
     carriers: CarrierMotion
     kept: slice
+    jacobian: Array
     noise: Array
+    knots: Array
+    basis: tuple[Any, Any, Any]
+    gram: Any
 
 
 def require_matching(robot: Robot, records: Records) -> None:
@@ -138,51 +153,73 @@ def smooth_motion(robot: Robot, records: Records, cut_off: float) -> SmoothMotio
     splines have free ends.
 
     Raises:
-        InputError: fewer samples than a spline needs, motors whose positions the machine does not reach.
+        InputError: fewer samples than a spline needs, gaps, motors whose positions the machine does not reach.
     """
     h = 0.5 / cut_off
     t, edge = records.t, 3.0 * h
-    intervals = round((t[-1] - t[0]) / h) if len(t) > 1 else 0
-    if intervals < 8 or len(t) < 2 * (intervals + _DEGREE):
+    intervals = round((t[-1] - t[0]) / h)
+    if intervals < 8 or len(t) < 2 * (intervals + DEGREE):
         raise InputError(
             f"{len(t)} samples in {t[-1] - t[0]:g} s do not determine a spline with cut-off {cut_off:g} Hz.",
             remedy="Record at least 4 periods of the cut-off with 4 samples each, or change cut_off.",
             samples=len(t),
         )
-    measured = records.platform if records.platform.shape[1] else records.position
-    (u, ud, udd), noise = _spline(t, measured, intervals)
-    s, noise_s = _spline(t, records.carriers, intervals)
-    keep = np.flatnonzero((t >= t[0] + edge) & (t <= t[-1] - edge))
-    kept = slice(int(keep[0]), int(keep[-1]) + 1)
-    if records.platform.shape[1]:
-        x, xd, xdd = u[kept], ud[kept], udd[kept]
+    inner = np.linspace(t[0], t[-1], intervals + 1)
+    _require_no_gap(t, inner)
+    knots = np.concatenate([[t[0]] * DEGREE, inner, [t[-1]] * DEGREE])
+    through_platform = bool(records.platform.shape[1])
+    measured = records.platform if through_platform else records.position
+    columns = np.concatenate([measured, records.carriers], axis=1)
+    spline = make_lsq_spline(t, columns, knots, DEGREE)
+    noise = np.sqrt(((columns - spline(t)) ** 2).sum(axis=0) / (len(t) - intervals - DEGREE))
+    inside = np.flatnonzero((t >= t[0] + edge) & (t <= t[-1] - edge))
+    kept = slice(int(inside[0]), int(inside[-1]) + 1)
+    smooth = [spline(t[kept], order) for order in range(3)]
+    (u, ud, udd), held = (part[:, : measured.shape[1]] for part in smooth), records.carriers.shape[1]
+    if through_platform:
+        x, xd, xdd, jacobian = u, ud, udd, np.tile(np.eye(robot.n), (len(u), 1, 1))
     else:
-        found = forward_kinematics(robot, u[kept], rates=ud[kept], accelerations=udd[kept])
+        found = forward_kinematics(robot, u, rates=ud, accelerations=udd)
         if not found.known.all():
             k = int(np.argmin(found.known))
             raise InputError(
-                f"The motors of {robot.name} at {np.array2string(u[kept][k], precision=4)}, t = {t[kept][k]:g} s, are "
+                f"The motors of {robot.name} at {np.array2string(u[k], precision=4)}, t = {t[kept][k]:g} s, are "
                 f"{found.status_labels[k]} on the way from the reference.",
                 remedy="Check order, sign, zero and unit of the encoders; through a type II singularity pass "
                 "platform=... in place of position.",
                 sample=k + kept.start,
             )
-        x, xd, xdd = found.x, found.xd, found.xdd
+        x, xd, xdd, jacobian = found.x, found.xd, found.xdd, found.jacobian
     motion = PlatformMotion(t[kept], x, xd, xdd, check_rates=False)
     parked = CarrierMotion.parked(len(motion), robot.k)
-    carriers = CarrierMotion(*(part[kept] for part in s), check_rates=False) if records.carriers.shape[1] else parked
-    return SmoothMotion(motion, carriers, kept, np.concatenate([noise, noise_s]))
+    carriers = CarrierMotion(*(part[:, -held:] for part in smooth), check_rates=False) if held else parked
+    basis, first, second = (_basis(t[kept], knots, order) for order in range(3))
+    everywhere = _basis(t, knots, 0)
+    noise = np.concatenate([noise, np.zeros(robot.k - held)])
+    return SmoothMotion(
+        motion, carriers, kept, jacobian, noise, knots, (basis, first, second), everywhere.T @ everywhere
+    )
 
 
-def _spline(t: Array, values: Array, intervals: int) -> tuple[tuple[Array, Array, Array], Array]:
-    """Return a spline through (N, c) values with its two rates, and the standard deviation (c,) about it."""
-    from scipy.interpolate import make_lsq_spline
+def _require_no_gap(t: Array, inner: Array) -> None:
+    """Raise InputError where no sample lies between two knots: nothing determines the spline there."""
+    empty = np.flatnonzero(np.histogram(t, inner)[0] == 0)
+    if len(empty):
+        k = int(np.searchsorted(t, inner[empty[0]], side="right"))
+        raise InputError(
+            f"The records have a gap from t = {t[k - 1]:g} s to {t[k]:g} s.",
+            remedy="Pass the records before and after the gap as two Records, or lower cut_off.",
+            sample=k,
+        )
 
-    if not values.shape[1]:
-        return (values, values, values), np.zeros(0)
-    inner = np.linspace(t[0], t[-1], intervals + 1)
-    knots = np.concatenate([[t[0]] * _DEGREE, inner, [t[-1]] * _DEGREE])
-    spline = make_lsq_spline(t, values, knots, _DEGREE)
-    first, second, third = (spline(t, order) for order in range(3))
-    freedom = max(len(t) - intervals - _DEGREE, 1)
-    return (first, second, third), np.sqrt(((values - first) ** 2).sum(axis=0) / freedom)
+
+def _basis(t: Array, knots: Array, order: int) -> Any:
+    """Return (N, K) the derivatives of the B-splines of degree 5 at times t, sparse (de Boor 1978, ch. X)."""
+    end = len(knots) - order
+    result = BSpline.design_matrix(t, knots[order:end], DEGREE - order)
+    for degree in range(DEGREE - order + 1, DEGREE + 1):
+        start = DEGREE - degree
+        own = knots[start : len(knots) - start]
+        factor = degree / (own[degree + 1 : -1] - own[1 : -degree - 1])
+        result = result @ diags_array([-factor, factor], offsets=[0, 1], shape=(len(factor), len(factor) + 1))
+    return csr_array(result)

@@ -1,4 +1,4 @@
-"""The regressor of a closed chain: generalised forces are linear in its parameters.
+"""The regressor of a closed chain: generalised forces are linear in its dynamic parameters.
 
 With Γ the velocities of the tree per rate of the platform, C the carriers, and Y the regressor of the open tree
 (``pin.computeJointTorqueRegressor`` for bodies, one column for each term of a joint),
@@ -12,88 +12,24 @@ singularities too.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.dynamics.rnea import RneaAlongMotion
-from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort
-from redundancy_pin.identification.parameters import (
-    INERTIAL,
-    Parameter,
-    index_of,
-    massless,
-    parameters_of,
-    unit_forces,
-)
-from redundancy_pin.kinematics.branch import follower
-from redundancy_pin.kinematics.closing import closed_neighbours
-from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.identification.parameters import INERTIAL, Parameter, parameters_of, unit_load
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.robot import Robot
-
-_SEED = 0
-_STATES, _SPREADS = 12, np.linspace(0.05, 0.6, 13)
-"""Random closed states that say which parameters a machine can show: how many at each distance from the reference, of
-the joint that moves farthest, rad or characteristic lengths. Of a machine with one freedom a distance has two."""
-
-
-class TreeRegressor:
-    """The regressor Y of the open tree: effort = Y π.
-
-    Args:
-        robot: the robot.
-        parameters: p of its parameters, see ``parameters_of``.
-    """
-
-    def __init__(self, robot: Robot, parameters: Sequence[Parameter]) -> None:
-        self.robot, self.parameters = robot, tuple(parameters)
-        self._data = robot.model.createData()
-        self._bodies = [
-            (k, 10 * (p.joint - 1) + INERTIAL.index(p.kind))
-            for k, p in enumerate(self.parameters)
-            if p.kind in INERTIAL
-        ]
-        bare = massless(robot)
-        self._joints = [
-            (k, p, bare.loaded(unit_forces(robot, p)) if p.kind == "rotor inertia" else None)
-            for k, p in enumerate(self.parameters)
-            if p.kind not in INERTIAL
-        ]
-
-    def at(self, state: TreeState) -> Array:
-        """Return Y (nv, p) at a state of the tree, N or N·m per unit of each parameter."""
-        model = self.robot.model
-        Y = np.zeros((model.nv, len(self.parameters)))
-        if self._bodies:
-            columns, sources = np.array(self._bodies).T
-            full = pin.computeJointTorqueRegressor(model, self._data, state.q, state.v, state.a)
-            Y[:, columns] = full[:, sources]
-        for k, parameter, rotor in self._joints:
-            if rotor is not None:
-                Y[:, k] = tree_effort(rotor, self._data, state)
-                continue
-            row = index_of(self.robot, parameter.of)
-            joint = model.joints[parameter.joint]
-            if parameter.kind == "preload":
-                Y[row, k] = 1.0
-            elif parameter.kind == "stiffness":
-                Y[row, k] = state.q[joint.idx_q]
-            else:
-                Y[row, k] = unit_forces(self.robot, parameter).resistance(np.zeros(()), state.v[row])
-        return Y
-
-
-def projected(robot: Robot, gamma: Array, Y: Array) -> Array:
-    """Return (n + k, p) the rows Γᵀ Y, and Cᵀ Y of the carriers."""
-    return np.concatenate([gamma.T @ Y, Y[robot.carrier_velocity]])
+from redundancy_pin.robot import JointForces, Robot
 
 
 def chain_regressor(
     along: RneaAlongMotion, parameters: Sequence[Parameter] | None = None, carriers: CarrierMotion | None = None
 ) -> Array:
     """Return (N, n + k, p) the regressor of a closed chain along a motion: of f (n), then of carrier forces (k).
+
+    Units are N or N·m per unit of each parameter.
 
     Args:
         along: a platform motion whose kinematics are solved, ``RneaDynamics(robot).along(motion)``.
@@ -104,31 +40,44 @@ def chain_regressor(
         >>> along = rp.RneaDynamics("five_bar").along(motion)
         >>> chain_regressor(along).shape
     """
-    chosen = parameters_of(along.robot) if parameters is None else parameters
-    tree = TreeRegressor(along.robot, chosen)
-    rows = [
-        projected(along.robot, gamma, tree.at(state))
-        for gamma, state in zip(along.gamma, along.states(carriers), strict=True)
-    ]
-    return read_only(np.array(rows))
-
-
-def random_regressor(robot: Robot, parameters: Sequence[Parameter]) -> Array:
-    """Return (M, n + k, p) the regressor at random closed states around the reference, regular ones.
-
-    Rates are such that the platform moves by its own size in a second, friction speeds are left behind.
-    """
-    own, tree, rng = follower(robot), TreeRegressor(robot, parameters), np.random.default_rng(_SEED)
-    rows, unit = [], own.unit
-    system, reference = constraint_system(robot), np.array(robot.q_reference)
-    for q in np.concatenate([closed_neighbours(system, reference, _STATES, spread) for spread in _SPREADS]):
-        state = own.state_at(q)
-        if state is None or state.margin < own.near:
+    robot, model = along.robot, along.robot.model
+    chosen = parameters_of(robot) if parameters is None else parameters
+    q, v, a = along.tree_motion(carriers)
+    projection = chain_projection(robot, along.gamma)
+    rows = np.zeros((len(q), projection.shape[2], len(chosen)))
+    bodies = np.array([k for k, p in enumerate(chosen) if p.kind in INERTIAL], dtype=np.intp)
+    if len(bodies):
+        sources = [10 * (chosen[k].joint - 1) + INERTIAL.index(chosen[k].kind) for k in bodies]
+        data = model.createData()
+        for i in range(len(q)):
+            tree = pin.computeJointTorqueRegressor(model, data, q[i], v[i], a[i])
+            rows[i, :, bodies] = (projection[i].T @ tree[:, sources]).T
+    for k, parameter in enumerate(chosen):
+        if parameter.kind in INERTIAL:
             continue
-        _, v, a = own.rates(state, *(3.0 * unit * rng.standard_normal((2, robot.n))))
-        q = np.array(state.q)
-        q[robot.carrier_position], v[robot.carrier_velocity], a[robot.carrier_velocity] = rng.standard_normal(
-            (3, robot.k)
-        )
-        rows.append(projected(robot, state.gamma, tree.at(TreeState(q, v, a))))
-    return np.array(rows)
+        joint = model.joints[parameter.joint]
+        if parameter.kind == "rotor inertia":  # a rotor acts on the link that carries it too
+            unit = (unit_load(robot, parameter, parameter.size),)
+            loaded, bare = (_of_loads(along, loads, carriers) for loads in (unit, ()))
+            rows[:, :, k] = (loaded - bare) / parameter.size
+        elif parameter.kind == "preload":
+            rows[:, :, k] = projection[:, joint.idx_v]
+        else:
+            load = unit_load(robot, parameter)
+            # no spring acts in a joint with more coordinates than one
+            position = q[:, joint.idx_q] if joint.nq == 1 else np.zeros(len(q))
+            rows[:, :, k] = projection[:, joint.idx_v] * load.resistance(position, v[:, joint.idx_v])[:, None]
+    return read_only(rows)
+
+
+def chain_projection(robot: Robot, gamma: Array) -> Array:
+    """Return (N, nv, n + k) velocities of the tree per rate of the platform, (N, nv, n), and of each carrier."""
+    carriers = np.zeros((len(gamma), robot.model.nv, robot.k))
+    carriers[:, robot.carrier_velocity, np.arange(robot.k)] = 1.0
+    return np.concatenate([gamma, carriers], axis=2)
+
+
+def _of_loads(along: RneaAlongMotion, loads: tuple[JointForces, ...], carriers: CarrierMotion | None) -> Array:
+    """Return (N, n + k) f and carrier forces of the robot with other loads."""
+    other = RneaAlongMotion(replace(along.tree, robot=replace(along.robot, loads=loads)))
+    return np.concatenate(other.forces(carriers), axis=1)
