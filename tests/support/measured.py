@@ -55,18 +55,22 @@ def measured(
 
 
 def noisy(records: Records, seed: int, effort: float = 0.05, counts: float = 2.0**17) -> Records:
-    """Return records with white noise of the efforts, relative to their size, and quantised angles."""
+    """Return records with white noise of the efforts, relative to their size, and encoders whose zeros are random."""
     rng, step = np.random.default_rng(seed), 2.0 * np.pi / counts
 
     def rough(values: Array) -> Array:
         return values + effort * values.std(axis=0) * rng.standard_normal(values.shape)
 
+    def counted(values: Array) -> Array:
+        zero = rng.uniform(0.0, step, values.shape[1])  # of the encoder's first count
+        return step * np.round((values - zero) / step) + zero
+
     carried = (
-        {"carriers": records.carriers, "carrier_force": rough(records.carrier_force)}
+        {"carriers": counted(records.carriers), "carrier_force": rough(records.carrier_force)}
         if records.carriers.shape[1]
         else {}
     )
-    return Records(records.t, rough(records.effort), step * np.round(records.position / step), **carried)
+    return Records(records.t, rough(records.effort), counted(records.position), **carried)
 
 
 def true_values(fit: rp.identification.Fit, robot: Robot) -> Array:
