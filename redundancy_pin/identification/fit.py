@@ -179,17 +179,14 @@ def identify(
     if physical and len(base):
         standard, found = nearest_physical(robot, base, values, solution.information)
         converged = converged and found
-    if not len(base):
-        status = ResultStatus.UNRESOLVED
-    else:
-        status = ResultStatus.OK if converged else ResultStatus.NOT_CONVERGED
+    status = ResultStatus.OK if converged else ResultStatus.NOT_CONVERGED
     driven = np.concatenate([one.driven for one in rows])
     problems = [
         *_problems(robot, base, standard, solution, driven),
-        *(hints(robot, listed, solution.rows) if len(base) else []),
+        *(hints(robot, listed, rows, solution.rows) if len(base) else []),
     ]
     return Fit(
-        status=status,
+        status=status if len(base) else ResultStatus.UNRESOLVED,
         problems=tuple(problems),
         before=robot,
         base=base,

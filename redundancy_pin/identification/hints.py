@@ -17,65 +17,71 @@ from redundancy_pin.identification.equations import Rows, first_noise
 from redundancy_pin.identification.records import DEGREE, Records
 from redundancy_pin.robot import Robot
 
-_BETTER = 0.25
-"""Part of the residual mean square that is left if efforts are named otherwise, below which that is reported."""
+_HELPS = 0.7
+"""Part of the residual mean square that another sign or order leaves, below which it is reported."""
 
-_SHIFTED = 0.8
-"""The same of efforts that are shifted in time."""
+_SHIFTED = 0.9
+"""The same of a shift in time."""
 
 _LONGEST, _LAGS = 1.0, 401
 """Longest shift, s, at most a quarter of the record, and how many shifts are tried."""
 
 
-def hints(robot: Robot, records: Sequence[Records], rows: Sequence[Rows]) -> list[str]:
-    """Return what signs, order or times of the efforts would explain them far better, as texts."""
-    left = _misfit(rows)
-    effort = [one.effort for one in rows]
-    now = left(effort)
-    driven, prior = (np.concatenate(parts) for parts in zip(*((one.driven, one.prior) for one in rows), strict=True))
-    size = np.linalg.norm(driven) * np.linalg.norm(prior)
+def hints(robot: Robot, records: Sequence[Records], rows: Sequence[Rows], corrected: Sequence[Rows]) -> list[str]:
+    """Return what signs, order or times of the efforts would explain them far better, as texts.
+
+    Args:
+        robot: the robot as declared, which says the sign of all efforts together.
+        records: R records.
+        rows: their equations as measured.
+        corrected: their equations about rates without the estimated noise of positions, which hides small shifts.
+    """
     drives = [*robot.actuated, *robot.carriers][: rows[0].E.shape[2]]
-    named, listed = _renamed(drives, effort, left, now), []
-    if named:
-        listed.append(named)
-    elif (driven * prior).sum() < -0.5 * size:
-        listed.append("All efforts seem to have the wrong sign: the robot as declared needs opposite ones.")
-    reach = min(_LONGEST, *(0.25 * (one.t[-1] - one.t[0]) for one in records))
-    lags = np.linspace(-reach, reach, _LAGS)
-    smooth = [_shifted(one, part) for one, part in zip(records, rows, strict=True)]
-    shifted = np.array([left([part(lag) for part in smooth]) for lag in lags])
-    best = int(np.argmin(shifted))
-    if 0 < best < _LAGS - 1 and shifted[best] < _SHIFTED * now:
-        before, here, after = shifted[best - 1 : best + 2]
-        lag = lags[best] + 0.5 * (lags[1] - lags[0]) * (before - after) / (before - 2.0 * here + after)
-        listed.append(
-            f"Efforts {abs(lag):.3g} s {'later' if lag > 0.0 else 'earlier'} than the positions would leave "
-            f"{here / now:.0%} of the residual mean square: their times differ, or friction or a spring is missing."
-        )
-    return listed
+    return [*_renamed(drives, rows), *_shifts(records, corrected)]
 
 
-def _renamed(drives: list[str], effort: list[Array], left: Callable[[list[Array]], float], now: float) -> str:
-    """Return which signs and order of columns leave far less; one change after the other, as long as each helps."""
-    signs, order, best = np.ones(len(drives)), np.arange(len(drives)), now
+def _renamed(drives: Sequence[str], rows: Sequence[Rows]) -> list[str]:
+    """Report signs and an order of columns that leave far less; one change after the other, as long as each helps."""
+    left, every = _misfit(rows), np.arange(len(drives))
+    signs, order = np.ones(len(drives)), every
+    best = left([one.effort for one in rows])
     for _ in range(2 * len(drives)):
-        candidates = []
-        for k in range(len(drives) if len(drives) > 1 else 0):
-            candidates.append((np.where(np.arange(len(drives)) == k, -signs, signs), order))
-        for j, k in combinations(range(len(drives)), 2):
-            swapped = order.copy()
-            swapped[[j, k]] = order[[k, j]]
-            candidates.append((signs, swapped))
-        found = [left([s * part[:, o] for part in effort]) for s, o in candidates]
-        if not found or min(found) > 0.7 * best:
+        flips = [(np.where(every == k, -signs, signs), order) for k in every[1:]]
+        swaps = [
+            (signs, np.where(every == j, order[k], np.where(every == k, order[j], order)))
+            for j, k in combinations(every, 2)
+        ]
+        candidates = [*flips, *swaps]
+        found = [left([s * one.effort[:, o] for one in rows]) for s, o in candidates]
+        if not found or min(found) > _HELPS * best:
             break
         best, (signs, order) = min(found), candidates[int(np.argmin(found))]
-    if best > _BETTER * now:
-        return ""
+    driven = np.concatenate([np.einsum("Nrd,Nd->Nr", one.E, signs * one.effort[:, order]) for one in rows])
+    prior = np.concatenate([one.prior for one in rows])
+    if (driven * prior).sum() < -0.5 * np.linalg.norm(driven) * np.linalg.norm(prior):
+        signs = -signs
+    if (signs > 0.0).all() and (order == every).all():
+        return []
     columns = ", ".join(f"{'-' if sign < 0.0 else ''}{drives[k]}" for sign, k in zip(signs, order, strict=True))
-    return (
-        f"Columns of the efforts seem to be {columns}: so read they leave {best / now:.0%} of the residual mean square."
-    )
+    return [f"Columns of the efforts seem to be those of {columns}."]
+
+
+def _shifts(records: Sequence[Records], rows: Sequence[Rows]) -> list[str]:
+    """Report a shift in time that leaves less."""
+    left = _misfit(rows)
+    reach = min(_LONGEST, *(0.25 * (one.t[-1] - one.t[0]) for one in records))
+    lags = np.linspace(-reach, reach, _LAGS)
+    moved = [_shifted(one, part) for one, part in zip(records, rows, strict=True)]
+    found = np.array([left([part(lag) for part in moved]) for lag in lags])
+    best, now = int(np.argmin(found)), found[_LAGS // 2]
+    if not (0 < best < _LAGS - 1 and found[best] < _SHIFTED * now):
+        return []
+    before, here, after = found[best - 1 : best + 2]
+    lag = lags[best] + 0.5 * (lags[1] - lags[0]) * (before - after) / (before - 2.0 * here + after)
+    return [
+        f"Efforts {abs(lag):.3g} s {'later' if lag > 0.0 else 'earlier'} than the positions would leave "
+        f"{here / now:.0%} of the residual mean square: their times differ, or friction or a spring is missing."
+    ]
 
 
 def _misfit(rows: Sequence[Rows]) -> Callable[[list[Array]], float]:

@@ -24,7 +24,7 @@ _THIN = 1e-4
 """Least eigenvalue of a scaled pseudo-inertia to start from, relative to its largest."""
 
 _BARRIERS = np.logspace(0.0, -12.0, 25)
-"""Weights of the barrier, relative to squared standard deviations; the last is small against the square of ``_NEAR``."""
+"""Weights of the barrier, relative to squared standard deviations; the last is small against ``_NEAR``²."""
 
 _STEPS = 60
 _DONE = 1e-9
