@@ -104,7 +104,7 @@ def drawn(given: Robot, exact: Records, draws: int) -> Iterator[Fit]:
 
 
 def test_intervals_hold_the_truth_about_as_often_as_they_say() -> None:
-    _, pooled = coverage(25)
+    _, pooled = coverage(16)
     assert abs(pooled - 0.95) < 0.02
 
 
@@ -395,7 +395,7 @@ def test_masses_alone_are_positive_where_asked() -> None:
     # bodies without mass in the given robot
     given = declared("delta")
     everything = ["mass of *", "moment*", "inertia*", "damping*", "friction*"]
-    records = noisy(measured(rp.RneaDynamics(built(given)), seconds=3.0), seed=1)
+    records = noisy(measured(rp.RneaDynamics(built(given)), seconds=1.5), seed=1)
     fit = identify(given, records, cut_off=CUT_OFF, parameters=everything, physical=True)
     assert (eigenvalues(fit.robot) > -1e-12).all()
 
