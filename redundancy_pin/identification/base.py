@@ -107,7 +107,7 @@ def base_parameters(rows: Array, parameters: Sequence[Parameter], least: float =
         >>> base_parameters(Y.reshape(-1, Y.shape[-1]), parameters_of(robot)).names
     """
     sizes = np.array([p.size for p in parameters])
-    columns = np.linalg.qr(rows * sizes, mode="r")
+    columns: Array = np.linalg.qr(rows * sizes).R
     norms = np.linalg.norm(columns, axis=0)
     seen = norms > max(_UNSEEN * norms.max(initial=0.0), least)
     columns = np.where(seen, columns / np.where(seen, norms, 1.0), 0.0)

@@ -28,7 +28,14 @@ from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.dynamics.rnea import RneaAlongMotion, RneaDynamics
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.identification.base import BaseParameters
-from redundancy_pin.identification.parameters import INERTIAL, Parameter, joint_forces, parameters_of, unit_load
+from redundancy_pin.identification.parameters import (
+    INERTIAL,
+    OF_SENSORS,
+    Parameter,
+    joint_forces,
+    parameters_of,
+    unit_load,
+)
 from redundancy_pin.identification.records import Records, SmoothMotion
 from redundancy_pin.identification.regressor import chain_projection, chain_regressor
 from redundancy_pin.motion import CarrierMotion
@@ -54,6 +61,7 @@ class Rows:
         smooth: the motion of platform and carriers as measured.
         E: (N, r, d).
         effort: (N, d) u.
+        clean: (N, d) u without its estimated noise.
         prior: (N, r) f₀.
         Y: (N, r, b).
         by_rates: (N, r, c) derivatives of f by measured rates, and by accelerations.
@@ -64,6 +72,7 @@ class Rows:
     smooth: SmoothMotion
     E: Array
     effort: Array
+    clean: Array
     prior: Array
     Y: Array
     by_rates: tuple[Array, Array]
@@ -153,10 +162,10 @@ def rows_of_records(
     E[:, : robot.n, : robot.m] = along.tree.W
     E[:, robot.n :, robot.m :] = np.eye(r - robot.n)
     efforts = [record.effort[smooth.kept], record.carrier_force[smooth.kept]]
-    prior, Y = _forces(along, smooth.carriers, parameters, r)
     still = np.zeros((len(E), r, columns))
     effort, coefficients = np.concatenate(efforts, axis=1)[:, : E.shape[2]], np.zeros(columns * smooth.gram.shape[0])
-    return Rows(along, smooth, E, effort, prior, Y, (still, still), coefficients)
+    bare = Rows(along, smooth, E, effort, effort, E[:, :, 0], E[:, :, :0], (still, still), coefficients)
+    return _with_forces(bare, along, smooth.carriers, parameters)
 
 
 def first_noise(rows: Sequence[Rows]) -> Noise:
@@ -191,11 +200,16 @@ def solve(robot: Robot, base: BaseParameters, rows: Sequence[Rows]) -> Solution:
     return found
 
 
-def _forces(
-    along: RneaAlongMotion, carriers: CarrierMotion, parameters: Sequence[Parameter], r: int
-) -> tuple[Array, Array]:
+def _with_forces(rows: Rows, along: RneaAlongMotion, carriers: CarrierMotion, parameters: Sequence[Parameter]) -> Rows:
+    """Return the equations with f₀ and Y along a motion; E factor (u − offset) = f has columns E and −E u."""
+    r, drives = rows.E.shape[1], [*along.robot.actuated, *along.robot.carriers]
     prior = np.concatenate(along.forces(carriers), axis=1)[:, :r]
-    return prior, chain_regressor(along, parameters, carriers)[:, :r]
+    own = [p for p in parameters if p.kind not in OF_SENSORS]
+    columns = [chain_regressor(along, own, carriers)[:, :r]]
+    for p in parameters[len(own) :]:
+        j = drives.index(p.of)
+        columns.append((rows.E[:, :, j] * (1.0 if p.kind == "offset" else -rows.clean[:, j : j + 1]))[:, :, None])
+    return replace(rows, prior=prior, Y=np.concatenate(columns, axis=2))
 
 
 def _corrected(robot: Robot, base: BaseParameters, rows: Rows, values: Array) -> Rows:
@@ -212,11 +226,11 @@ def _corrected(robot: Robot, base: BaseParameters, rows: Rows, values: Array) ->
     carriers = CarrierMotion(
         carried.s, carried.sd + rate[:, moved], carried.sdd + acceleration[:, moved], check_rates=False
     )
-    prior, Y = _forces(along, carriers, [base.parameters[k] for k in base.independent], r)
+    rows = _with_forces(rows, along, carriers, [base.parameters[k] for k in base.independent])
     momentum, damping = _momentum_and_damping(robot, base.parameters, values, along, per_rate, carriers)
     rows_of_tree = projection[:, :, :r].transpose(0, 2, 1)
     by_rates = rows_of_tree @ (damping[:, :, None] * per_rate), rows_of_tree @ momentum
-    return replace(rows, prior=prior, Y=Y, by_rates=by_rates)
+    return replace(rows, by_rates=by_rates)
 
 
 def _momentum_and_damping(
@@ -275,7 +289,8 @@ def _least_squares(rows: Sequence[Rows], noise: Noise) -> Solution:
     for one, L, A, D, y, factor, DA, Dy in parts:
         coefficients = factor.solve(Dy - DA @ change)
         white = (y - A @ change - D @ coefficients).reshape(-1, len(one.E)).T
-        solved.append(replace(one, coefficients=coefficients))
+        noisy = noise.effort**2 * np.einsum("Nrd,Nsr,Ns->Nd", one.E, L, white)
+        solved.append(replace(one, coefficients=coefficients, clean=one.effort - noisy))
         residual.append(white)
         rest.append(np.linalg.solve(L, white[..., None])[..., 0])
     count = sum(part.size for part in rest)

@@ -12,7 +12,7 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.identification.base import BaseParameters, base_parameters
 from redundancy_pin.identification.equations import Solution, first_noise, rows_of_records, solve
 from redundancy_pin.identification.hints import hints
-from redundancy_pin.identification.parameters import parameters_of, with_values
+from redundancy_pin.identification.parameters import parameters_of, sensors_of, with_values
 from redundancy_pin.identification.physical import nearest_physical, unphysical
 from redundancy_pin.identification.records import Records, require_matching, smooth_motion
 from redundancy_pin.loading import RobotLike, as_robot
@@ -27,6 +27,9 @@ _LEAST = 1e-6
 
 _WHITE = 4.0
 """Largest correlation of white residuals from sample to sample, over 1/√N."""
+
+_COLLAPSED = 1e-3
+"""Factors of all efforts below which the equations are solved by none at all."""
 
 _EXPLAINED = 0.5
 """Part of the mean square of the measured forces that a model explains, at least."""
@@ -125,6 +128,7 @@ def identify(
     *,
     cut_off: float,
     parameters: Sequence[str] | None = None,
+    sensors: Sequence[str] = (),
     physical: bool = False,
 ) -> Fit:
     """Return the dynamic parameters of a robot that explain measured motions, with their standard deviations.
@@ -137,6 +141,8 @@ def identify(
         cut_off: Hz, of the splines through the positions: above the fastest motion, below the noise. Efforts are not
             filtered: their noise stays white.
         parameters: names or patterns of the parameters to identify, as of ``parameters_of``.
+        sensors: names or patterns of parameters of the effort sensors, as of ``sensors_of``: ``"offset of *"`` and
+            ``"factor of *"``, torque constants of currents.
         physical: let ``fit.robot`` have bodies of positive density alone and no negative friction; ``values`` and
             their intervals stay those of the linear fit.
 
@@ -155,17 +161,17 @@ def identify(
         raise InputError(f"cut_off is {cut:g} Hz, of {len(listed)} records.", remedy="Pass records and a positive one.")
     for one in listed:
         require_matching(robot, one)
-    forces = {one.carrier_force.shape[1] for one in listed}
-    if len(forces) > 1:
-        raise InputError(
-            "Some records have carrier_force and some have none.",
-            remedy="Measure it in all records, or leave it out of all.",
-        )
-    chosen = parameters_of(robot, parameters)
+    for name in ("carrier_force", "platform"):
+        if len({getattr(one, name).shape[1] for one in listed}) > 1:
+            raise InputError(
+                f"Some records have {name} and some have none.",
+                remedy="Measure it in all records, or leave it out of all.",
+            )
+    carried = listed[0].carrier_force.shape[1] > 0
+    drives = [*robot.actuated, *robot.carriers][: robot.m + robot.k * carried]
+    chosen = (*parameters_of(robot, parameters), *sensors_of(robot, sensors, drives))
     smooth = [smooth_motion(robot, one, cut) for one in listed]
-    rows = [
-        rows_of_records(robot, one, part, chosen, 0 not in forces) for one, part in zip(listed, smooth, strict=True)
-    ]
+    rows = [rows_of_records(robot, one, part, chosen, carried) for one, part in zip(listed, smooth, strict=True)]
     start = first_noise(rows)
     base = base_parameters(
         np.concatenate([(start.whitening(one.E) @ one.Y).reshape(one.prior.size, -1) for one in rows]),
@@ -206,6 +212,9 @@ def identify(
 def _problems(robot: Robot, base: BaseParameters, standard: Array, solution: Solution, driven: Array) -> list[str]:
     """Return what is doubtful about a solution."""
     listed = []
+    factors = [k for k, p in enumerate(base.parameters) if p.kind == "factor"]
+    if factors and np.abs(standard[factors]).max() < _COLLAPSED:
+        listed.append("No known mass or force sets the scale of the factors: leave one out of sensors, or hold masses.")
     half, sizes = HALF_INTERVAL * solution.deviation, base.sizes[base.independent]
     weak = [base.parameters[k].name for k in base.independent[~(half <= sizes)]]
     if weak:

@@ -62,7 +62,7 @@ def _renamed(drives: Sequence[str], rows: Sequence[Rows]) -> list[str]:
         signs = -signs
     if (signs > 0.0).all() and (order == every).all():
         return []
-    columns = ", ".join(f"{'-' if sign < 0.0 else ''}{drives[k]}" for sign, k in zip(signs, order, strict=True))
+    columns = ", ".join(f"{'-' if sign < 0.0 else ''}{drives[int(k)]}" for sign, k in zip(signs, order, strict=True))
     return [f"Columns of the efforts seem to be those of {columns}."]
 
 

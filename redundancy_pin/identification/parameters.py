@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -42,6 +43,9 @@ _LENGTHS = (0, 1, 1, 1, 2, 2, 2, 2, 2, 2)
 IN_JOINT = ("damping", "friction", "stiffness", "preload", "rotor inertia")
 """Those of a joint; the preload of a spring is its effort at position zero, −stiffness · rest."""
 
+OF_SENSORS = ("offset", "factor")
+"""Those of a measured effort u: its joint has factor · (u − offset)."""
+
 NOT_NEGATIVE = ("mass", "damping", "friction", "stiffness", "rotor inertia")
 
 _STANDARD_GRAVITY = 9.80665
@@ -56,7 +60,7 @@ class Parameter:
     """A dynamic parameter.
 
     Attributes:
-        kind: one of ``INERTIAL`` or ``IN_JOINT``.
+        kind: one of ``INERTIAL``, ``IN_JOINT`` or ``OF_SENSORS``.
         of: name of the body, or of the joint.
         joint: index of the joint in the Pinocchio model.
         unit: its unit.
@@ -105,17 +109,9 @@ def parameters_of(robot: Robot, patterns: Sequence[str] | None = None) -> tuple[
             if (p.kind in INERTIAL and str(robot.model.names[p.joint]) in heavy)
             or (p.kind in IN_JOINT and (p.value != 0.0 or (p.of in driven and p.kind in ("damping", "friction"))))
         )
-    listed = [patterns] if isinstance(patterns, str) else list(patterns)
-    if not listed:
+    chosen = _matching(robot, everything, patterns)
+    if not chosen:
         raise InputError("parameters is empty.", remedy='Name some, such as "mass of *", or leave it out.')
-    for pattern in listed:
-        if not any(fnmatchcase(p.name, pattern) for p in everything):
-            raise InputError(
-                f"No parameter of {robot.name} is named {pattern!r}.",
-                remedy=one_of(pattern, [p.name for p in everything]),
-                pattern=pattern,
-            )
-    chosen = tuple(p for p in everything if any(fnmatchcase(p.name, pattern) for pattern in listed))
     stiff = {p.of for p in everything if p.kind == "stiffness" and (p.value or p in chosen)}
     for p in chosen:
         if p.kind == "preload" and p.of not in stiff:
@@ -125,6 +121,37 @@ def parameters_of(robot: Robot, patterns: Sequence[str] | None = None) -> tuple[
                 joint=p.of,
             )
     return chosen
+
+
+def sensors_of(robot: Robot, patterns: Sequence[str], drives: Sequence[str]) -> tuple[Parameter, ...]:
+    """Return the parameters of the effort sensors of some drives that match any of some patterns.
+
+    Of each drive: its ``"offset of ..."``, the measured effort at none, and its ``"factor of ..."``, the effort per
+    measured one: of a current times a nominal torque constant, the true constant over that.
+
+    Raises:
+        InputError: a pattern that matches none.
+    """
+    everything = []
+    for p in _of_joints(robot):
+        if p.of in drives and p.kind == "friction":
+            everything += [
+                replace(p, kind="offset", value=0.0),
+                replace(p, kind="factor", unit="1", value=1.0, size=1.0),
+            ]
+    return _matching(robot, everything, patterns)
+
+
+def _matching(robot: Robot, everything: Sequence[Parameter], patterns: Sequence[str]) -> tuple[Parameter, ...]:
+    listed = [patterns] if isinstance(patterns, str) else list(patterns)
+    for pattern in listed:
+        if not any(fnmatchcase(p.name, pattern) for p in everything):
+            raise InputError(
+                f"No parameter of {robot.name} is named {pattern!r}.",
+                remedy=one_of(pattern, [p.name for p in everything]),
+                pattern=pattern,
+            )
+    return tuple(p for p in everything if any(fnmatchcase(p.name, pattern) for pattern in listed))
 
 
 def _of_bodies(robot: Robot) -> list[Parameter]:
@@ -194,7 +221,7 @@ def with_values(robot: Robot, parameters: Sequence[Parameter], values: Array) ->
     for parameter, value in zip(parameters, values.tolist(), strict=True):
         if parameter.kind in INERTIAL:
             inertias[parameter.joint][INERTIAL.index(parameter.kind)] = value
-        else:
+        elif parameter.kind in IN_JOINT:
             of_joints.setdefault(parameter.of, {})[parameter.kind.replace(" ", "_")] = value
     for index, ten in inertias.items():
         if ten.any():
@@ -219,4 +246,5 @@ def unit_load(robot: Robot, parameter: Parameter, value: float = 1.0) -> JointFo
     """Return the forces of a joint with a value of one parameter, not a preload, and zeros of the others."""
     load = joint_forces(robot, parameter.of)
     bare = JointForces(parameter.of, friction_speed=load.friction_speed, gear=load.gear)
-    return replace(bare, **{parameter.kind.replace(" ", "_"): value})
+    changes: dict[str, Any] = {parameter.kind.replace(" ", "_"): value}
+    return replace(bare, **changes)

@@ -318,13 +318,40 @@ def test_units_decide_nothing(mass: float, length: float) -> None:
     assert np.allclose(first, second, rtol=1e-3)
 
 
-def test_rotors_behind_gears_stay_what_they_can_be() -> None:
+@pytest.mark.parametrize(("mass", "least"), [(0.15, 1e-9), (0.02, 0.0)])
+def test_rotors_behind_gears_stay_what_they_can_be(mass: float, least: float) -> None:
+    """Rotors of 1e-5 kg·m² take a small part of a lost mass; they end at zero where that is more than they have."""
     motors = [rp.JointForces(j, damping=0.8, friction=0.5, rotor_inertia=1e-5, gear=50.0) for j in FIVE_BAR.actuated]
     given = FIVE_BAR.loaded(*motors)
-    true = rp.load_robot("five_bar", distal_mass=0.15).loaded(*motors)
+    true = rp.load_robot("five_bar", distal_mass=mass).loaded(*motors)
     fit = identify(given, noisy(measured(rp.RneaDynamics(true)), seed=3), cut_off=CUT_OFF)
-    assert all(load.rotor_inertia >= 0.0 for load in fit.robot.loads)
+    assert all(load.rotor_inertia >= least for load in fit.robot.loads)
     assert prediction(fit, true, seed=9) < 0.01
+
+
+def test_sensors_have_offsets_and_factors() -> None:
+    """Currents times nominal torque constants: of all motors where a mass is known, of one less where none is."""
+    true, records = of_five_bar()
+    fit = fit_of(with_efforts(records, records.effort + np.array([0.5, -0.2])), sensors=["offset of *"])
+    within = dict(zip(fit.base.names, fit.intervals, strict=True))
+    for name, offset in (("offset of base_1", 0.5), ("offset of base_2", -0.2)):
+        assert np.diff(within[name]) < 0.03
+        assert within[name][0] - 0.01 < offset < within[name][1] + 0.01
+    assert not fit.problems
+    assert prediction(fit, true, seed=9) < 0.02
+    currents = with_efforts(records, records.effort / [1.2, 0.9])
+    ratio = fit_of(currents, sensors=["factor of base_2"])
+    low, high = ratio.intervals[-1]
+    assert low - 0.05 < 0.75 < high + 0.05
+    assert high - low < 0.3
+    given = replace(true, loads=FIVE_BAR.loads)
+    known = identify(given, currents, cut_off=CUT_OFF, parameters=["friction of b*", "damping of b*"], sensors=["f*"])
+    assert known.values[-2:] == pytest.approx([1.2, 0.9], rel=0.02)
+    assert (np.abs(known.values[-2:] - [1.2, 0.9]) < 4.0 * known.standard_deviation[-2:]).all()
+    none = fit_of(currents, parameters=["moment*", "inertia*"], sensors=["factor of *"])
+    assert "No known mass or force sets the scale" in none.problems[0]
+    with pytest.raises(rp.errors.InputError, match="No parameter of five_bar is named 'factor of bas'"):
+        fit_of(currents, sensors=["factor of bas"])
 
 
 # --- real bodies -----------------------------------------------------------------------------------------------------
@@ -479,7 +506,7 @@ def test_records_say_what_they_do_not_hold() -> None:
         identify("five_bar", [], cut_off=10.0)
     carried = Records([0.0, 1.0], *[np.zeros((2, 2))] * 2, carriers=np.zeros((2, 2)), carrier_force=np.zeros((2, 2)))
     bare = Records([0.0, 1.0], *[np.zeros((2, 2))] * 2, carriers=np.zeros((2, 2)))
-    with pytest.raises(rp.errors.InputError, match="Some records have carrier_force"):
+    with pytest.raises(rp.errors.InputError, match="Some records have carrier_force and some have none"):
         identify(declared("five_bar"), [carried, bare], cut_off=10.0)
 
 
