@@ -6,9 +6,9 @@ the robot that is given, and c the noise in the coefficients of the splines thro
     E u − f₀ = Y δ + D c + E ε + η,    ε ~ N(0, Σ) of the efforts,    η ~ N(0, S) of what the model leaves out of f.
 
 δ and c are estimated together, c with the covariance of the splines (total least squares); Y and f₀ are evaluated
-again at the corrected rates, which takes the bias of noise in the regressor away. D has the noise of accelerations and
-that of velocities in joint friction; what noise does to Γ, W and Coriolis forces is smaller by the speed over
-the cut-off frequency and is left out. Σ and S, diagonal, are those of largest likelihood, in turns with δ. At a
+again at the corrected rates, which takes the bias of noise in the regressor away. D has the noise of velocities and
+accelerations; what that of positions does to Γ and W is smaller by the speed over the cut-off frequency and is left
+out. Σ and S, diagonal, are those of largest likelihood, in turns with δ. At a
 type II singularity a row of E is zero, and says uᵀ Y δ = −uᵀ f₀ with no noise of the efforts in it.
 """
 
@@ -227,27 +227,28 @@ def _corrected(robot: Robot, base: BaseParameters, rows: Rows, values: Array) ->
         carried.s, carried.sd + rate[:, moved], carried.sdd + acceleration[:, moved], check_rates=False
     )
     rows = _with_forces(rows, along, carriers, [base.parameters[k] for k in base.independent])
-    momentum, damping = _momentum_and_damping(robot, base.parameters, values, along, per_rate, carriers)
-    rows_of_tree = projection[:, :, :r].transpose(0, 2, 1)
-    by_rates = rows_of_tree @ (damping[:, :, None] * per_rate), rows_of_tree @ momentum
-    return replace(rows, by_rates=by_rates)
+    derivatives = _derivatives(robot, base.parameters, values, along.tree_motion(carriers), per_rate)
+    first, second = (projection[:, :, :r].transpose(0, 2, 1) @ part for part in derivatives)
+    return replace(rows, by_rates=(first, second))
 
 
-def _momentum_and_damping(
-    robot: Robot,
-    parameters: Sequence[Parameter],
-    values: Array,
-    along: RneaAlongMotion,
-    per_rate: Array,
-    carriers: CarrierMotion,
+def _derivatives(
+    robot: Robot, parameters: Sequence[Parameter], values: Array, motion: tuple[Array, Array, Array], per_rate: Array
 ) -> tuple[Array, Array]:
-    """Return M Γ' (N, nv, c), of velocities Γ' per measured rate, and (N, nv) rates of joint friction by velocities.
+    """Return (N, nv, c) derivatives of the tree's efforts by measured rates, and by accelerations (which is M Γ').
 
-    M is a sum of regressors: values (p,) need not be those of real bodies. Of a rotor in a moving link the part that
-    turns about the joint counts.
+    They are sums of regressors: values (p,) need not be those of real bodies. Efforts are quadratic in v, so that
+    central differences are exact. Of a rotor in a moving link the part that turns about the joint counts.
+
+    Args:
+        robot: the given robot.
+        parameters: the p parameters that are sought.
+        values: (p,) their estimates.
+        motion: q (N, nq), v and a (N, nv) of the tree.
+        per_rate: (N, nv, c) Γ' of velocities per measured rate.
     """
     estimates = {p.name: float(value) for p, value in zip(parameters, values, strict=True)}
-    (q, v, _), model = along.tree_motion(carriers), robot.model.copy()
+    (q, v, _), model = motion, robot.model.copy()
     model.gravity.setZero()
     data, still, inertial = model.createData(), np.zeros(model.nv), np.zeros(10 * len(robot.bodies))
     damping, rotors = np.zeros(v.shape), np.array(model.armature)
@@ -259,10 +260,14 @@ def _momentum_and_damping(
             damping[:, column] += value * unit_load(robot, p).resistance_rate(v[:, column])
         elif p.kind == "rotor inertia":
             rotors[column] += value * joint_forces(robot, p.of).gear ** 2
-    momentum = rotors[:, None] * per_rate
+    by_rate, by_acceleration = damping[:, :, None] * per_rate, rotors[:, None] * per_rate
     for i, j in np.ndindex(len(q), per_rate.shape[2]):
-        momentum[i, :, j] += pin.computeJointTorqueRegressor(model, data, q[i], still, per_rate[i, :, j]) @ inertial
-    return momentum, damping
+        way = per_rate[i, :, j]
+        by_acceleration[i, :, j] += pin.computeJointTorqueRegressor(model, data, q[i], still, way) @ inertial
+        for sign in (0.5, -0.5):
+            moved = v[i] + 2.0 * sign * way
+            by_rate[i, :, j] += sign * (pin.computeJointTorqueRegressor(model, data, q[i], moved, still) @ inertial)
+    return by_rate, by_acceleration
 
 
 def _least_squares(rows: Sequence[Rows], noise: Noise) -> Solution:

@@ -11,7 +11,7 @@ from redundancy_pin.arrays import Array, Frozen, checked, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.identification.base import BaseParameters, base_parameters
 from redundancy_pin.identification.equations import Solution, first_noise, rows_of_records, solve
-from redundancy_pin.identification.hints import hints
+from redundancy_pin.identification.hints import hints_of_order, hints_of_time
 from redundancy_pin.identification.parameters import parameters_of, sensors_of, with_values
 from redundancy_pin.identification.physical import nearest_physical, unphysical
 from redundancy_pin.identification.records import Records, require_matching, smooth_motion
@@ -187,10 +187,9 @@ def identify(
         converged = converged and found
     status = ResultStatus.OK if converged else ResultStatus.NOT_CONVERGED
     driven = np.concatenate([one.driven for one in rows])
-    problems = [
-        *_problems(robot, base, standard, solution, driven),
-        *(hints(robot, listed, rows, solution.rows) if len(base) else []),
-    ]
+    problems = _problems(robot, base, standard, solution, driven)
+    if len(base):
+        problems += [*hints_of_order(robot, rows), *hints_of_time(listed, solution.rows)]
     return Fit(
         status=status if len(base) else ResultStatus.UNRESOLVED,
         problems=tuple(problems),

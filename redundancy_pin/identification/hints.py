@@ -27,21 +27,12 @@ _LONGEST, _LAGS = 1.0, 401
 """Longest shift, s, at most a quarter of the record, and how many shifts are tried."""
 
 
-def hints(robot: Robot, records: Sequence[Records], rows: Sequence[Rows], corrected: Sequence[Rows]) -> list[str]:
-    """Return what signs, order or times of the efforts would explain them far better, as texts.
+def hints_of_order(robot: Robot, rows: Sequence[Rows]) -> list[str]:
+    """Report signs and an order of columns that leave far less; one change after the other, as long as each helps.
 
-    Args:
-        robot: the robot as declared, which says the sign of all efforts together.
-        records: R records.
-        rows: their equations as measured.
-        corrected: their equations about rates without the estimated noise of positions, which hides small shifts.
+    The robot as declared says the sign of all efforts together. ``rows`` are the equations as measured.
     """
     drives = [*robot.actuated, *robot.carriers][: rows[0].E.shape[2]]
-    return [*_renamed(drives, rows), *_shifts(records, corrected)]
-
-
-def _renamed(drives: Sequence[str], rows: Sequence[Rows]) -> list[str]:
-    """Report signs and an order of columns that leave far less; one change after the other, as long as each helps."""
     left, every = _misfit(rows), np.arange(len(drives))
     signs, order = np.ones(len(drives)), every
     best = left([one.effort for one in rows])
@@ -66,8 +57,11 @@ def _renamed(drives: Sequence[str], rows: Sequence[Rows]) -> list[str]:
     return [f"Columns of the efforts seem to be those of {columns}."]
 
 
-def _shifts(records: Sequence[Records], rows: Sequence[Rows]) -> list[str]:
-    """Report a shift in time that leaves less."""
+def hints_of_time(records: Sequence[Records], rows: Sequence[Rows]) -> list[str]:
+    """Report a shift in time that leaves less.
+
+    ``rows`` are the equations about rates without the estimated noise of positions, which would hide small shifts.
+    """
     left = _misfit(rows)
     reach = min(_LONGEST, *(0.25 * (one.t[-1] - one.t[0]) for one in records))
     lags = np.linspace(-reach, reach, _LAGS)

@@ -216,7 +216,7 @@ def with_values(robot: Robot, parameters: Sequence[Parameter], values: Array) ->
     Raises:
         InputError: a negative damping, friction, stiffness or rotor inertia; a preload without stiffness.
     """
-    model, loads, of_joints = robot.model.copy(), list(robot.loads), dict[str, dict[str, float]]()
+    model, loads, of_joints = robot.model.copy(), list(robot.loads), dict[str, dict[str, Any]]()
     inertias = {p.joint: model.inertias[p.joint].toDynamicParameters() for p in parameters if p.kind in INERTIAL}
     for parameter, value in zip(parameters, values.tolist(), strict=True):
         if parameter.kind in INERTIAL:
