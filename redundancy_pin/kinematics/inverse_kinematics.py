@@ -375,10 +375,13 @@ def point_on_branch(system: ConstraintSystem, x: Array, time: float | None = Non
         )
     state = own.close(q, x) if in_mode else None
     if state is None:
+        mode, other = "", ""
+        if robot.working_mode:
+            mode, other = f" in the working mode of {robot.name}", ", or load the robot in another working_mode"
         raise UnreachablePoseError(
-            f"{pose} cannot be reached in the working mode of {robot.name}: the chains stay open by {residual:.3g} m"
+            f"{pose} cannot be reached{mode}: the chains stay open by {residual:.3g} m"
             f"{worst_dependent_row(system, q)}.{millimetres(residual, robot.characteristic_length)}",
-            remedy="Move the pose into the workspace, or load the robot in another working_mode.",
+            remedy=f"Move the pose into the workspace{other}.",
             **details,
             residual=residual,
         )

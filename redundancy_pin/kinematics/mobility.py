@@ -14,6 +14,7 @@ from redundancy_pin.kinematics.assembly import Assembly, assemble, evaluated, sm
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.build import with_pointer
+from redundancy_pin.robot.scales import closure_tolerance
 
 
 def check_mobility(system: ConstraintSystem, *, dropped: bool = False) -> None:
@@ -218,13 +219,18 @@ def _rank(system: ConstraintSystem, q: Array, apart: float = RANK_TOLERANCE) -> 
 
 
 def worst_dependent_row(system: ConstraintSystem, q: Array) -> str:
-    """Return what to say of the dependent row that a configuration (nq,) leaves open most; empty where all close."""
-    if not system.dependent_row_residual(q[None])[0]:
+    """Return what to say of the dependent row that a configuration (nq,) leaves open most.
+
+    Empty where all rows close, and where those that were kept do not close either: then the pose is out of their reach.
+    """
+    kept_open = system.largest_residual(system.evaluate(q[None]).phi)[0] >= closure_tolerance(system.robot)
+    if kept_open or not system.dependent_row_residual(q[None])[0]:
         return ""
-    every = system.every
+    every, kept = system.every, set(row_names(system.robot))
     residual = np.abs(every.evaluate(q[None]).phi[0] / every.closure_unit)
-    name = row_names(every.robot)[int(np.argmax(residual))]
-    return f", in {name}, which was left out as redundant near the reference"
+    names = row_names(every.robot)
+    worst = max((i for i, name in enumerate(names) if name not in kept), key=lambda i: float(residual[i]))
+    return f", in {names[worst]}, which was left out as redundant near the reference"
 
 
 def row_names(robot: Robot) -> list[str]:

@@ -317,6 +317,32 @@ def test_dependent_rows_of_exact_placements(lift: float, is_closed: bool, tmp_pa
     assert caught.value.details["residual"] == pytest.approx(lift * robot.characteristic_length)
 
 
+def test_a_pose_out_of_reach_blames_no_row_that_was_left_out() -> None:
+    """A five-bar whose loop is a ball: z of it is left out, and far away x and y stay open. It has no working modes."""
+    box = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    joint = '<joint name="{0}" type="{4}"><parent link="{1}"/><child link="{2}"/>'
+    joint += '<origin xyz="{3} 0 0"/><axis xyz="0 0 1"/></joint>'
+    links = ["base", "a", "b", "c", "d", "left", "right"]
+    joints = [("q1", "base", "a", 0.0), ("p1", "a", "b", 1.0), ("q2", "base", "c", 0.4), ("p2", "c", "d", 1.0)]
+    text = "".join(f'<link name="{name}">{box}</link>' for name in links[1:])
+    text += "".join(joint.format(*one, "continuous") for one in joints)
+    text += "".join(joint.format(f"to_{end}", link, end, 1.0, "fixed") for link, end in (("b", "left"), ("d", "right")))
+    model = pin.buildModelFromXML(f'<robot name="r"><link name="base"/>{text}</robot>')
+    robot = rp.robot_from_model(
+        model,
+        actuated=["q1", "q2"],
+        closures=[{"frames": ["left", "right"], "axes": ["x", "y", "z"]}],
+        redundant_rows=True,
+        independent={"platform": "left", "axes": ["x", "y"]},
+        reference={"guess": {"q1": 2.0, "p1": -1.2, "q2": 1.1, "p2": 1.2}},
+    )
+    with pytest.raises(UnreachablePoseError) as caught:
+        rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.2, 2.6]], [[0.0, 0.0]], [[0.0, 0.0]]))
+    assert "stay open by" in caught.value.message
+    assert "left out" not in caught.value.message
+    assert "working_mode" not in caught.value.remedy
+
+
 @pytest.mark.parametrize(
     ("tilt", "across", "axes"),
     [*((tilt, 0.0, HINGE[:3]) for tilt in (0.0, 1e-4, 5.5e-4, 6e-4)), (0.0, 1e-4, HINGE), (0.0, 9e-4, HINGE)],
