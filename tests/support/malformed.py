@@ -188,7 +188,7 @@ PATHS = (
     "x" * 248 + ".png", "http://a/b", "file:x", "motion.csv/x", "motion.csv/x.npz", "*", "\t", "%00", "nul",
 )  # fmt: skip
 # only to read from: nothing outside of the working folder is ever written, not by a command with a fault either
-DEVICES = ("/", "..", "~", "/dev/null", "/dev/zero", "/dev/full", "/proc/self/mem", "/proc/self/environ", "/root/x/y")
+DEVICES = ("/", "..", "~", "/dev/null", "/dev/zero", "/dev/full", "/proc/self/mem", "/proc/self/environ", "/none/x/y")
 SUFFIXES = (".npz", ".csv", ".png", ".svg", ".pdf", ".html", ".txt", "", ".NPZ", ".tar.gz")
 
 ROBOTS = ("2rpr", "3rrr", "five_bar", "four_bar", "gough")

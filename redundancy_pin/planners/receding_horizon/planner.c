@@ -302,8 +302,8 @@ static double preview_time(const Planner *p, double t) {
 }
 
 /* Plan from a time on, not before the last one; s, sd (K): where the carriers are, NaN where the last plan is to be believed. The
-   result is that of ``last_of``. UNSOLVED: a first plan was not found. STOPPED: by who evaluates the preview; or the planner was never
-   started, or the clock counts from so long ago that it does not tell instants apart. */
+   result is that of ``last_of``. UNSOLVED: a first plan was not found. STOPPED: the preview has no finite value, the planner was never
+   started, or the clock is beyond LATEST. */
 static int update_planner(Planner *p, double t, const Preview *preview, const double *s, const double *sd) {
     if (!(p->settings.step > 0.0) || !(fabs(t) <= LATEST)) return STOPPED;
     if (preview->number != p->number) {
@@ -314,7 +314,7 @@ static int update_planner(Planner *p, double t, const Preview *preview, const do
         } else {
             begin_window(&p->window[!p->seen], &p->window[p->seen], t, p->settings.step);
             p->seen = !p->seen;
-            p->window[p->seen].size = 0.0;   /* of what comes, as of a first preview: it is looked at anew */
+            p->window[p->seen].size = 0.0;   /* sharp turns are scanned as those of a first preview */
         }
         p->number = preview->number;
     }
