@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from redundancy_pin.errors import InputError, shown
+from redundancy_pin.errors import InputError, did_you_mean, shown
 
 Array: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]
@@ -432,8 +432,9 @@ def one_of(value: object, name: str, allowed: Iterable[object]) -> None:
         InputError: another value.
     """
     if not any(type(value) is type(choice) and value == choice for choice in allowed):
-        choices = ", ".join(map(str, allowed))
-        raise InputError(f"{name} is {shown(value)}.", remedy=f"Use one of {choices}.", name=name, value=value)
+        choices = [*map(str, allowed)]
+        remedy = f"{did_you_mean(value, choices)}Use one of {', '.join(choices)}."
+        raise InputError(f"{name} is {shown(value)}.", remedy=remedy, name=name, value=value)
 
 
 def inside(values: ArrayLike, lower: float, upper: float, name: str, unit: str) -> Array:

@@ -14,7 +14,6 @@ from redundancy_pin.dynamics.arguments import require_matching_carriers
 from redundancy_pin.dynamics.backends import backend_of
 from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics as efforts_along
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot.loads import Load, Payload, Wrench
 from redundancy_pin.visualisation.figures.curves import curves
 from redundancy_pin.visualisation.figures.plots import efforts
@@ -115,20 +114,8 @@ def inverse_dynamics(
 
         plot, failed = output.drawn(plot, draw)
         advance(len(samples), len(samples), "dynamics")
-    used, (main, moved) = backend_of(dynamics), robot_record(loaded).effort_units
-    facts = {"robot": loaded.name, "backend": used, "motion": motion.described, "out": out, **result.summary()}
-    facts |= {"ends": getattr(followed, "ends", None), "plot": plot}
-    rows = [
-        ("motion", motion.described),
-        *((f"{name} samples", str(count)) for name, count in facts["statuses"].items()),
-        (f"largest |tau| [{main}]", output.row(facts["largest_tau"])),
-        *([(f"largest |carrier force| [{moved}]", output.row(facts["largest_carrier_force"]))] if loaded.k else []),
-        ("smallest margin", f"{facts['smallest_margin']:.6g}"),
-        ("whole motion", result.status.value),
-        *([("singular at t [s]", output.row(one.t for one in result.instants))] if result.instants else []),
-        ("written to", out),
-        *output.written(facts, plot="picture"),
-    ]
-    table = output.TextTable(f"{loaded.name}, {used}: {len(samples)} samples", rows)
-    output.report(as_json, facts, table, warnings=result.warnings(), failed=failed)
+    facts = result.summary()
+    facts.tables[0].title = f"{loaded.name}, {backend_of(dynamics)}: {len(samples)} samples"
+    more = {"backend": backend_of(dynamics), "motion": motion.described, "ends": getattr(followed, "ends", None)}
+    output.report(as_json, facts, files={"out": ("efforts", out), "plot": ("picture", plot)}, failed=failed, **more)
     return output.EXIT_CODES[result.status]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,7 +13,11 @@ from redundancy_pin.cli.errors import BAD_INPUT
 from redundancy_pin.cli.output import report
 from redundancy_pin.errors import InputError, RedundancyPinError
 from redundancy_pin.io.files import require_writable, write_text
+from redundancy_pin.io.summary import Summary
 from redundancy_pin.robot.propose import KINDS
+
+if TYPE_CHECKING:
+    from redundancy_pin.robot import Robot
 
 
 def _names(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[str, ...]:
@@ -74,17 +79,18 @@ def new(
     if platform and decided["independent"]:
         raise InputError("--platform and --independent are both given.", remedy="Give motions in one of them.")
     source = Path(path)
-    target = require_writable(out or source.parent / "robot.yaml")
-    if target.exists() and not is_undecided(target):
-        raise InputError(f"{target} is there already.", remedy="Pass --out, or move it away.", path=str(target))
     if not is_urdf(source) and source.exists() and not is_model_file(source):
         raise InputError(f"{path} is no model of a robot.", remedy="Pass a URDF, xacro, MJCF or SDF file.")
     proposal, robot = propose_robot(source, settings, platform=platform.get("platform", ""), **decided)
+    target = require_writable(out or source.parent / "robot.yaml")
+    if target.exists() and not is_undecided(target):
+        raise InputError(f"{target} is there already.", remedy="Pass --out, or move it away.", path=str(target))
     place = source.name if target.resolve().parent == source.resolve().parent else str(source.resolve())
     near = is_urdf(source) or bool(decided["guess"])
     before = target.read_text(encoding="utf-8") if target.exists() else None
     write_text(target, declaration_text(proposal, robot, place, settings, is_near_guess=near, platform=platform))
     mechanism, notes, outcome = proposal.mechanism, proposal.mechanism.notes, "it loads when all is decided"
+    warnings = [f"undecided: {question}" for question in proposal.questions]
     if robot and not proposal.questions:
         files = {name: decided[name] for name in ("trust", "untrusted")}
         try:
@@ -94,7 +100,8 @@ def new(
             raise
         notes = (*loaded.notes, *filter(None, [too_few_motors(loaded)]))
         outcome = f"n = {loaded.n}, m = {loaded.m}"
-    facts = {
+        warnings += _guessed_by_us(loaded, decided["guess"])
+    facts: dict[str, Any] = {
         "out": str(target),
         "loops": [{"name": each.name, "kind": each.kind, "links": each.links} for each in mechanism.loop_joints],
         "found": dict(proposal.found),
@@ -106,6 +113,17 @@ def new(
         "notes": notes,
         "undecided": proposal.questions,
     }
-    asked = [f"undecided: {question}" for question in proposal.questions]
-    report(as_json, facts, *proposal.listed(), *notes, f"{target}: {outcome}.", warnings=asked)
+    report(as_json, Summary(facts, warnings=warnings), *proposal.listed(), *notes, f"{target}: {outcome}.")
     return BAD_INPUT if proposal.questions else 0
+
+
+def _guessed_by_us(robot: Robot, guess: Mapping[str, float]) -> list[str]:
+    """Return where the joints are that a guess leaves out: another branch may be nearer to their start than the own."""
+    from redundancy_pin.loading.reference import reference_positions
+
+    known = {*guess, *robot.carriers, *(one.joint for one in robot.couplings)}
+    left = {name: at for name, at in reference_positions(robot).items() if name not in known}
+    if not (guess and left and robot.closures):
+        return []
+    places = ",".join(f"{name}={at:.3g}" for name, at in left.items())
+    return [f"--guess leaves out {', '.join(left)}: the branch is the one with {places}; add them for another one."]

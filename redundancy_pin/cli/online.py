@@ -5,20 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import click
-import numpy as np
 
 from redundancy_pin.cli import options, output
 from redundancy_pin.dynamics.backends import backend_of
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, run_online
+from redundancy_pin.planners.receding_horizon.run import NOT_PLANNED
 from redundancy_pin.planners.registry import in_groups
-from redundancy_pin.planners.summary import summary, warnings_of
-from redundancy_pin.status import UpdateStatus
 from redundancy_pin.view import show
 from redundancy_pin.visualisation.viewer.page import require_html
-
-_PLANNED = (UpdateStatus.OK.value, UpdateStatus.TIME_SCALED.value)
-"""Updates that found a plan within every limit."""
 
 
 @click.command()
@@ -72,26 +67,10 @@ def online(
         if out:
             run.plan.save(out)
         html, failed = output.drawn(html, lambda path: show(run.plan, robot=planner.robot).save(path))
-    plan, seconds = run.plan, [command.seconds for command in run.commands]
-    times = dict(zip(("p50", "p99"), 1e3 * np.percentile(seconds, [50.0, 99.0]), strict=True))
-    facts = {**summary(plan), "backend": backend_of(dynamics), "ticks": run.counts, "milliseconds": times}
-    facts |= {"motion": motion.described, "ends": getattr(followed, "ends", None), "out": out, "html": html}
-    found: Any = plan.diagnostics
-    rows = [
-        ("status", facts["status"].replace("_", " ")),
-        ("motion", facts["motion"]),
-        ("ticks", ", ".join(f"{count} {status}" for status, count in run.counts.items() if count)),
-        ("time of a tick, p50 and p99 [ms]", output.row(times.values())),
-        ("later at the end [s]", output.number(found["delay"])),
-        ("singular instants [s]", output.row(facts["findings"]["singular_instants"]) or "none"),
-        ("force missing there [N]", output.number(found["missing_force"])),
-        (f"peak main effort [{plan.robot.effort_units[0]}]", output.row(facts["peak_effort"])),
-        *output.written(facts, out="plan", html="page"),
-    ]
-    left = sum(count for status, count in run.counts.items() if status not in _PLANNED)
-    warnings = [*warnings_of(plan)]
-    if left:
-        warnings.append(f"{left} of {len(run.commands)} ticks had no plan within every limit.")
-    table = output.TextTable(f"{facts['robot']}, on line, {facts['backend']}", rows)
-    output.report(as_json, facts, table, warnings=warnings, failed=failed)
-    return output.EXIT_CODES[plan.status] or (4 if left else 0)
+    facts = run.summary()
+    facts.tables[0].title += f", {backend_of(dynamics)}"
+    ends = getattr(followed, "ends", None)
+    more = {"backend": backend_of(dynamics), "motion": motion.described, "ends": ends}
+    output.report(as_json, facts, files={"out": ("plan", out), "html": ("page", html)}, failed=failed, **more)
+    left = sum(run.counts[status.value] for status in NOT_PLANNED)
+    return output.EXIT_CODES[run.plan.status] or (4 if left else 0)

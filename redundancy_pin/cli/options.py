@@ -327,11 +327,11 @@ class RobotOptions:
         return not self.settings and self.working_mode is None and self.gravity is None
 
 
-def parse_setting(text: str) -> tuple[str, float | bool | str]:
+def parse_setting(text: str, example: str = "carrier_mass=2.0") -> tuple[str, float | bool | str]:
     """Return name and value of ``NAME=VALUE``."""
     name, separator, value = (part.strip() for part in text.partition("="))
     if not (separator and name and value):
-        raise InputError(f"{shown(text)} is not NAME=VALUE.", remedy="Write carrier_mass=2.0.", value=text)
+        raise InputError(f"{shown(text)} is not NAME=VALUE.", remedy=f"Write {example}.", value=text)
     instead = {"gravity": "gravity", "working_mode": "working_mode", "source": "robot"}.get(name)
     if instead:
         remedy = f"It has a flag, --{instead.replace('_', '-')}, and a key, {instead}."
@@ -369,12 +369,14 @@ def by(read: Reader) -> Callable[..., Any]:
     return lambda _context, option, text: None if text is None else read(option.name, text)
 
 
-def settings_option(flag: str, name: str, text: str) -> Callable[[_Command], _Command]:
+def settings_option(
+    flag: str, name: str, text: str, example: str = "carrier_mass=2.0"
+) -> Callable[[_Command], _Command]:
     """Return an option of ``NAME=VALUE`` pairs, which the command gets as a mapping."""
 
     def parse(_context: click.Context, _option: click.Parameter, texts: Sequence[str]) -> dict[str, Any]:
         given: dict[str, Any] = {}
-        for key, value in map(parse_setting, texts):
+        for key, value in (parse_setting(each, example) for each in texts):
             if key in given:
                 raise InputError(f"{flag} has {shown(key)} twice.", remedy="Leave one of them out.", key=key)
             given[key] = value
@@ -473,7 +475,7 @@ def dynamics_of(robot: Robot, backend: str | None) -> Dynamics:
 def baseline_option(planner: Callable[..., Any]) -> Callable[[_Command], _Command]:
     """Return the option ``--baseline`` of a planner that can aim at a fraction of the efforts of another robot."""
     text = "Parameters that make the robot its own baseline: carriers=false. May be repeated."
-    option = settings_option("--baseline", "baseline", text)
+    option = settings_option("--baseline", "baseline", text, "carriers=false")
     return option if "objective" in inspect.signature(planner).parameters else lambda command: command
 
 
@@ -491,22 +493,25 @@ class MotionOptions:
     check_rates: bool = True
     keys: Mapping[str, object] | None = None
     """Of the trajectory, by a problem file; else they are written behind its name."""
+    folder: Path = Path()
+    """Where the file is looked for."""
 
     @functools.cached_property
-    def _parts(self) -> tuple[str, Mapping[str, object]]:
+    def _parts(self) -> tuple[str, Mapping[str, object], str | None]:
+        """The trajectory or the path, its keys, and the path once more, None for a trajectory by name."""
         from redundancy_pin.trajectory.by_name import split_trajectory
+        from redundancy_pin.trajectory.reference import TRAJECTORIES
 
-        return split_trajectory(self.given or "") if self.keys is None else (self.given or "", self.keys)
+        name, keys = split_trajectory(self.given or "") if self.keys is None else (self.given or "", self.keys)
+        if not name or not isinstance(name, str) or name in TRAJECTORIES:
+            return name, keys, None
+        path = str(self.folder / name)
+        return (path, keys, path) if Path(name).suffix or is_file(Path(path)) else (name, keys, None)
 
     @property
     def file(self) -> str | None:
         """The file that the motion is read from; None for a trajectory by name."""
-        from redundancy_pin.trajectory.reference import TRAJECTORIES
-
-        name = self._parts[0]
-        if not isinstance(name, str) or name in TRAJECTORIES:
-            return None
-        return name if Path(name).suffix or is_file(Path(name)) else None
+        return self._parts[2]
 
     @functools.cached_property
     def is_sampled(self) -> bool:
@@ -520,7 +525,9 @@ class MotionOptions:
         """What the motion is, for reports."""
         if self.file is None:
             return str(self.given)
-        return f"{'samples' if self.is_sampled else 'a trajectory through the points'} of {self.given}"
+        return (
+            f"{'samples' if self.is_sampled else 'a trajectory through the points'} of {self.folder / str(self.given)}"
+        )
 
     def follow(self, who: str, robot: Robot, **settings: float | None) -> PlatformMotion | Trajectory:
         """Return the motion of a robot; ``who`` needs it, such as "A plan". Samples take neither keys nor settings."""
@@ -529,7 +536,7 @@ class MotionOptions:
         from redundancy_pin.trajectory import from_csv
         from redundancy_pin.trajectory.by_name import trajectory_by_name
 
-        name, values = self._parts
+        name, values, _ = self._parts
         if not self.is_sampled:
             try:
                 return trajectory_by_name(name, values, robot)

@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,12 +19,12 @@ from redundancy_pin.cli.errors import print_line, printable
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.io.json_data import json_data
+from redundancy_pin.io.summary import WIDTH, Summary
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.visualisation.figures.style import picture_format
 
 if TYPE_CHECKING:  # rich is imported where something is printed by it: `--help` and `--json` do without
     from rich.console import Console
-    from rich.table import Table
 
 Advance = Callable[[int, int, str], None]
 """Called with steps done, steps in all, and what is being done."""
@@ -43,9 +42,6 @@ EXIT_CODES = {
 }
 """Exit codes by the status of a result."""
 
-_ROUNDING = 1e-12  # coordinates and directions below this are shown as zero
-_PIPE_WIDTH = 140  # columns of a table that does not go to a terminal: rich would take 80 and cut numbers
-
 
 def console(*, markup: bool = False) -> Console:
     """Return a console on stdout; plain text of a fixed width when that is not a terminal.
@@ -59,33 +55,12 @@ def console(*, markup: bool = False) -> Console:
         def on_broken_pipe(self) -> None:
             raise  # rich handles the error by this, and would end with 1: a reader that has seen enough is no fault
 
-    plain: dict[str, Any] = {} if _is_terminal(sys.stdout) else {"width": _PIPE_WIDTH, "color_system": None}
+    plain: dict[str, Any] = {} if _is_terminal(sys.stdout) else {"width": WIDTH, "color_system": None}
     return Printer(markup=markup, emoji=False, highlight=False, **plain)
 
 
 def _is_terminal(stream: Any) -> bool:
     return stream is not None and stream.isatty()  # None where it was closed before the start
-
-
-@dataclass(frozen=True)
-class TextTable:
-    """Rows of text, without a head where there are no headings; columns of ``numbers`` stand to the right."""
-
-    title: str
-    rows: Iterable[Sequence[str]]
-    headings: Sequence[str] = ()
-    numbers: bool = False
-
-    def terminal(self) -> Table:
-        """Return the table for a rich console."""
-        from rich.table import Table
-
-        table = Table(title=self.title, show_header=bool(self.headings))
-        for place, heading in enumerate(self.headings):
-            table.add_column(heading, justify="right" if self.numbers and place else "left")
-        for row in self.rows:
-            table.add_row(*row)
-        return table
 
 
 def print_json(data: Mapping[str, Any]) -> None:
@@ -96,50 +71,38 @@ def print_json(data: Mapping[str, Any]) -> None:
 def report(
     as_json: bool,
     facts: Mapping[str, Any],
-    *shown: Any,
-    warnings: Iterable[str] = (),
+    *lines: str,
+    files: Mapping[str, tuple[str, str | None]] | None = None,
     failed: RedundancyPinError | None = None,
+    **more: Any,
 ) -> None:
-    """Print facts as one JSON document, or what is shown to people: lines, and tables with ``terminal``.
+    """Print facts, and ``more`` of them, as one JSON document; or the tables of a ``Summary``, and lines.
 
-    Facts with ``ends``, those of a motion through points, get a line. Each warning is a line on stderr. ``failed``, of
-    a picture, is raised when all is printed.
+    The first table gets rows for ``motion`` and for each file that was written: ``files`` has by key of the facts what
+    it is, and its path. Facts with ``ends``, those of a motion through points, get a line. Each warning of a summary is
+    a line on stderr. ``failed``, of a picture, is raised when all is printed.
     """
+    summary = facts if isinstance(facts, Summary) else Summary(facts)
+    written = dict((files or {}).items())
+    known = {**summary, **more, **{key: path for key, (_, path) in written.items()}}
     if as_json:
-        print_json(facts)
-    elif facts.get("ends"):
-        start, end = ("at rest" if one == "rest" else "with the rates of the samples" for one in facts["ends"])
-        click.echo(f"The motion through the points starts {start} and ends {end} (set by `ends`).")
-    for each in () if as_json else shown:
-        if isinstance(each, str):
-            click.echo(printable(each))  # names come from files of strangers
-        else:
+        print_json(known)
+    else:
+        if known.get("ends"):
+            start, end = ("at rest" if one == "rest" else "with the rates of the samples" for one in known["ends"])
+            click.echo(f"The motion through the points starts {start} and ends {end} (set by `ends`).")
+        for table in summary.tables[:1]:
+            if more.get("motion"):
+                table.rows.insert(1, ("motion", more["motion"]))
+            table.rows += [(f"{what} written to", path) for what, path in written.values() if path]
+        for each in summary.tables:
             console().print(each.terminal())
-    for text in warnings:
+        for line in lines:
+            click.echo(printable(line))  # names come from files of strangers
+    for text in summary.warnings:
         print_line("warning", text)
     if failed:
         raise failed
-
-
-def number(value: float) -> str:
-    """Return a number with six digits, rounding to zero what is rounding of a number of size one."""
-    return f"{0.0 if abs(value) < _ROUNDING else value:.6g}"
-
-
-def row(values: Iterable[float], between: str = ", ") -> str:
-    """Return numbers side by side."""
-    return between.join(number(float(value)) for value in values)
-
-
-def listed(texts: Sequence[str], most: int, between: str) -> str:
-    """Return texts one after another; of more than ``most`` the rest is counted."""
-    rest = [f"and {len(texts) - most} more"] if len(texts) > most else []
-    return between.join([*texts[:most], *rest])
-
-
-def written(facts: Mapping[str, Any], **names: str) -> list[tuple[str, str]]:
-    """Return rows of a table for the files that a command has written: by key of its facts what they are."""
-    return [(f"{name} written to", facts[key]) for key, name in names.items() if facts[key]]
 
 
 def same_file(first: str | Path, second: str | Path) -> bool:

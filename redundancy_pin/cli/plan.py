@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import click
-import numpy as np
 
 from redundancy_pin.cli import options, output
 from redundancy_pin.cli.problem import PlanProblem, read_problem
 from redundancy_pin.dynamics.backends import backend_of
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.planners.plan import REVERSAL, Plan
 from redundancy_pin.planners.registry import PLANNERS, STEPWISE, SWITCH_OFF, TIME_OPTIMAL, WHOLE
-from redundancy_pin.planners.summary import event_texts, summary, warnings_of
-from redundancy_pin.robot.joint_ranges import beyond_limits
 from redundancy_pin.visualisation.figures.plots import plan as plot_plan
 from redundancy_pin.visualisation.figures.style import save
-
-_LISTED = 6  # limits that a table lists; the rest is counted
-_LISTED_PHASES = 10  # a stepwise plan may change its phase at every step
 
 _TITLES = {
     SWITCH_OFF: "Cross singularities with the actuators off.",
@@ -51,7 +43,23 @@ def _output_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("--out", metavar="NPZ", help="Where the plan goes; `load_plan` reads it.")(command)
 
 
-@click.group(invoke_without_command=True)
+class Planners(click.Group):
+    """The group of planners, whose options come after the name of one."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the options of the group; see ``click.Command.parse_args``."""
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            flags = {flag for one in self.commands.values() for own in one.params for flag in own.opts}
+            if error.option_name not in flags:
+                raise
+            message = f"{error.option_name} comes after the name of a planner, and there is none."
+            remedy = f"Write plan NAME {error.option_name} ..., with one of {', '.join(self.commands)}."
+            raise InputError(message, remedy=remedy, name=error.option_name) from None
+
+
+@click.group(cls=Planners, invoke_without_command=True)
 @click.option("--problem", metavar="YAML", help="Problem file; docs/problem.yaml explains its keys.")
 @options.trust_option
 @_output_options
@@ -83,7 +91,7 @@ def plan(context: click.Context, /, problem: str | None, trust: bool, **outputs:
     return None
 
 
-def _command(name: str, planner: Callable[..., Plan]) -> None:
+def _command(name: str, planner: Callable[..., Any]) -> None:
     """Add the command of a planner, whose help and flags are those of the function."""
     text = "\n\n".join((inspect.getdoc(planner) or "").split("\n\n")[:2]).replace("``", "")
     example = f"\b\nExample:\n  redundancy-pin plan {name} {_EXAMPLES[name]}"
@@ -134,69 +142,8 @@ def _run(read: Callable[[], PlanProblem], source: str | None, out: str | None, p
         if out:
             result.save(out)
         plot, failed = output.drawn(plot, lambda path: save(plot_plan(result), path))
-    robot = task.dynamics.robot
-    left = beyond_limits(robot, inverse_kinematics(robot, result.motion, mark_unreachable=True).q, result.t)
-    point = task.parameters.get("base_point", (0.0, 0.0, 0.0))
-    base = np.linalg.norm(result.base_wrench(task.dynamics, point).reshape(-1, 2, 3), axis=2).max(axis=0)
-    facts = {
-        **summary(result),
-        "backend": backend_of(task.dynamics),
-        "peak_base_force": base[0],
-        "peak_base_moment": base[1],
-        "base_point": np.asarray(point),
-        "joint_limits": [vars(one) for one in left],
-        "motion": task.followed,
-        "ends": task.ends,
-        "out": out,
-        "plot": plot,
-    }
-    warnings = [*(f"{one}." for one in left), *warnings_of(result, ranges=not left)]
-    output.report(as_json, facts, _table(result, facts), warnings=warnings, failed=failed)
+    facts = result.summary(task.dynamics)
+    facts.tables[0].title += f", {backend_of(task.dynamics)}"
+    more = {"backend": backend_of(task.dynamics), "motion": task.followed, "ends": task.ends}
+    output.report(as_json, facts, files={"out": ("plan", out), "plot": ("picture", plot)}, failed=failed, **more)
     return output.EXIT_CODES[result.status]
-
-
-def _table(plan: Plan, facts: Mapping[str, Any]) -> output.TextTable:
-    status = plan.status.value.replace("_", " ")
-    if not plan.findings.optimal:
-        status = f"{status}: no optimum, the solver says {plan.findings.solver}"
-    phases = [f"{one['name'].replace('_', ' ')} {one['start']:.4g}–{one['end']:.4g}" for one in facts["phases"]]
-    # of the joints' kinds: a robot may have motors that turn and carriers that slide
-    main, moved = plan.robot.effort_units
-    rows = [
-        ("status", status),
-        ("motion", facts["motion"]),
-        ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {facts['samples']} samples"),
-        ("phases [s]", output.listed(phases, _LISTED_PHASES, ", ")),
-        (f"peak main effort [{main}]", output.row(facts["peak_effort"])),
-        (f"rms main effort [{main}]", output.row(facts["rms_effort"])),
-        (f"reversals above {100.0 * REVERSAL:g} % of the peak", output.row(facts["reversals"])),
-        (f"peak carrier effort [{moved}]", output.row(facts["peak_carrier_force"])),
-        ("peak force on the base [N]", output.number(facts["peak_base_force"])),
-        (f"its moment about {output.row(facts['base_point'])} m [N·m]", output.number(facts["peak_base_moment"])),
-        ("energy, main actuators [J]", output.number(plan.main_energy)),
-        ("energy, carriers [J]", output.number(plan.carrier_energy)),
-        ("smallest margin", output.number(facts["smallest_margin"])),
-        *_optimum(plan),
-        *([("advice", facts["advice"])] if facts["advice"] else []),
-    ]
-    for name, events in (("limits broken", plan.limits.violated), ("limits touched", plan.limits.binding)):
-        texts = event_texts(plan, events, broken=events is plan.limits.violated)
-        rows.append((name, output.listed(texts, _LISTED, "\n") or "none"))
-    title = f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, {facts['backend']}"
-    return output.TextTable(title, [*rows, *output.written(facts, out="plan", plot="picture")])
-
-
-def _optimum(plan: Plan) -> Iterator[tuple[str, str]]:
-    """Give what an optimised plan says of its optimum and its nodes."""
-    facts: Mapping[str, Any] = plan.diagnostics
-    if "nodes" not in facts:
-        return
-    weights: Any = plan.parameters.get("objective", {"time": 1.0})
-    yield "minimised", ", ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights.items())
-    reached = "local optimum" if plan.findings.optimal else "NOT an optimum"
-    yield "reached", f"{reached} in {facts['iterations']} iterations, {facts['seconds']:.3g} s"
-    if plan.least_cost is not None:
-        calmer = f"; this plan costs up to {plan.parameters['calm']:g} of it more, to be calm"
-        yield "least cost", f"{plan.least_cost:.6g}{calmer if facts['calm']['kept'] else ''}"
-    yield "nodes", f"{facts['nodes']}, {len(facts['singular_nodes'])} of them singular"
-    yield "efforts between the nodes", f"at most {plan.between.ratio:.6g} times those at the nodes"

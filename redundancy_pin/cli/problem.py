@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,7 +23,6 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.registry import PLANNERS, TIME_OPTIMAL, in_groups
 from redundancy_pin.robot.shipped import source_in
 from redundancy_pin.trajectory import Trajectory
-from redundancy_pin.trajectory.reference import TRAJECTORIES
 from redundancy_pin.trajectory.trajectory import Ends
 
 
@@ -147,11 +146,7 @@ def _motion(data: ProblemFile, folder: Path) -> options.MotionOptions:
             raise InputError("The motion lacks the key 'name'.", remedy="Write {name: circle, speed: 0.6}.")
         keys = dict(given)
         given = keys.pop("name")
-    motion = options.MotionOptions(given, data.check_rates, keys)
-    here = str(folder / given) if isinstance(given, str) else ""
-    beside = replace(motion, given=here)
-    is_ours = motion.file is not None or (here != "" and given not in TRAJECTORIES and beside.file == here)
-    return beside if is_ours else motion
+    return options.MotionOptions(given, data.check_rates, keys, folder)
 
 
 def _baseline(data: RobotKeys, own: RobotKeys) -> RobotKeys:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import click
 
 from redundancy_pin.cli import options
-from redundancy_pin.cli.output import progress, report
+from redundancy_pin.cli.output import console, progress, report
 from redundancy_pin.parallel import require_jobs
 from redundancy_pin.thesis.cases import FULL, QUICK
 from redundancy_pin.thesis.reproduce import reproduce as run_job
@@ -46,9 +46,11 @@ def reproduce(out: str, quick: bool, jobs: int, as_json: bool) -> None:
     with progress("reproduce") as advance:
         done = run_job(out, extent=replace(QUICK if quick else FULL, jobs=require_jobs(jobs)), progress=advance)
     made = tables(done.results)
-    shown_tables = [made[name].only(*columns) for name, columns in _SHOWN.items() if name in made]
+    for name, columns in _SHOWN.items() if not as_json else ():
+        if name in made:
+            console().print(made[name].only(*columns).terminal())
     end = f"cross-check passed: {len(done.results.check.rows)} checks. "
     if quick:
         end += "This is a quick run: numbers and verdicts of the full one differ. "
     end += f"Results are in {done.folder} (start with report.html or report.md)."
-    report(as_json, done.summary, *shown_tables, end)
+    report(as_json, done.summary, end)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
-import numpy as np
 
 from redundancy_pin.cli.errors import FAILED_CHECK, print_line
 from redundancy_pin.cli.options import backend_option, dynamics_of, json_option, recorded_robot_options
-from redundancy_pin.cli.output import EXIT_CODES, TextTable, number, report, require_outputs, row
+from redundancy_pin.cli.output import EXIT_CODES, report, require_outputs
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import load_plan, load_robot_of
 
@@ -42,31 +40,9 @@ def check(path: str, source: str | None, backend: str | None, trust: bool, as_js
     plan = load_plan(path)
     dynamics = dynamics_of(load_robot_of(plan, source, trust=trust), backend)
     result = check_plan(plan, dynamics)
-    facts: dict[str, Any] = {
-        "plan": path,
-        "backend": backend_of(dynamics),
-        "passed": result.passed,
-        "status": result.status.value,
-        "saved_status": plan.status.value,
-        **{name: getattr(result, name) for name in ("imbalance", "peak_effort", "wider_limits", "closure_rank")},
-        "limits": {"violated": [vars(event) for event in result.violated]},
-        "deviations": [vars(deviation) for deviation in result.deviations],
-    }
-    rows = [
-        ("is what it says", "yes" if result.passed else "NO"),
-        ("status", result.status.value.replace("_", " ")),
-        ("largest imbalance of W τ = f", number(result.imbalance)),
-        (f"peak main effort [{plan.robot.effort_units[0]}]", row(result.peak_effort)),
-        ("limits broken", str(len(result.violated)) if result.violated else "none"),
-        *(("deviation", deviation.message) for deviation in result.deviations),
-        *(("wider limit", note) for note in result.wider_limits),
-    ]
-    losses: Any = result.closure_rank
-    for loss in losses:
-        where = f"at t = {loss['time']:.6g} s, x = {row(np.ravel(loss['x']))}"
-        rows.append(("closures lose rank", f"{where}: solution branches meet there"))
-    title = f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, by {facts['backend']}"
-    report(as_json, facts, TextTable(title, rows))
+    facts = result.summary(plan)
+    facts.tables[0].title += f", by {backend_of(dynamics)}"
+    report(as_json, facts, plan=path, backend=backend_of(dynamics))
     for deviation in result.deviations:
         print_line("error", deviation.message)
     return EXIT_CODES[result.status] if result.passed else FAILED_CHECK

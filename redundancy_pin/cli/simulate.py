@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import click
@@ -13,13 +12,11 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.loading import load_with
 from redundancy_pin.planners.plan import Plan, load_plan
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import turning_coordinates
-from redundancy_pin.simulation import KINDS, MotionReference, Simulation, motion_reference, plan_reference
+from redundancy_pin.simulation import KINDS, MotionReference, motion_reference, plan_reference
 from redundancy_pin.simulation import simulate as run_simulation
 from redundancy_pin.simulation.controllers.by_name import DRIVES
 from redundancy_pin.simulation.following import FRICTION, Conditions, follow
 from redundancy_pin.simulation.summary import summary
-from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory.trajectory import Ends
 from redundancy_pin.view import show as view
 from redundancy_pin.visualisation.figures.curves import run_title
@@ -38,8 +35,6 @@ KEYWORDS = ("carriers", "effort_limit", "carrier_force_limit", "joint_stops", "d
 
 NEVER = "never"
 
-_LISTED = 8  # events that the table lists; the rest is counted
-
 
 @click.command()
 @options.robot_options(required=False)
@@ -53,7 +48,7 @@ _LISTED = 8  # events that the table lists; the rest is counted
               help="Where carriers stand along a trajectory, m.  [default: 0]")  # fmt: skip
 @options.keyword_options(Conditions, only=CONDITIONS)
 @options.settings_option("--friction", "friction", f"Friction of the joints: {', '.join(FRICTION)}; N, N·m, s. "
-                         "May be repeated.")  # fmt: skip
+                         "May be repeated.", "revolute_coulomb=0.02")  # fmt: skip
 @options.keyword_options(run_simulation, follow, only=KEYWORDS)
 @click.option("--stop-at", type=click.Choice([*KINDS, NEVER]), multiple=True, default=("track", "joint_limit"),
               show_default=True, help="Events at which it stops. May be repeated.")  # fmt: skip
@@ -122,22 +117,12 @@ def simulate(
             plot, lambda path: save(plot_simulation(run, plan, robot=machine, title=title), path)
         )
         video, unfilmed = output.drawn(video, film)
-    facts = {
-        **summary(run, reference, machine),
-        "motion": f"the plan {plan_path}" if plan_path else motion.described,
-        "controller": given["controller"],
-        "ends": ends,
-        "out": out,
-        "plot": plot,
-        "video": video,
-    }
-    warnings = []
-    if run.status is ResultStatus.STOPPED:
-        last = run.events[-1]
-        warnings.append(f"stopped at t = {last.t:.6g} s: {last.kind.replace('_', ' ')} ({last.name})")
-    elif run.status is ResultStatus.NOT_CONVERGED:
-        warnings.append(f"could not go on at t = {run.t[-1]:.6g} s: {run.reason}")
-    output.report(as_json, facts, _table(run, facts, machine), warnings=warnings, failed=undrawn or unfilmed)
+    facts = summary(run, reference, machine)
+    facts.tables[0].title += f", {controller}"
+    files = {"out": ("simulation", out), "plot": ("picture", plot), "video": ("video", video)}
+    followed = f"the plan {plan_path}" if plan_path else motion.described
+    more = {"motion": followed, "controller": given["controller"], "ends": ends}
+    output.report(as_json, facts, files=files, failed=undrawn or unfilmed, **more)
     return output.EXIT_CODES[run.status]
 
 
@@ -160,24 +145,3 @@ def _planned(
     parked = 0.0 if park is None else park
     reference = motion_reference(nominal, followed, parked if carriers is None else carriers)
     return nominal, reference, getattr(followed, "ends", None)
-
-
-def _table(run: Simulation, facts: Mapping[str, Any], machine: Robot) -> output.TextTable:
-    main, moved = run.robot.effort_units
-    unit = f"m, rad times {machine.characteristic_length:.4g} m" if any(turning_coordinates(machine)) else "m"
-    seen = [f"{event.kind.replace('_', ' ')} ({event.name}) at {event.t:.4g} s" for event in run.events]
-    efforts = zip(run.robot.actuated, facts["peak_effort"].tolist(), strict=True)
-    forces = zip(run.robot.carriers, facts["peak_carrier_force"].tolist(), strict=True)
-    rows = [
-        ("status", run.status.value.replace("_", " ")),
-        ("motion", facts["motion"]),
-        ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {len(run)} samples"),
-        ("events", output.listed(seen, _LISTED, "\n") or "none"),
-        (f"largest distance from the planned motion [{unit}]", output.number(facts["largest_distance"])),
-        (f"distance at the end [{unit}]", output.number(facts["last_distance"])),
-        *((f"peak of {name} [{main}]", output.number(value)) for name, value in efforts),
-        *((f"peak of {name} [{moved}]", output.number(value)) for name, value in forces),
-        ("work of all actuators [J]", output.number(facts["work"])),
-        *output.written(facts, out="simulation", plot="picture", video="video"),
-    ]
-    return output.TextTable(f"{run.robot.name}, {CONTROLLERS[facts['controller']]}", rows)

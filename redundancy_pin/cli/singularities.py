@@ -8,6 +8,7 @@ import click
 
 from redundancy_pin.cli import options, output
 from redundancy_pin.errors import InputError
+from redundancy_pin.io.summary import Summary, TextTable, row
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
@@ -54,20 +55,19 @@ def singularities(robot: options.RobotOptions, motion: options.MotionOptions, pl
 
         locus: Any = singular_locus(loaded) if plot else None
         plot, failed = output.drawn(plot, draw)
-    table = output.TextTable(
+    table = TextTable(
         f"{loaded.name}: {len(crossings)} singular instant(s)",
         [_row(crossing) for crossing in crossings],
         ("t [s]", "position [m, rad]", "kind", "crossed or touched", "uncontrolled or lost direction"),
     )
-    shown: list[Any] = [] if followed is None else [table]
-    shown += [f"The motion is {motion.described}."] if motion.file else []
-    shown += [f"The picture is {plot}."] if plot else []
+    lines = [f"The motion is {motion.described}."] if motion.file else []
+    lines += [f"The picture is {plot}."] if plot else []
     data = [
         {**{name: getattr(crossing, name) for name in _FACTS}, "kind": crossing.kind.label} for crossing in crossings
     ]
     facts: dict[str, Any] = {"robot": loaded.name, "motion": motion.described if motion.given else None, "plot": plot}
     facts |= {"ends": getattr(followed, "ends", None), "crossings": None if followed is None else data}
-    output.report(as_json, facts, *shown, failed=failed)
+    output.report(as_json, Summary(facts, *([] if followed is None else [table])), *lines, failed=failed)
 
 
 def _drawn(followed: PlatformMotion | Trajectory | None) -> Any:
@@ -81,5 +81,5 @@ def _row(crossing: Crossing) -> tuple[str, ...]:
     time = f"{crossing.t:.9g}" if crossing.until == crossing.t else f"{crossing.t:.9g} to {crossing.until:.9g}"
     type_ii = crossing.kind != SingularityKind.TYPE_I
     direction = crossing.uncontrolled_twist if type_ii else crossing.lost_direction
-    place = output.row(crossing.x[:3, 3] if crossing.x.ndim == 2 else crossing.x)
-    return time, place, crossing.kind.label, "crossed" if crossing.crosses else "touched", output.row(direction)
+    place = row(crossing.x[:3, 3] if crossing.x.ndim == 2 else crossing.x)
+    return time, place, crossing.kind.label, "crossed" if crossing.crosses else "touched", row(direction)

@@ -62,24 +62,7 @@ def workspace(
         if out:
             space.to_csv(out)
         plot, failed = output.drawn(plot, lambda path: save(draw_workspace(space), path))
-    facts: dict[str, Any] = {**space.summary(), "out": out, "plot": plot}
-    unit = "·".join(space.units)
-    for kind in ("m", "rad"):
-        unit = unit.replace(f"{kind}·{kind}·{kind}", f"{kind}³").replace(f"{kind}·{kind}", f"{kind}²")
-    rows = [
-        *(
-            (f"{name} [{one}]", f"{low:.6g} to {high:.6g}")
-            for (name, (low, high)), one in zip(facts["bounds"].items(), space.units, strict=True)
-        ),
-        (f"size [{unit}]", f"{space.size:.6g}"),
-    ]
-    for mode, one in facts["modes"].items():
-        islands = f", {one['islands']} island(s) not reached from the reference" if one["islands"] else ""
-        counts = f"{one['reachable']} of {facts['nodes']} reachable, {one['in_range']} in range{islands}"
-        rows.append((mode or "nodes", counts))
-    rows += [("written to", path) for path in (out, plot) if path]
-    table = output.TextTable(f"{loaded.name}: workspace over {', '.join(space.names)}", rows)
-    output.report(as_json, facts, table, failed=failed)
+    output.report(as_json, space.summary(), files={"out": ("nodes", out), "plot": ("picture", plot)}, failed=failed)
 
 
 def _pair(text: str) -> tuple[float, float]:

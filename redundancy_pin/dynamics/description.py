@@ -1,8 +1,8 @@
-"""What a robot is, as plain data: bodies, joints and their roles, closures, limits, and the efforts that hold it."""
+"""What a robot is: bodies, joints and their roles, closures, limits, and the efforts that hold it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.io.json_data import json_data
+from redundancy_pin.io.summary import Summary, TextTable, row
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.coordinates import all_working_modes, gravity_acts, mode_name
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
@@ -23,20 +24,33 @@ from redundancy_pin.robot.scales import is_revolute
 _ONLY_WITH = {"friction_speed": "friction", "gear": "rotor_inertia", "rest": "stiffness"}
 """Parameters of loads that say nothing where another one is zero."""
 
+_ROUNDING = 1e-12
+"""Part of the largest of some numbers that is rounding."""
+
 _UNLIMITED = 1e300
 """Limits of positions from here on stand for none."""
 
 
-def describe(robot: Robot) -> dict[str, Any]:
-    """Return what there is to know about a robot as plain data, by name; SI units.
+def describe(robot: Robot, description: str = "", defaults: Mapping[str, object] | None = None) -> Summary:
+    """Return what there is to know about a robot, SI units: a mapping, whose ``print`` shows tables.
+
+    Args:
+        robot: the robot.
+        description: a sentence on it.
+        defaults: of its parameters, by name: only its files have them.
 
     Example:
         >>> describe(rp.load_robot("3rrr"))["counts"]["carriers k"]
         3
     """
     platform = robot.platform
-    return {
+    known = defaults or {}
+    facts: dict[str, Any] = {
         "name": robot.name,
+        "description": description,
+        "parameters": {
+            name: {"value": value, "default": known.get(name)} for name, value in robot.parameters.items()
+        },
         "counts": {
             "independent velocities n": robot.n,
             "main actuators m": robot.m,
@@ -78,6 +92,7 @@ def describe(robot: Robot) -> dict[str, Any]:
         "reference": _reference(robot),
         "loads": [_load(load) for load in robot.loads],
     }  # fmt: skip
+    return Summary(facts, _general(facts), *_tables(facts))
 
 
 def _load(load: Load) -> Mapping[str, Any]:
@@ -131,3 +146,126 @@ def _joint(robot: Robot, index: int) -> dict[str, Any]:
             not own.holds(float(robot.q_reference[own.at])) for own in all_ranges(robot) if own.name == name
         ),
     }
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def _general(facts: Mapping[str, Any]) -> TextTable:
+    independent, reference, modes = facts["independent"], facts["reference"], facts["working_modes"]
+    axes, joints = independent["axes"] or (), independent["joints"] or ()
+    turning = {joint["type"] == "revolute" for joint in facts["joints"] if joint["name"] in joints}
+    turning = turning or {axis in ("rx", "ry", "rz") for axis in axes}
+    unit = ", ".join([*(["m"] if False in turning else []), *(["rad"] if True in turning else [])])
+    idle = any(facts["gravity"]) and not facts["gravity_acts"]
+    gravity = f"{row(facts['gravity'])}{': normal to the plane of motion, no effect on efforts' if idle else ''}"
+    rows = [
+        *((name, str(count)) for name, count in facts["counts"].items()),
+        ("independent", f"{', '.join(axes)} of {independent['platform']}" if axes else ", ".join(joints)),
+        ("gravity [m/s²]", gravity),
+        *([("working mode", f"{facts['working_mode']} of {', '.join(modes)}")] if modes else []),
+        ("characteristic length [m]", f"{facts['characteristic_length']:.6g}"),
+        ("closed form (virtual work)", facts["closed_form"] or "none"),
+        (f"reference [{unit}]", _coordinates(reference["coordinates"])),
+        ("type I margin there (lower bound)", f"{reference['type_i_margin']:.4g}"),
+        ("type II margin there", f"{reference['type_ii_margin']:.4g}"),
+        ("condition number there", f"{reference['condition']:.4g}"),
+    ]
+    return TextTable(": ".join(filter(None, (facts["name"], facts["description"]))), [*rows])
+
+
+def _tables(facts: Mapping[str, Any]) -> Iterator[TextTable]:
+    """Give the tables of bodies, joints and motors, and those of what only some robots have."""
+    platform, holding = facts["independent"]["platform"], facts["reference"]["holding"]
+    bodies = [
+        (
+            f"{body['name']} with {platform}" if platform in body["links"][1:] else body["name"],
+            f"{body['mass']:.6g}",
+            ", ".join(_texts(body["centre"])),
+            ", ".join(_texts(body["principal_moments"])),
+        )
+        for body in facts["bodies"]
+    ]
+    total = f"{facts['moving_mass']:.6g} kg, {facts['moving_weight']:.6g} N"
+    yield TextTable(
+        f"moving bodies, with all links fixed to them: {total}",
+        [*bodies],
+        ("body", "mass [kg]", "centre in its frame [m]", "principal moments [kg·m²]"),
+        numbers=True,
+    )
+    texts = _texts([each["effort"] for each in holding["efforts"]])
+    efforts = [(each["joint"], f"{text} {each['unit']}") for each, text in zip(holding["efforts"], texts, strict=True)]
+    rows: list[Sequence[str]] = [*efforts, ("status", holding["status"])]
+    yield TextTable("efforts that hold the reference", rows, ("joint", "effort at rest"), numbers=True)
+    rows = [(joint["name"], joint["type"], joint["role"], *_range(joint)) for joint in facts["joints"]]
+    yield TextTable("joints of the tree", rows, ("joint", "type", "role", "limits", "reference"))
+    rows = [
+        (one["frame_a"], one["frame_b"], f"distance {one['length']:.6g} m" if one["length"] else ", ".join(one["axes"]))
+        for one in facts["closures"]
+    ]
+    yield TextTable("closures", rows, ("frame a", "frame b", "axes"))
+    rows = [
+        (
+            one["joint"],
+            one["of"] or "held",
+            row(one["polynomial"], " "),
+            " ".join(f"{c:+g} {n}" for n, c in one["also"]),
+        )
+        for one in facts["couplings"]
+    ]
+    headings: tuple[str, ...] = ("joint q", "of p", "polynomial", "further terms")
+    yield from [TextTable("couplings, q = c0 + c1 p + ...", rows, headings)] if rows else []
+    rows = [(name, _text(entry["value"]), _text(entry["default"])) for name, entry in facts["parameters"].items()]
+    headings = ("parameter", "value", "default")
+    yield from [TextTable("parameters (--set NAME=VALUE)", rows, headings, numbers=True)] if rows else []
+    rows = [
+        (name, row(own["position"], " … "), *(f"{own[key]:g}" for key in ("speed", "acceleration", "force")))
+        for name, own in facts["carrier_limits"].items()
+    ]
+    headings = ("carrier", "position [m]", "speed [m/s]", "acceleration [m/s²]", "force [N]")
+    yield from [TextTable("carrier limits", rows, headings, numbers=True)] if rows else []
+    rows = [(name, row(own["effort"], " … "), f"{own['speed']:g}") for name, own in facts["motor_limits"].items()]
+    headings = ("motor", "effort [N] or [N·m]", "speed [m/s] or [rad/s]")
+    yield TextTable("limits of motors, which plans keep", rows, headings, numbers=True)
+    rows = [_load_row(load) for load in facts["loads"]]
+    yield from [TextTable("active loads (SI units)", rows, ("kind", "where", "what"))] if rows else []
+
+
+def _load_row(load: Mapping[str, Any]) -> tuple[str, str, str]:
+    places = ("joint", "frame", "frame_a", "frame_b")
+    values = {name.replace("_", " "): value for name, value in load.items() if name not in ("kind", *places)}
+    what = (f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in values.items())
+    return load["kind"], ", ".join(str(load[name]) for name in places if name in load), ", ".join(what)
+
+
+def _range(joint: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the limits of a joint, and where it is at the reference configuration, marked where that is outside."""
+    if joint["reference"] is None:
+        return "", ""
+    shown = f"{round(joint['reference'], 9) + 0.0:.4g}{' (outside)' if joint['outside'] else ''}"
+    ends = joint["limits"] or (None, None)
+    if ends[0] is None and ends[1] is None:
+        return "", shown
+    unit = "m" if joint["type"] == "prismatic" else "rad"
+    return f"{' … '.join('none' if end is None else f'{end:g}' for end in ends)} {unit}", shown
+
+
+def _coordinates(values: Sequence[Any]) -> str:
+    """Return coordinates side by side; of a pose position and roll, pitch, yaw, as a declaration has them."""
+    at = np.asarray(values, dtype=float)
+    if at.ndim == 1:
+        return row(np.round(at, 9) + 0.0)
+    from scipy.spatial.transform import Rotation
+
+    rpy = Rotation.from_matrix(at[:3, :3]).as_euler("xyz")
+    return f"xyz {row(np.round(at[:3, 3], 9) + 0.0)}; rpy {row(np.round(rpy, 9) + 0.0)}"
+
+
+def _texts(values: Any) -> list[str]:
+    """Return numbers with six digits, in any unit; what is rounding of the largest is zero."""
+    size = float(np.abs(values).max(initial=0.0))
+    return [f"{0.0 if abs(value) < _ROUNDING * size else value:.6g}" for value in values]
+
+
+def _text(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)

@@ -350,6 +350,7 @@ def _problem(
             remedy="Swap or widen the bounds.",
             sample=k,
             actuator=j,
+            name="lower",
         )
     parts = [(np.broadcast_to(np.eye(m), (samples, m, m)), low / column_scale, high / column_scale)]
     parts += [_unit_rows(one, solvable, column_scale) for one in rows]

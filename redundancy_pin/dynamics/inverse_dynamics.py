@@ -20,6 +20,7 @@ from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.io.files import write_text
+from redundancy_pin.io.summary import Summary, TextTable, row
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.coordinates import difference
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
@@ -27,7 +28,7 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consist
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import JointExcess, beyond_limits
 from redundancy_pin.robot.loads import Load, Wrench
-from redundancy_pin.robot.scales import row_scale
+from redundancy_pin.robot.scales import is_revolute, row_scale
 from redundancy_pin.singularities.classify import SingularityKind, signed_margin
 from redundancy_pin.singularities.crossings import SPACING, Crossing, find_crossings
 from redundancy_pin.spectrum import scaled
@@ -93,9 +94,16 @@ class InverseDynamics(Frozen):
 
     @property
     def status(self) -> ResultStatus:
-        """Status of the whole motion: ok, unbounded (no finite efforts at a sample or between two), or unresolved."""
-        if not np.isfinite(self.efforts.tau).all() or any(instant.unbounded for instant in self.instants):
+        """Status of the whole motion.
+
+        Ok; unbounded (no finite efforts at a sample or between two); limit violated (at some samples none within the
+        bounds); or unresolved.
+        """
+        without = self.efforts.status[~np.isfinite(self.efforts.tau).all(axis=1)]
+        if any(instant.unbounded for instant in self.instants) or (without != SampleStatus.BOUND_INFEASIBLE).any():
             return ResultStatus.UNBOUNDED
+        if len(without):
+            return ResultStatus.LIMIT_VIOLATED
         return ResultStatus.UNRESOLVED if self.unresolved else ResultStatus.OK
 
     @cached_property
@@ -149,9 +157,14 @@ class InverseDynamics(Frozen):
                     unresolved = unresolved or error.message
         return crossings, unresolved
 
-    def summary(self) -> dict[str, Any]:
-        """Return what is worth knowing of the efforts as plain data, by name; NaN is left out of the largest ones."""
-        return {
+    def summary(self) -> Summary:
+        """Return what is worth knowing of the efforts, SI units: a mapping, whose ``print`` is a table with warnings.
+
+        NaN is left out of the largest efforts.
+        """
+        robot = self._along.robot
+        facts: dict[str, Any] = {
+            "robot": robot.name,
             "samples": len(self.efforts),
             "statuses": self.efforts.status_counts,
             "largest_tau": np.fmax.reduce(np.abs(self.efforts.tau), axis=0),
@@ -166,6 +179,19 @@ class InverseDynamics(Frozen):
             "joint_limits": [vars(excess) for excess in self.joint_limits],
             "unresolved": self.unresolved or None,
         }
+        main, moved = (
+            " or ".join(sorted({"N·m" if is_revolute(robot, name) else "N" for name in names}))
+            for names in (robot.actuated, robot.carriers)
+        )
+        rows = [
+            ("status", self.status.value.replace("_", " ")),
+            *((f"{name} samples", str(count)) for name, count in facts["statuses"].items()),
+            (f"largest |tau| [{main}]", row(facts["largest_tau"])),
+            *([(f"largest |carrier force| [{moved}]", row(facts["largest_carrier_force"]))] if robot.k else []),
+            ("smallest margin", f"{facts['smallest_margin']:.6g}"),
+            *([("singular at t [s]", row(one.t for one in self.instants))] if self.instants else []),
+        ]
+        return Summary(facts, TextTable(robot.name, [*rows]), warnings=self.warnings())
 
     def warnings(self) -> Iterator[str]:
         """Give where no finite efforts exist, and what the samples do not show, a sentence each."""

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from redundancy_pin.arrays import Array, read_only, require_type
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
+from redundancy_pin.io.summary import Summary, TextTable, number, row
 from redundancy_pin.planners.intersample_check import (
     BALANCE_TOLERANCE,
     IntersampleCheck,
@@ -134,6 +136,35 @@ class PlanCheck:
     def passed(self) -> bool:
         """Whether the plan is what it says; a plan that says that it breaks limits may be."""
         return not self.deviations
+
+    def summary(self, plan: Plan) -> Summary:
+        """Return what is worth knowing of it: a mapping, whose ``print`` is a table. ``plan``: what was checked.
+
+        Example:
+            >>> print(check_plan(plan, robot).summary(plan))
+        """
+        facts: dict[str, Any] = {
+            "passed": self.passed,
+            "status": self.status.value,
+            "saved_status": plan.status.value,
+            **{name: getattr(self, name) for name in ("imbalance", "peak_effort", "wider_limits", "closure_rank")},
+            "limits": {"violated": [vars(event) for event in self.violated]},
+            "deviations": [vars(deviation) for deviation in self.deviations],
+        }
+        rows = [
+            ("is what it says", "yes" if self.passed else "NO"),
+            ("status", self.status.value.replace("_", " ")),
+            ("largest imbalance of W τ = f", number(self.imbalance)),
+            (f"peak main effort [{plan.robot.effort_units[0]}]", row(self.peak_effort)),
+            ("limits broken", str(len(self.violated)) if self.violated else "none"),
+            *(("deviation", deviation.message) for deviation in self.deviations),
+            *(("wider limit", note) for note in self.wider_limits),
+        ]
+        losses: Any = self.closure_rank
+        for loss in losses:
+            where = f"at t = {loss['time']:.6g} s, x = {row(np.ravel(loss['x']))}"
+            rows.append(("closures lose rank", f"{where}: solution branches meet there"))
+        return Summary(facts, TextTable(f"{plan.robot.name}, {plan.planner.replace('_', ' ')}", [*rows]))
 
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do

@@ -282,8 +282,8 @@ def takes_groups(
         @functools.wraps(planner)
         def call(*args: Parameters.args, **keywords: Parameters.kwargs) -> Planned:
             for name in keywords.keys() - taken.keys():
-                remedy = _where(name, taken, refused)
-                raise InputError(f"{planner.__name__} has no keyword {shown(name)}.", remedy=remedy, name=name)
+                remedy, who = _where(name, taken, refused), planner.__qualname__.removesuffix(".__init__")
+                raise InputError(f"{who} has no keyword {shown(name)}.", remedy=remedy, name=name)
             return planner(*args, **keywords)
 
         call.__dict__["refused"] = refused  # for who lists the options of a planner
@@ -297,7 +297,7 @@ def _where(name: str, taken: Mapping[str, object], refused: Mapping[str, str]) -
         kind = GROUPS[group]
         if name in (field.name for field in fields(kind)):
             return f"Pass {group}={kind.__name__}({name}=...)."
-    known = [key for key in taken if key not in ("dynamics", "motion", "path")]
+    known = [key for key in taken if key not in ("self", "dynamics", "motion", "path")]
     return f"{did_you_mean(name, known)}Keywords are {', '.join(known)}."
 
 

@@ -16,6 +16,7 @@ from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.archive import read_archive, write_archive
 from redundancy_pin.io.schema import record_of
+from redundancy_pin.io.summary import Summary
 from redundancy_pin.loading import RobotLike
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import PlanFunctions
@@ -220,6 +221,24 @@ class Plan(Frozen):
         square = np.where(np.isfinite(self.tau), self.tau, 0.0) ** 2
         mean: Array = np.sqrt(np.trapezoid(square, self.t, axis=0) / duration) if duration > 0 else np.abs(self.tau[0])
         return mean
+
+    def summary(self, dynamics: DynamicsLike | None = None) -> Summary:
+        """Return what is worth knowing of the plan, SI units: a mapping, whose ``print`` is a table with warnings.
+
+        ``smallest_margin`` is zero if the plan crosses a singularity, though no sample may lie on it; ``phases`` has
+        name, first and last time of every run of samples in one phase.
+
+        Args:
+            dynamics: the robot of the plan, or its name or path; or a backend of it. With it, the largest force, N,
+                and moment, N·m, on the base and the joints that leave their ranges are in the summary too.
+
+        Example:
+            >>> rp.load_plan("plan.npz").summary()["status"]
+            'ok'
+        """
+        from redundancy_pin.planners.summary import summary
+
+        return summary(self, dynamics)
 
     def save(self, path: str | Path) -> None:
         """Write the plan to a file without loss (npz with JSON inside); ``load_plan`` reads it.

@@ -1,4 +1,4 @@
-"""What a plan is, as plain data and in sentences, for reports and the command line."""
+"""What a plan is, as plain data, as a table and in sentences."""
 
 from __future__ import annotations
 
@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import stretches
+from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
+from redundancy_pin.io.summary import Summary, TextTable, listed, number, row
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.limits import LimitEvent, worst_events
-from redundancy_pin.planners.plan import Plan
-from redundancy_pin.status import ResultStatus
+from redundancy_pin.planners.plan import REVERSAL, Plan
+from redundancy_pin.robot.joint_ranges import JointExcess, beyond_limits
+from redundancy_pin.status import ResultStatus, UpdateStatus
 
 _MANY_REVERSALS = 10
 """Reversals of an effort near singularities up to which nothing is advised: a motion itself makes a few."""
@@ -20,12 +24,14 @@ _CALMING = 0.01
 """Weight of "effort_rate" that takes the 2-RPR's circle from 35 reversals to 6, for 8 % more peak."""
 
 _LISTED = 6
-"""Broken limits that a warning lists; the rest is counted."""
+"""Limits that a warning or a table lists; the rest is counted."""
+
+_LISTED_PHASES = 10
+"""The same of phases: a stepwise plan may change its phase at every step."""
 
 _FINER = {
     "whole_trajectory": "allow more refinements, or a shorter dt",
     "stepwise": "use a shorter dt, or both sides of each jump",
-    "receding_horizon": "use a shorter step",
     "time_optimal": "allow more refinements, or more steps",
     "switch_off": "use a shorter dt",
 }
@@ -35,18 +41,10 @@ _AS_IT_IS = ("peak_effort", "peak_effort_at_samples", "rms_effort", "main_energy
              "least_cost", "parameters", "diagnostics")  # fmt: skip
 
 
-def summary(plan: Plan) -> dict[str, Any]:
-    """Return what is worth knowing of a plan as plain data, by name; SI units.
-
-    ``smallest_margin`` is zero if the plan crosses a singularity, though no sample may lie on it; ``phases`` has name,
-    first and last time of every run of samples in one phase.
-
-    Example:
-        >>> summary(rp.load_plan("plan.npz"))["status"]
-        'ok'
-    """
+def summary(plan: Plan, dynamics: DynamicsLike | None = None) -> Summary:
+    """Return ``Plan.summary``."""
     crossed = bool(plan.findings.singular_instants)
-    return {
+    facts: dict[str, Any] = {
         "robot": plan.robot.name,
         "planner": plan.planner,
         "status": plan.status.value,
@@ -65,6 +63,66 @@ def summary(plan: Plan) -> dict[str, Any]:
         "limits": {kind: [vars(event) for event in getattr(plan.limits, kind)] for kind in ("violated", "binding")},
         **{name: getattr(plan, name) for name in _AS_IT_IS},
     }
+    left: tuple[JointExcess, ...] = ()
+    if dynamics is not None:
+        dynamics = as_dynamics(dynamics)
+        q = inverse_kinematics(dynamics.robot, plan.motion, mark_unreachable=True).q
+        left = beyond_limits(dynamics.robot, q, plan.t)
+        point = np.asarray(plan.parameters.get("base_point", (0.0, 0.0, 0.0)))
+        base = np.linalg.norm(plan.base_wrench(dynamics, point).reshape(-1, 2, 3), axis=2).max(axis=0)
+        facts |= {"peak_base_force": base[0], "peak_base_moment": base[1], "base_point": point}
+        facts["joint_limits"] = [vars(one) for one in left]
+    warnings = [*(f"{one}." for one in left), *warnings_of(plan, ranges=not left)]
+    return Summary(facts, _table(plan, facts), warnings=warnings)
+
+
+def _table(plan: Plan, facts: Mapping[str, Any]) -> TextTable:
+    status = plan.status.value.replace("_", " ")
+    if not plan.findings.optimal:
+        status = f"{status}: no optimum, the solver says {plan.findings.solver}"
+    phases = [f"{one['name'].replace('_', ' ')} {one['start']:.4g}–{one['end']:.4g}" for one in facts["phases"]]
+    # of the joints' kinds: a robot may have motors that turn and carriers that slide
+    main, moved = plan.robot.effort_units
+    rows = [
+        ("status", status),
+        ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {facts['samples']} samples"),
+        ("phases [s]", listed(phases, _LISTED_PHASES, ", ")),
+        (f"peak main effort [{main}]", row(facts["peak_effort"])),
+        (f"rms main effort [{main}]", row(facts["rms_effort"])),
+        (f"reversals above {100.0 * REVERSAL:g} % of the peak", row(facts["reversals"])),
+        (f"peak carrier effort [{moved}]", row(facts["peak_carrier_force"])),
+    ]
+    if "base_point" in facts:
+        moment = f"its moment about {row(facts['base_point'])} m [N·m]"
+        rows += [("peak force on the base [N]", number(facts["peak_base_force"]))]
+        rows += [(moment, number(facts["peak_base_moment"]))]
+    rows += [
+        ("energy, main actuators [J]", number(plan.main_energy)),
+        ("energy, carriers [J]", number(plan.carrier_energy)),
+        ("smallest margin", number(facts["smallest_margin"])),
+        *_optimum(plan),
+        *([("advice", facts["advice"])] if facts["advice"] else []),
+    ]
+    for name, events in (("limits broken", plan.limits.violated), ("limits touched", plan.limits.binding)):
+        texts = event_texts(plan, events, broken=events is plan.limits.violated)
+        rows.append((name, listed(texts, _LISTED, "\n") or "none"))
+    return TextTable(f"{plan.robot.name}, {plan.planner.replace('_', ' ')}", [*rows])
+
+
+def _optimum(plan: Plan) -> Iterator[tuple[str, str]]:
+    """Give what an optimised plan says of its optimum and its nodes."""
+    facts: Mapping[str, Any] = plan.diagnostics
+    if "nodes" not in facts:
+        return
+    weights: Any = plan.parameters.get("objective", {"time": 1.0})
+    yield "minimised", ", ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights.items())
+    reached = "local optimum" if plan.findings.optimal else "NOT an optimum"
+    yield "reached", f"{reached} in {facts['iterations']} iterations, {facts['seconds']:.3g} s"
+    if plan.least_cost is not None:
+        calmer = f"; this plan costs up to {plan.parameters['calm']:g} of it more, to be calm"
+        yield "least cost", f"{plan.least_cost:.6g}{calmer if facts['calm']['kept'] else ''}"
+    yield "nodes", f"{facts['nodes']}, {len(facts['singular_nodes'])} of them singular"
+    yield "efforts between the nodes", f"at most {plan.between.ratio:.6g} times those at the nodes"
 
 
 def advice(plan: Plan) -> str | None:
@@ -84,12 +142,12 @@ def advice(plan: Plan) -> str | None:
 
 def warnings_of(plan: Plan, *, ranges: bool = True) -> Iterator[str]:
     """Give what is wrong with a plan, a sentence each; broken ranges of passive joints only with ``ranges``."""
-    check = plan.between
+    check, late, finer = plan.between, [*_unplanned(plan)], _FINER.get(plan.planner, "use a shorter step")
+    finer = "" if late else finer
     broken = tuple(event for event in plan.limits.violated if ranges or event.quantity != "range")
     if broken and plan.status is ResultStatus.LIMIT_VIOLATED:
         texts = event_texts(plan, broken, broken=True)
-        more = [f"and {len(texts) - _LISTED} more"] if len(texts) > _LISTED else []
-        yield f"limits broken: {'; '.join([*texts[:_LISTED], *more])}."
+        yield f"limits broken: {listed(texts, _LISTED, '; ')}."
     if plan.status is ResultStatus.UNBOUNDED:
         bad = np.flatnonzero(~np.isfinite(plan.tau).all(axis=1))
         where = f" between the samples, at t = {check.time[int(check.peak.argmax())]:.6g} s"
@@ -109,8 +167,26 @@ def warnings_of(plan: Plan, *, ranges: bool = True) -> Iterator[str]:
         yield (
             f"between the samples the efforts are {check.ratio:.4g} times those at the samples, up to "
             f"{check.peak[worst]:.4g} {plan.robot.effort_unit(plan.robot.actuated[worst])} at t = "
-            f"{check.time[worst]:.6g} s: {_FINER[plan.planner]}."
+            f"{check.time[worst]:.6g} s{finer and f': {finer}'}."
         )
+    yield from late
+
+
+def _unplanned(plan: Plan) -> Iterator[str]:
+    """Give the updates of an on-line run without a plan within every limit, and what helps."""
+    ticks: Any = plan.diagnostics.get("ticks", {})
+    without = {
+        each.value: ticks[each.value] for each in (UpdateStatus.RELAXED, UpdateStatus.FALLBACK) if ticks.get(each.value)
+    }
+    if not without:
+        return
+    counts = ", ".join(f"{count} {name}" for name, count in without.items())
+    reasons: Any = plan.diagnostics["reasons"]
+    slower = "" if plan.parameters["slow_down"] else "lead the platform more slowly (slow_down=True, --slow-down), or "
+    yield (
+        f"{sum(without.values())} of {sum(ticks.values())} ticks had no plan within every limit ({counts}; "
+        f"{'; '.join(reasons)}): {slower}loosen the limits, or lower the speed of the motion."
+    )
 
 
 def event_texts(plan: Plan, events: tuple[LimitEvent, ...], *, broken: bool) -> list[str]:

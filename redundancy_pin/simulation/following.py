@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,10 +21,13 @@ from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import closed_state
 
-FRICTION = ("prismatic_coulomb", "prismatic_viscous", "revolute_coulomb", "revolute_viscous")
+FRICTION = tuple(name for name in inspect.signature(joint_friction).parameters if name.endswith(("coulomb", "viscous")))
 """Keywords of ``joint_friction`` that ``Conditions.friction`` takes."""
 
 LARGEST_SEED = 2**63 - 1
+
+FEWEST = 10
+"""Periods, and samples, of a whole motion: with fewer they are probably in another unit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +97,7 @@ def follow(
         settings: further keywords of ``simulate``.
 
     Raises:
+        InputError: a period or ``dt`` of more than a tenth of the motion.
         RedundancyPinError: as ``simulate``.
 
     Example:
@@ -101,7 +106,14 @@ def follow(
         <ResultStatus.OK: 'ok'>
     """
     given = conditions or Conditions()
-    sampling = given.sampling
+    sampling, most = given.sampling, (reference.end - reference.start) / FEWEST
+    for name, value in (("period", given.period), ("dt", dt)):
+        if value is not None and value > most:
+            raise InputError(
+                f"{name} is {value:g} s, and the whole motion takes {FEWEST * most:.4g} s.",
+                remedy=f"Pass at most {most:.3g} s.",
+                name=name,
+            )
     limits = {name: settings.get(name) for name in ("effort_limit", "carrier_force_limit")}
     drive: Controller = controller_by_name(controller, reference, sampling=sampling, **limits)
     start, point = drive.start_state(machine), reference.at(reference.start)

@@ -1,4 +1,4 @@
-"""What a simulation is, as plain data, against the motion that it was to follow."""
+"""What a simulation is, as plain data and as a table, against the motion that it was to follow."""
 
 from __future__ import annotations
 
@@ -7,10 +7,16 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.io.summary import Summary, TextTable, listed, number
 from redundancy_pin.kinematics.coordinates import distance
 from redundancy_pin.planners.reference import MotionReference
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import turning_coordinates
 from redundancy_pin.simulation.result import Simulation
+from redundancy_pin.status import ResultStatus
+
+_LISTED = 8
+"""Events that the table lists; the rest is counted."""
 
 
 def platform_error(run: Simulation, reference: MotionReference, robot: Robot) -> Array:
@@ -22,8 +28,8 @@ def platform_error(run: Simulation, reference: MotionReference, robot: Robot) ->
     return read_only(distance(robot, np.array(run.x), planned))
 
 
-def summary(run: Simulation, reference: MotionReference, robot: Robot) -> dict[str, Any]:
-    """Return what is worth knowing of a simulation as plain data, by name; SI units.
+def summary(run: Simulation, reference: MotionReference, robot: Robot) -> Summary:
+    """Return what is worth knowing of a simulation, SI units: a mapping, whose ``print`` is a table with warnings.
 
     Args:
         run: the simulation.
@@ -31,7 +37,7 @@ def summary(run: Simulation, reference: MotionReference, robot: Robot) -> dict[s
         robot: the robot that was simulated; angles count times its characteristic length in distances, m.
     """
     away = platform_error(run, reference, robot)[run.t <= reference.end]
-    return {
+    facts: dict[str, Any] = {
         "robot": run.robot.name,
         "status": run.status.value,
         "reason": run.reason,
@@ -48,3 +54,31 @@ def summary(run: Simulation, reference: MotionReference, robot: Robot) -> dict[s
         "parameters": run.parameters,
         "statistics": vars(run.statistics),
     }
+    main, moved = run.robot.effort_units
+    unit = f"m, rad times {robot.characteristic_length:.4g} m" if any(turning_coordinates(robot)) else "m"
+    seen = [f"{event.kind.replace('_', ' ')} ({event.name}) at {event.t:.4g} s" for event in run.events]
+    efforts = zip(run.robot.actuated, facts["peak_effort"].tolist(), strict=True)
+    forces = zip(run.robot.carriers, facts["peak_carrier_force"].tolist(), strict=True)
+    rows = [
+        ("status", run.status.value.replace("_", " ")),
+        ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {len(run)} samples"),
+        ("events", listed(seen, _LISTED, "\n") or "none"),
+        (f"largest distance from the planned motion [{unit}]", number(facts["largest_distance"])),
+        (f"distance at the end [{unit}]", number(facts["last_distance"])),
+        *((f"peak of {name} [{main}]", number(value)) for name, value in efforts),
+        *((f"peak of {name} [{moved}]", number(value)) for name, value in forces),
+        ("work of all actuators [J]", number(facts["work"])),
+    ]
+    return Summary(facts, TextTable(run.robot.name, [*rows]), warnings=_warnings(run))
+
+
+def _warnings(run: Simulation) -> list[str]:
+    """Return why a simulation ended early, and what helps."""
+    if run.status is ResultStatus.NOT_CONVERGED:
+        return [f"could not go on at t = {run.t[-1]:.6g} s: {run.reason}"]
+    if run.status is not ResultStatus.STOPPED:
+        return []
+    last = run.events[-1]
+    remedy = "a plan of a narrower track (limits=Limits(track=...), --track) leaves room to deviate from it"
+    what = f"stopped at t = {last.t:.6g} s: {last.kind.replace('_', ' ')} ({last.name})"
+    return [f"{what}; {remedy}." if last.kind == "track" else what]

@@ -34,6 +34,7 @@ from redundancy_pin.errors import (
     shown,
 )
 from redundancy_pin.io.files import write_text
+from redundancy_pin.io.summary import Summary, TextTable
 from redundancy_pin.kinematics.coordinates import all_working_modes, mode_name
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.robot import Robot
@@ -101,10 +102,13 @@ class Workspace(Frozen):
         cell = float(np.prod([axis[1] - axis[0] for axis in self.axes]))
         return cell * int(self.in_range.any(axis=0).sum())
 
-    def summary(self) -> dict[str, Any]:
-        """Return what is worth knowing of it as plain data: bounds, nodes, size, and counts of nodes by mode."""
+    def summary(self) -> Summary:
+        """Return what is worth knowing of it: a mapping of bounds, nodes, size, and counts of nodes by mode.
+
+        Its ``print`` shows a table.
+        """
         parts = zip(self.modes, self.reachable, self.in_range, self.island, strict=True)
-        return {
+        facts: dict[str, Any] = {
             "robot": self.robot.name,
             "bounds": {name: [axis[0], axis[-1]] for name, axis in zip(self.names, self.axes, strict=True)},
             "nodes": int(self.reachable[0].size),
@@ -118,6 +122,20 @@ class Workspace(Frozen):
                 for mode, reachable, in_range, island in parts
             },
         }
+        power = {1: "", 2: "²", 3: "³"}
+        unit = "·".join(f"{kind}{power[self.units.count(kind)]}" for kind in dict.fromkeys(self.units))
+        rows = [
+            *(
+                (f"{name} [{one}]", f"{low:.6g} to {high:.6g}")
+                for (name, (low, high)), one in zip(facts["bounds"].items(), self.units, strict=True)
+            ),
+            (f"size [{unit}]", f"{self.size:.6g}"),
+        ]
+        for mode, one in facts["modes"].items():
+            islands = f", {one['islands']} island(s) not reached from the reference" if one["islands"] else ""
+            counts = f"{one['reachable']} of {facts['nodes']} reachable, {one['in_range']} in range{islands}"
+            rows.append((mode or "nodes", counts))
+        return Summary(facts, TextTable(f"{self.robot.name}: workspace over {', '.join(self.names)}", [*rows]))
 
     def to_csv(self, path: str | Path) -> None:
         """Write a row for each node and working mode to a CSV file.

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import each, one_of, positive
+from redundancy_pin.arrays import Array, each, one_of, positive
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, millimetres
 from redundancy_pin.planners.carrier_model import require_carriers
-from redundancy_pin.planners.options import Limits, group_of
+from redundancy_pin.planners.options import Limits, group_of, takes_groups
 from redundancy_pin.planners.receding_horizon.command import GOALS, Command, Goal, Weights
 from redundancy_pin.planners.receding_horizon.compiled import CompiledPlanner
 from redundancy_pin.planners.receding_horizon.constants import LATEST, SAME
@@ -50,6 +50,7 @@ class RecedingHorizon:
         CompilerError: there is no C compiler, or it fails.
     """
 
+    @takes_groups({})
     def __init__(
         self,
         dynamics: DynamicsLike,
@@ -140,7 +141,20 @@ class RecedingHorizon:
             None if part is None else each(part, name, (self.robot.k,), finite=True)
             for part, name in ((s, "s"), (sd, "sd"))
         )
-        return replace(self.updates.update(t, known, given).command, seconds=time.perf_counter() - began)
+        command = self.updates.update(t, known, given).command
+        if command.status in (UpdateStatus.RELAXED, UpdateStatus.FALLBACK) and given[0] is not None:
+            command = replace(command, reason=self._off_track(given[0]) or command.reason)
+        return replace(command, seconds=time.perf_counter() - began)
+
+    def _off_track(self, s: Array) -> str:
+        """Return which carrier was measured (k,), m, outside its track; empty if none."""
+        for name, (lower, upper), at in zip(self.resolved.names, self.resolved.track, s, strict=True):
+            if not lower <= at <= upper:
+                hint = millimetres(abs(at), upper - lower)
+                return (
+                    f"{name} was measured at {at:g} m, off its track from {lower:g} to {upper:g} m{hint and f'.{hint}'}"
+                )
+        return ""
 
     def skip(self, t: float) -> Command:
         """Return what to do where a tick is missed: the last plan goes on, to its end and to the stop behind it.

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, Frozen, each, positive
+from redundancy_pin.arrays import Array, Frozen, positive
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.io.summary import Summary, TextTable, number, row
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.planners.check import finish_plan
@@ -27,6 +29,12 @@ from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory,
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 from redundancy_pin.trajectory.time_scaling import ScaledMotion, TimeScaling
 
+NOT_PLANNED = UpdateStatus.RELAXED, UpdateStatus.FALLBACK
+"""Updates that found no plan within every limit."""
+
+LONGEST_STEP, LONGEST_HORIZON = 0.5, 50.0
+"""Longest step and horizon, as multiples of the duration of the motion: beyond them they are in another unit."""
+
 
 @dataclass(frozen=True, eq=False)
 class OnLineRun(Frozen):
@@ -39,6 +47,28 @@ class OnLineRun(Frozen):
 
     plan: Plan
     commands: tuple[Command, ...]
+
+    def summary(self) -> Summary:
+        """Return what ``Plan.summary`` does, ticks by status, and the time that an update took, ms.
+
+        Example:
+            >>> print(run_online(RecedingHorizon("2rpr"), circle).summary())
+        """
+        plan, facts = self.plan, self.plan.summary()
+        seconds = [command.seconds for command in self.commands]
+        times = dict(zip(("p50", "p99"), 1e3 * np.percentile(seconds, [50.0, 99.0]), strict=True))
+        found: Any = plan.diagnostics
+        rows = [
+            ("status", plan.status.value.replace("_", " ")),
+            ("ticks", ", ".join(f"{count} {status}" for status, count in self.counts.items() if count)),
+            ("time of a tick, p50 and p99 [ms]", row(times.values())),
+            ("later at the end [s]", number(found["delay"])),
+            ("singular instants [s]", row(plan.findings.singular_instants) or "none"),
+            ("force missing there [N]", number(found["missing_force"])),
+            (f"peak main effort [{plan.robot.effort_units[0]}]", row(plan.peak_effort)),
+        ]
+        table = TextTable(f"{plan.robot.name}, on line", [*rows])
+        return Summary({**facts, "ticks": self.counts, "milliseconds": times}, table, warnings=facts.warnings)
 
     def __repr__(self) -> str:
         """Return the plan and the ticks by status."""
@@ -74,8 +104,9 @@ def run_online(
         A planner that slows down follows the path of the motion; ``delay`` is by how much later it ends, s.
 
     Raises:
-        InfeasiblePlanError: a tick was refused, or the platform does not get along however slow; carries how far the
-            motion is possible.
+        InputError: a step or a horizon that is too long for the motion.
+        InfeasiblePlanError: a start off the track; a tick was refused, or the platform does not get along however slow;
+            carries how far the motion is possible.
     """
     tick = planner.step if tick is None else positive(tick, "tick", "s")
     if tick > planner.horizon:
@@ -84,7 +115,8 @@ def run_online(
         )
     if planner.started:
         raise InputError("The planner has plans of another run.", remedy="Pass a new RecedingHorizon.")
-    source, at = as_motion(motion), each(start, "start", (planner.robot.k,), finite=True)
+    source, at = as_motion(motion), planner.resolved.on_track(start, "start")
+    _require_times(planner, source.end - source.start)
     commands: list[Command] = []
     pieces, edges = [], [source.start]
     t, end = source.start, source.end
@@ -129,10 +161,12 @@ def run_online(
                 "horizon": planner.horizon,
                 "step": planner.step,
                 "tick": tick,
+                "slow_down": planner.slows_down,
             },
             findings=Findings(singular_instants=tuple(singular_instants_met(commands).tolist())),
             diagnostics={
                 "ticks": {status.value: counts[status.value] for status in UpdateStatus},
+                "reasons": sorted({command.reason for command in commands if command.status in NOT_PLANNED}),
                 "missing_force": max((missing for _, missing in decided), default=0.0),
                 "seconds": [command.seconds for command in commands],
                 "delay": source.end - motion_end,
@@ -140,6 +174,17 @@ def run_online(
         )
     )
     return OnLineRun(plan, tuple(commands))
+
+
+def _require_times(planner: RecedingHorizon, duration: float) -> None:
+    """Check that step and horizon are of the size of a motion that takes a duration, s: milliseconds are not."""
+    for name, most in (("step", LONGEST_STEP * duration), ("horizon", LONGEST_HORIZON * duration)):
+        if (value := getattr(planner, name)) > most:
+            raise InputError(
+                f"{name} is {value:g} s, and the whole motion takes {duration:.4g} s.",
+                remedy=f"Pass at most {most:.3g} s (seconds, not milliseconds).",
+                name=name,
+            )
 
 
 def _require_progress(command: Command, source: Motion, planner: RecedingHorizon) -> None:
