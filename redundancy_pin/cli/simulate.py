@@ -38,6 +38,7 @@ NEVER = "never"
 
 @click.command()
 @options.robot_options(required=False)
+@options.backend_option("How the forward dynamics are computed.")
 @click.option("--plan", "plan_path", metavar="NPZ", help="Plan to follow, as `plan --out` writes it.")
 @options.motion_options("to follow")
 @options.settings_option("--machine", "machine", "Parameter in which the machine is not as planned, such as "
@@ -58,6 +59,7 @@ NEVER = "never"
 @options.json_option
 def simulate(
     robot: options.RobotOptions,
+    backend: str | None,
     plan_path: str | None,
     motion: options.MotionOptions,
     out: str | None,
@@ -101,6 +103,7 @@ def simulate(
             mode, gravity = nominal.working_mode or None, nominal.gravity.tolist()
             machine = load_with(nominal.source, changed, gravity=gravity, working_mode=mode, trust=robot.trust)
         advance(1, 3, "simulation")
+        settings["dynamics"] = options.dynamics_of(machine, backend)
         settings["progress"] = lambda t, end: advance(0, 0, f"at {t:.3g} of {end:.3g} s")
         run = follow(machine, reference, controller, conditions, **settings)
         advance(2, 3, "writing")

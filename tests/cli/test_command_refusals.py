@@ -66,6 +66,11 @@ validate --robot 3rrr --jobs -2 => or -1 for one process per core
 {ONLINE} --tick -1 => tick is -1 s
 {ONLINE} --start 0,0,0 => start is [0.0
 {ONLINE} --step 0 => step is 0 s
+{ONLINE} --step 20 --horizon 500 => error: --step: step is 20 s, and the whole motion takes 2.68 s
+{ONLINE} --step 1 --horizon 200 => error: --horizon: horizon is 200 s, and the whole motion takes 2.68 s
+{ONLINE} --start 30 => error: --start: start puts carrier_1 at 30 m
+plan --robot 2rpr --motion circle => Write plan NAME --robot ..., with one of switch-off, stepwise, whole-trajectory
+plan --robto 2rpr => No such option '--robto'
 {ONLINE} --out a.csv => --out a.csv does not end in .npz
 online --robot 3rrr --set carriers=false --motion corner => 3rrr has no carriers to plan for
 online --robot 2rpr => On-line planning needs a motion
@@ -139,7 +144,7 @@ inverse-dynamics --robot 3rrr --motion corner.csv --out e9.csv --wrench end_effe
 {EFFORTS} --payload end_effector => payload is 'end_effector'
 {EFFORTS} --wrench end_effector=1,2,x => wrench of end_effector is 'x'
 {EFFORTS} --payload end_efector=1 => The model has no link 'end_efector'
-{EFFORTS} --lower 3 --upper 1 => lower is above upper for actuator 0 (first at sample 0)
+{EFFORTS} --lower 3 --upper 1 => error: --lower: lower is above upper for actuator 0 (first at sample 0)
 {EFFORTS} --upper nan => upper has 2 value(s) that are not finite
 {EFFORTS} --upper 1,2,3 => error: --upper: upper has shape (3,), expected (2,)
 {EFFORTS} --preferred 1,2,3 => preferred has shape (3,)
@@ -198,6 +203,9 @@ export plan.npz --to plan.npz => --to plan.npz does not end in .csv or .json or 
 {RUN} --delay 1 => error: --delay: delay goes with a sampled controller
 {RUN} --encoders => error: --encoders: encoders goes with a sampled controller
 {RUN} --period -1 => --period: period is -1 s, expected a positive number
+{RUN} --period 2 => error: --period: period is 2 s, and the whole motion takes
+{RUN} --dt 1 => error: --dt: dt is 1 s, and the whole motion takes
+{RUN} --friction 0.1 => Write revolute_coulomb=0.02
 {RUN} --friction coulomb=1 => error: --friction: friction has no 'coulomb'
 {RUN} --friction revolute_coulomb=-1 => revolute_coulomb is -1.0
 {RUN} --stop-at never --stop-at track => --stop-at is never and track

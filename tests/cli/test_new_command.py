@@ -57,7 +57,8 @@ def test_what_is_decided_loads_and_is_closed(urdf, tmp_path):
     branch = call("new", urdf, *DECIDED[:4])
     assert (branch.exit_code, "undecided: Which branch?" in branch.stderr) == (2, True)
     assert call("new", urdf, *DECIDED).exit_code == 0  # in place of the file whose questions are open
-    assert "is there already" in refused("new", urdf)
+    assert "is there already" in refused("new", urdf, *DECIDED)
+    assert "names no joint" in refused("new", urdf, "--close", "coupler_tip")  # what was asked comes first
     out = tmp_path / "other" / "own.yaml"
     out.parent.mkdir()
     run = call("new", urdf, *DECIDED, "--out", out)
@@ -71,6 +72,23 @@ def test_what_is_decided_loads_and_is_closed(urdf, tmp_path):
     tip = 0.1 * np.exp(1j * crank) + 0.3 * np.exp(1j * (crank + knee))
     assert tip == pytest.approx(0.3 + 0.2 * np.exp(1j * rocker), abs=1e-10)
     assert [crank, knee, rocker] == pytest.approx([1.0, -0.6, 1.4], abs=0.2)
+
+
+def test_joints_that_a_guess_leaves_out_are_named_with_the_branch_that_was_taken(urdf, tmp_path):
+    """The crank alone: knee and rocker start at 0, and the branch is the other one; with what is listed it is kept."""
+    run = call("new", urdf, *DECIDED[:4], "--guess", "crank=1")
+    assert run.exit_code == 0
+    named = re.search(r"--guess leaves out knee, rocker: the branch is the one with (\S+);", run.stderr)
+    assert named is not None
+    robot = rp.load_robot(tmp_path)
+    at = dict(zip(list(robot.model.names)[1:], robot.q_reference.tolist(), strict=True))
+    for name, value in (one.split("=") for one in named[1].split(",")):
+        assert float(value) == pytest.approx(at[name], rel=5e-3)
+    whole = call(
+        "new", urdf, *DECIDED[:4], "--guess", f"crank={at['crank']:.6g},{named[1]}", "--out", tmp_path / "b.yaml"
+    )
+    assert (whole.exit_code, whole.stderr) == (0, "")
+    assert rp.load_robot(tmp_path / "b.yaml").q_reference == pytest.approx(robot.q_reference, abs=0.02)
 
 
 def test_other_formats(tmp_path):

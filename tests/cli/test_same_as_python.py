@@ -296,6 +296,14 @@ def test_payload_wrench_squeeze_and_bounds() -> None:
     assert alone.efforts.tau.min() < -0.3  # it bounds one sign, in Python and here
 
 
+def test_bounds_that_no_effort_keeps_are_limits_and_no_singularity() -> None:
+    """The five-bar without carriers meets none on the circle."""
+    line = "inverse-dynamics --robot five_bar --set carriers=false --motion circle --dt 0.02 --out out.csv"
+    assert facts_of(line)["status"] == "ok"
+    facts = facts_of(f"{line} --lower=-0.3 --upper 0.3", 3)
+    assert (facts["status"], set(facts["statuses"])) == ("limit_violated", {"ok", "bound_infeasible"})
+
+
 def test_a_picture_of_bounded_efforts_has_two_hatches() -> None:
     """What is beyond the bound, and where no efforts keep it."""
     for bound, hatches in (("", 0), ("--upper 3", 2)):
@@ -535,7 +543,7 @@ def test_how_a_simulation_ends_is_its_exit_code(saved: Path) -> None:
     result = call("simulate", "--plan", saved, "--machine", "carrier_mass=0.5", "--out", "run.npz")
     last = load_simulation("run.npz").events[-1]
     assert (result.exit_code, last.kind, last.terminal) == (3, "track", True)
-    assert result.stderr == f"warning: stopped at t = {last.t:.6g} s: track ({last.name})\n"
+    assert result.stderr.startswith(f"warning: stopped at t = {last.t:.6g} s: track ({last.name}); ")
     facts_of(f"simulate --plan {saved} --machine carrier_mass=0.5 --stop-at never --duration {last.t + 0.01}")
     pushed = facts_of(
         f"simulate --plan {saved} --machine carrier_mass=0.5 --joint-stops inelastic --duration {last.t + 0.01}"
@@ -549,6 +557,15 @@ def test_how_a_simulation_ends_is_its_exit_code(saved: Path) -> None:
     run_ = load_simulation("run.npz")
     assert (result.exit_code, run_.status.value) == (4, "not_converged")
     assert result.stderr.startswith(f"warning: could not go on at t = {run_.t[-1]:.6g} s: ")
+
+
+def test_a_plan_that_uses_the_whole_track_leaves_no_room_and_the_remedy_makes_some() -> None:
+    machine = "--robot 2rpr --set end_effector_mass=0.5 --set cylinder_mass=0.3 --set track_half_length=0.03"
+    line = f"plan whole-trajectory {machine} --motion circle --dt 0.02 --objective peak --out plan.npz"
+    for remedy, code in (("", 3), ("--track=-0.029,0.029", 0)):
+        facts_of(f"{line} {remedy}")
+        result = call("simulate", "--plan", "plan.npz", "--machine", "carrier_mass=1.001")
+        assert (result.exit_code, "--track" in result.stderr) == (code, code == 3)
 
 
 def test_a_motion_is_simulated_with_its_carriers_or_parked_ones() -> None:
@@ -580,4 +597,6 @@ def test_on_line() -> None:
     assert late["ticks"]["relaxed"] == 0
     duration = reference.circle(speed=0.5).duration + late["diagnostics"]["delay"]
     np.testing.assert_allclose(rp.load_plan("late.npz").t[-1], duration, atol=1e-9)
-    assert call(*weak.split()).exit_code == 3
+    result = call(*weak.split())
+    # the remedy is the one that was found to help above
+    assert (result.exit_code, "--slow-down" in result.stderr, "shorter step" in result.stderr) == (3, True, False)

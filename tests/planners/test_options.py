@@ -196,3 +196,22 @@ def timed(**options: Any) -> object:
 def test_what_a_planner_does_not_take_is_named(plan: Callable[[], object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         plan()
+
+
+def test_a_misspelt_option_of_the_on_line_planner_is_named() -> None:
+    for given, says in (
+        ({"horizn": 0.4}, r"RecedingHorizon has no keyword 'horizn'\. Did you mean 'horizon'"),
+        ({"acceleration": 2.0}, r"Pass limits=Limits\(acceleration"),
+        ({"objective": "peek"}, r"Did you mean 'peak'"),
+    ):
+        with pytest.raises(InputError, match=says):
+            rp.RecedingHorizon(zoo.robot_of("2rpr"), **given)
+
+
+def test_carriers_measured_in_millimetres_are_the_reason_of_a_fallback() -> None:
+    planner, circle = rp.RecedingHorizon("2rpr"), reference.circle()
+    assert planner.update(0.0, circle, [0.0, 0.0], [0.0, 0.0]).status.value == "ok"
+    command = planner.update(0.02, circle, [30.0, -12.0], [0.0, 0.0])
+    assert command.status.value == "fallback"
+    assert "carrier_1 was measured at 30 m, off its track from -0.2 to 0.2 m. " in command.reason
+    assert "millimetres" in command.reason

@@ -10,7 +10,7 @@ import pytest
 import redundancy_pin as rp
 from redundancy_pin.planners.optimal import nlp
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.summary import summary, warnings_of
+from redundancy_pin.planners.summary import warnings_of
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
 
@@ -21,8 +21,8 @@ def plan() -> Plan:
 
 
 def test_a_plan_within_limits_has_no_warnings(plan: Plan) -> None:
-    assert list(warnings_of(plan)) == []
-    facts = summary(plan)
+    facts = plan.summary()
+    assert facts.warnings == []
     assert (facts["status"], facts["optimal"], facts["samples"]) == ("ok", True, len(plan.t))
     assert facts["phases"][0]["start"] == plan.t[0]
     assert facts["phases"][-1]["end"] == plan.t[-1]
@@ -47,6 +47,20 @@ def test_a_plan_that_stopped_early_is_no_optimum_and_keeps_its_limits(monkeypatc
     monkeypatch.setattr(nlp, "TOLERANCE", 1e-30)
     circle, mesh = reference.circle(ramp_length=0.05), rp.Mesh(dt=0.08, refinements=0)
     plan = rp.plan_whole_trajectory(rp.VirtualWork("2rpr"), circle, mesh=mesh)
-    assert (plan.status, summary(plan)["optimal"]) == (ResultStatus.NOT_CONVERGED, False)
+    assert (plan.status, plan.summary()["optimal"]) == (ResultStatus.NOT_CONVERGED, False)
     assert not plan.limits.violated
     assert next(warnings_of(plan)).startswith("this is no optimum")
+
+
+def test_a_summary_is_printed_as_a_table_and_with_dynamics_has_the_base(plan: Plan) -> None:
+    text, dynamics = str(plan.summary()), rp.RneaDynamics("3rrr")
+    for value in (plan.rms_effort[0], plan.main_energy):
+        assert f"{value:.6g}" in text
+    assert "base" not in text.replace("base_", "")
+    facts = plan.summary(dynamics)
+    wrench = dynamics.along(plan.motion).base_wrench(plan.carriers)
+    assert facts["peak_base_force"] == pytest.approx(np.linalg.norm(wrench[:, :3], axis=1).max())
+    assert facts["peak_base_moment"] == pytest.approx(np.linalg.norm(wrench[:, 3:], axis=1).max())
+    assert f"{facts['peak_base_force']:.6g}" in str(facts)
+    late = replace(plan, status=ResultStatus.UNBOUNDED).summary()
+    assert str(late).endswith("".join(f"warning: {each}\n" for each in late.warnings))

@@ -142,7 +142,7 @@ class RecedingHorizon:
             for part, name in ((s, "s"), (sd, "sd"))
         )
         command = self.updates.update(t, known, given).command
-        if command.status in (UpdateStatus.RELAXED, UpdateStatus.FALLBACK) and given[0] is not None:
+        if command.status is UpdateStatus.FALLBACK and given[0] is not None:
             command = replace(command, reason=self._off_track(given[0]) or command.reason)
         return replace(command, seconds=time.perf_counter() - began)
 
