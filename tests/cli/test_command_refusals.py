@@ -249,7 +249,8 @@ inverse-dynamics --robot 2rpr --motion timed.csv --out timed.csv => --out is the
 {SPACE} --at 3,3 => chains stay open
 workspace --robot gough --at 0,0,0.6,0,0,0,2 => norm
 codegen --robot four_bar --out plan.npz => plan.npz
-validate --robot nope --samples 5 => nope
+validate --samples 0 => samples is 0
+validate --samples many => many
 validate --robot 3rrr --set carrier_mas=1 --samples 5 => no argument 'carrier_mas'
 new nowhere.xml => it does not exist
 new corner.csv => no model of a robot

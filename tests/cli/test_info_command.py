@@ -52,13 +52,6 @@ def test_describes_every_robot(name: str) -> None:
         assert parameter in text
 
 
-@pytest.mark.parametrize(
-    ("name", "unit"), [("2rpr", "m"), ("3rrr", "m, rad"), ("four_bar", "rad"), ("gough", "m, rad")]
-)
-def test_the_reference_has_its_unit(name: str, unit: str) -> None:
-    assert f"reference [{unit}] " in call("info", "--robot", name).stdout
-
-
 def test_colons_in_names_make_no_pictures(tmp_path: Path) -> None:
     """``rod:a:universal``, a frame that the reader of MuJoCo's models makes, was shown with an emoji in it."""
     file = tmp_path / "arm.xml"
@@ -71,26 +64,36 @@ def test_colons_in_names_make_no_pictures(tmp_path: Path) -> None:
     assert "arm:a:" in call("validate", "--robot", str(file), "--samples", "2").stdout
 
 
-def test_parameters_show_value_and_default() -> None:
-    masses = ("--set", "carrier_mass=2", "--set", "platform_mass=1")
-    facts = json.loads(call("info", "--robot", "3rrr", *masses, "--working-mode", "+-+", "--json").stdout)
-    assert facts["parameters"]["carrier_mass"] == {"value": 2.0, "default": 3.0}
-    assert facts["parameters"]["platform_mass"] == {"value": 1.0, "default": 0.5}
-    assert facts["working_mode"] == "+-+"
-    assert len(facts["working_modes"]) == 8
-
-
-def test_units_are_shown_as_written() -> None:
-    """Square brackets are markup to the table library; a unit must not vanish as an unknown style."""
-    text = call("info", "--robot", "3rrr").stdout
-    for unit in ("[m/s²]", "[m]", "[N]"):
-        assert unit in text
-
-
-def test_infinite_limits_are_null_in_json() -> None:
-    limits = json.loads(call("info", "--robot", "2rpr", "--json").stdout)["carrier_limits"]["carrier_1"]
-    assert limits["position"] == [-0.2, 0.2]
-    assert limits["force"] is None or limits["force"] > 0.0
+@pytest.mark.parametrize(
+    ("line", "shown", "facts"),
+    [
+        ("2rpr", ["reference [m] ", "[m/s²]", "[N]"], {"carrier_limits.carrier_1.position": [-0.2, 0.2]}),
+        ("four_bar", ["reference [rad] "], {}),
+        # a pose as its declaration has it, without the rounding of a closure
+        ("gough", ["reference [m, rad] ", "xyz 0, 0, 0.6; rpy 0, 0, 0 "], {"carrier_limits": {}}),
+        (
+            "3rrr --set carrier_mass=2 --set platform_mass=1 --working-mode +-+ --gravity 0,-9.81,0",
+            ["reference [m, rad] ", "carrier_mass", "+-+ of "],
+            {
+                "parameters.carrier_mass": {"value": 2.0, "default": 3.0},
+                "parameters.platform_mass": {"value": 1.0, "default": 0.5},
+                "working_mode": "+-+",
+            },
+        ),
+        ("3rrr --gravity 0,0,-9.81", ["normal to the plane of motion, no effect on efforts"], {"gravity_acts": False}),
+    ],
+)
+def test_what_is_shown_and_the_facts(line: str, shown: list[str], facts: dict[str, object]) -> None:
+    result = call("info", "--robot", *line.split())
+    for text in shown:
+        assert text in result.stdout
+    assert ("no effect" in result.stdout) == ("is normal to the plane in which 3rrr moves" in result.stderr)
+    found = json.loads(call("info", "--robot", *line.split(), "--json").stdout)
+    for path, expected in facts.items():
+        entry = found
+        for key in path.split("."):
+            entry = entry[key]
+        assert entry == expected, path
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -152,20 +155,3 @@ def test_a_strangers_file_is_read_in_a_process_of_its_own(monkeypatch: pytest.Mo
         ("new", xacro.with_name("five_bar.urdf.xacro"), "--out", tmp_path / "x.yaml"),
     ):
         assert "takes more than 0.01 s" in refused(*arguments, "--untrusted")
-
-
-def test_the_reference_of_a_pose_is_position_and_angles_without_rounding() -> None:
-    """As the declaration has it: z = 0.6 and no rotation; rounding of a closure is not shown."""
-    [line] = [line for line in call("info", "--robot", "gough").stdout.splitlines() if "reference [" in line]
-    assert "xyz 0, 0, 0.6; rpy 0, 0, 0 " in line
-    assert "reference [m, rad]" in line
-
-
-def test_gravity_without_effect_is_said_where_it_was_asked_for_and_where_it_is_shown() -> None:
-    result = call("info", "--robot", "3rrr", "--gravity", "0,0,-9.81")
-    assert result.stderr.startswith("warning: gravity = [0.0, 0.0, -9.81] is normal to the plane in which 3rrr moves")
-    assert "0, 0, -9.81: normal to the plane of motion, no effect on efforts" in result.stdout
-    for gravity in ("0,-9.81,0", "0,0,0"):
-        result = call("info", "--robot", "3rrr", "--gravity", gravity)
-        assert result.stderr == ""
-        assert "no effect" not in result.stdout

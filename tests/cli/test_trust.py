@@ -76,19 +76,8 @@ def test_the_robot_of_a_plan_is_trusted_by_who_loads_it(robot: Path, tmp_path: P
     loaded = rp.load_robot(robot, trust=True)
     assert loaded.n == 2
     path = tmp_path / "plan.npz"
-    command = (
-        "plan",
-        "switch-off",
-        "--robot",
-        str(robot),
-        "--motion",
-        "line",
-        "--threshold",
-        "1000",
-        "--dt",
-        "0.005",
-        "--trust",
-    )
+    line = f"plan switch-off --robot {robot} --motion line --threshold 1000 --dt 0.005 --trust"
+    command = line.split()
     assert call(*command, "--out", str(path)).exit_code in (0, 3)
     plan = rp.load_plan(path)
     with pytest.raises(rp.errors.PlanFileError, match="lambda"):

@@ -49,14 +49,6 @@ def test_failure_shows_in_table_json_and_exit_code(monkeypatch: pytest.MonkeyPat
     assert not json.loads(result.stdout)["passed"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [(("--samples", "0"), "0"), (("--samples", "many"), "many"), (("--robot", "nope", "--samples", "5"), "nope")],
-)
-def test_bad_input(arguments: tuple[str, ...], says: str) -> None:
-    assert says in refused("validate", *arguments)
-
-
 def test_what_a_declaration_says_wrong_is_said_and_not_drawn_again(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("name: x\nurdf: nowhere.urdf\nactuated: 3\n", encoding="utf-8")
