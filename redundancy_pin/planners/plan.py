@@ -23,6 +23,7 @@ from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import Findings, IntersamplePeaks
 from redundancy_pin.planners.limits import QUANTITIES, LimitEvent, LimitReport, ResolvedLimits
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot
+from redundancy_pin.planners.summary import REVERSAL, summary
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory, as_motion
@@ -36,9 +37,6 @@ PLAN_FORMAT = "redundancy_pin plan"
 
 PLAN_VERSION = 6
 """Version of the file format: counts up whenever the fields of the file change. 6: limits of further quantities."""
-
-REVERSAL = 0.05
-"""Change after a turning point, as a fraction of the peak effort, from which the turning point is a reversal."""
 
 SAME_TIME = 1e-9
 """How far, relative to the duration, plan and trajectory may differ in their times."""
@@ -236,8 +234,6 @@ class Plan(Frozen):
             >>> rp.load_plan("plan.npz").summary()["status"]
             'ok'
         """
-        from redundancy_pin.planners.summary import summary
-
         return summary(self, dynamics)
 
     def save(self, path: str | Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,9 +13,14 @@ from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.io.summary import Summary, TextTable, listed, number, row
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.limits import LimitEvent, worst_events
-from redundancy_pin.planners.plan import REVERSAL, Plan
 from redundancy_pin.robot.joint_ranges import JointExcess, beyond_limits
 from redundancy_pin.status import ResultStatus, UpdateStatus
+
+if TYPE_CHECKING:
+    from redundancy_pin.planners.plan import Plan
+
+REVERSAL = 0.05
+"""Change after a turning point, as a fraction of the peak effort, from which the turning point is a reversal."""
 
 _MANY_REVERSALS = 10
 """Reversals of an effort near singularities up to which nothing is advised: a motion itself makes a few."""
