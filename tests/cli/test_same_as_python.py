@@ -150,6 +150,8 @@ def test_a_table_says_what_the_plan_holds() -> None:
     plan = rp.load_plan("PLAN.NPZ")
     lines = result.stdout.splitlines()
     assert lines[0].strip() == "3rrr, stepwise, compiled"  # the backend as --backend names it
+    rows = [[cell.strip() for cell in line.strip("│").split("│")] for line in lines if line.startswith("│")]
+    assert (rows[1], rows[-1]) == (["motion", "corner:radius=0.03"], ["plan written to", "PLAN.NPZ"])
     assert any("speed of carrier_2 at its limit 1 m/s" in line for line in lines)
     assert f"{plan.peak_effort[0]:.6g}" in result.stdout
     assert f"{plan.carrier_energy:.6g}" in result.stdout
