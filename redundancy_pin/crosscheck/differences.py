@@ -27,9 +27,10 @@ _FIRST = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0.0, 4 / 5, -1 / 5, 4 / 105
 _SECOND = np.array([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560])
 """Eighth-order central differences of values a step apart (Fornberg 1988, table 1)."""
 
-_TURN = 0.05
-"""Step, as the sum of what all joints move in it, rad or characteristic lengths. Of the sine of twice that angle the
-second difference leaves out 1e-11 at most, and rounding is 5e-13, of the square of that sum over the square of the time."""
+_TURN = 0.04
+"""Step, as the sum of what all joints move in it, rad or characteristic lengths. Rounding of second differences is 1e-12
+of the square of that sum over the square of the time. If all joints turned in one sine of twice the angle, first
+differences would leave out 5e-12, second ones 2e-12."""
 
 _STILL = 1e-3
 """Rates, rad/s or characteristic lengths per s, and second rates, that smaller ones are compared with."""
