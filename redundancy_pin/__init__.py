@@ -23,7 +23,7 @@ _PLACES = {
 }
 """Module and name there of each public name."""
 
-__all__ = sorted(_PLACES)  # noqa: PLE0605 - the names of the stub
+__all__ = sorted(_PLACES)
 __version__ = "0.1.0"
 
 

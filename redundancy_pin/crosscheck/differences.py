@@ -28,8 +28,8 @@ _SECOND = np.array([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 
 """Eighth-order central differences of values a step apart (Fornberg 1988, table 1)."""
 
 _TURN = 0.04
-"""Step, as the sum of what all joints move in it, rad or characteristic lengths. Rounding of second differences is 1e-12
-of the square of that sum over the square of the time. If all joints turned in one sine of twice the angle, first
+"""Step, as the sum of what all joints move in it, rad or characteristic lengths. Rounding of a second difference is
+1e-12 of the square of that sum over the square of the time. If all joints turned in one sine of twice the angle, first
 differences would leave out 5e-12, second ones 2e-12."""
 
 _STILL = 1e-3
