@@ -14,7 +14,6 @@ import ctypes
 import hashlib
 import importlib.resources
 import importlib.util
-import itertools
 import logging
 import os
 import platform
@@ -316,47 +315,29 @@ def loaded(path: Path) -> ctypes.CDLL:
         OSError, AttributeError, ValueError: it is half a file, another machine's, or of another name. PermissionError:
             it is no file of this user's, or others may write to it.
     """
-    with _checked(path) as name:
-        library = ctypes.CDLL(name)
+    _require_own(path)
+    library = ctypes.CDLL(str(path))
     own = (ctypes.c_char * (len(path.stem) + 1)).in_dll(library, _KEY).value.decode(errors="replace")
     if own != path.stem:
         raise ValueError(f"{path} is the library {own}.")
     return library
 
 
-@contextlib.contextmanager
-def _checked(path: Path) -> Iterator[str]:
-    """Give the name under which to load a file that only this user can have written."""
-    if not hasattr(os, "geteuid"):
-        yield str(path)
-        return
-    if path.is_symlink():
-        raise PermissionError(f"{path} is a link")
-    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    try:
-        status = os.fstat(handle)
-        if not stat.S_ISREG(status.st_mode):
-            raise PermissionError(f"{path} is no file")
-        if status.st_uid != os.geteuid():
-            raise PermissionError(f"{path} belongs to user {status.st_uid}")
-        if status.st_mode & 0o022:
-            raise PermissionError(f"others may write to {path} (mode {stat.S_IMODE(status.st_mode):04o})")
-        # through its descriptor: the file that was checked, whatever has that path now. Without /proc, as on macOS, the
-        # folder has to do, in which nobody else can put another file there (``_make_trusted``)
-        yield f"{_DESCRIPTORS}{_unused()}/{handle}" if os.path.isdir(_DESCRIPTORS) else str(path)
-    finally:
-        os.close(handle)
+def _require_own(path: Path) -> None:
+    """Raise PermissionError unless a library is a file of this user's that nobody else may write.
 
-
-def _unused() -> str:
-    """Return slashes and dots that change no path, never the same twice.
-
-    glibc takes a name that it has loaded for the library of then, and numbers of descriptors are given again.
+    Nobody else can replace it between this check and its use: its folder was checked before (``_make_trusted``).
     """
-    return "".join("/." if digit == "1" else "/" for digit in f"{next(_LOADS):b}")
+    if not hasattr(os, "geteuid"):
+        return
+    status = path.lstat()
+    if not stat.S_ISREG(status.st_mode):
+        raise PermissionError(f"{path} is no file")
+    if status.st_uid != os.geteuid():
+        raise PermissionError(f"{path} belongs to user {status.st_uid}")
+    if status.st_mode & 0o022:
+        raise PermissionError(f"others may write to {path} (mode {stat.S_IMODE(status.st_mode):04o})")
 
-
-_DESCRIPTORS, _LOADS = "/proc/self/fd", itertools.count(1)
 
 _KEY = "rp_key"
 """In every library: the name that it was compiled under."""
