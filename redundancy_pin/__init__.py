@@ -4,11 +4,6 @@ Names are imported when they are first used: a program pays for the subpackages 
 ``__init__.pyi`` lists them, for type checkers and for this file.
 """
 
-# ruff: noqa: E402 - Ctrl-C is quiet before anything is imported that takes its time
-from redundancy_pin import _startup
-
-_startup.install()
-
 import ast
 import importlib
 import importlib.util
