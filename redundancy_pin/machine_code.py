@@ -56,7 +56,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Compiler:
-    """A C compiler: the words of its command, and what tells it from an older one of the same path."""
+    """A C compiler: the words of its command, and its path, size and date."""
 
     command: tuple[str, ...]
     identity: str
@@ -104,7 +104,7 @@ def _identified(path: str, *arguments: str) -> Compiler:
 
 
 def processor() -> str:
-    """Return what tells machines apart that ``NATIVE`` makes other code for."""
+    """Return a description of the processor: machines with equal ones run the same ``NATIVE`` code."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:  # not on Linux
@@ -123,12 +123,12 @@ def digest(parts: Iterable[str]) -> str:
 def built(
     digest_of: Callable[[str], str], write: Callable[[], str], load: Callable[[Path], T], flags: Sequence[str] = FLAGS
 ) -> tuple[T | None, str]:
-    """Return a library, from disk or new; or None and the reason why there is none.
+    """Return a library, from disk or new, and an empty reason; without one None and the reason.
 
     Args:
-        digest_of: returns, from the identity of the compiler, what tells the library from all others (``digest``).
+        digest_of: returns the name of the library (``digest``) from the identity of the compiler.
         write: returns the C.
-        load: opens a library; raises what ``loaded`` raises where it is another one.
+        load: opens a library; raises as ``loaded`` for another one.
         flags: of the compiler.
     """
     compiler = find_compiler()
@@ -176,7 +176,7 @@ def _is_full(folder: Path) -> bool:
 
 
 def cache_folder() -> Path | None:
-    """Return the folder of compiled libraries, made where it is missing; None where none can be kept."""
+    """Return the folder of compiled libraries, which is made if it is missing; None if no library can be kept."""
     named = os.environ.get(CACHE)
     if named == "":
         return None
@@ -192,15 +192,15 @@ def cache_folder() -> Path | None:
 
 
 def _user_cache() -> Path:
-    """Return ``$XDG_CACHE_HOME``, or ``~/.cache`` where it is no absolute path: its specification ignores those."""
+    """Return ``$XDG_CACHE_HOME``, otherwise ``~/.cache``; its specification ignores relative paths."""
     named = Path(os.environ.get("XDG_CACHE_HOME", ""))
     return named if named.is_absolute() else Path.home() / ".cache"
 
 
 def _make_trusted(folder: Path) -> str:
-    """Make a folder where it is missing, and return why other users could change what it holds; empty if they cannot.
+    """Make a missing folder, and return why other users could change its content; empty if they cannot.
 
-    From the root down: what is above a folder is known to be safe before that folder is looked at, so that nobody can
+    From the root down: the folders above are known to be safe before a folder is checked, so that no other user can
     replace it between this check and its use.
     """
     if not hasattr(os, "geteuid"):
@@ -309,11 +309,11 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def loaded(path: Path) -> ctypes.CDLL:
-    """Return a shared library that says itself that it is the one of its name.
+    """Return a shared library that has its own name as its key.
 
     Raises:
         OSError, AttributeError, ValueError: it is half a file, another machine's, or of another name. PermissionError:
-            it is no file of this user's, or others may write to it.
+            it is not a file of this user's, or others may write to it.
     """
     _require_own(path)
     library = ctypes.CDLL(str(path))
@@ -324,9 +324,9 @@ def loaded(path: Path) -> ctypes.CDLL:
 
 
 def _require_own(path: Path) -> None:
-    """Raise PermissionError unless a library is a file of this user's that nobody else may write.
+    """Raise PermissionError unless a library is a file of this user's that no other user may write.
 
-    Nobody else can replace it between this check and its use: its folder was checked before (``_make_trusted``).
+    No other user can replace it between this check and its use: its folder was checked before (``_make_trusted``).
     """
     if not hasattr(os, "geteuid"):
         return

@@ -1,26 +1,23 @@
 """Cross-check for users: the dynamics of a robot against physics, and backend against backend, on random states.
 
-``checks.CHECKS`` lists what is compared, how far it may deviate, and what a pass does not show of the model.
+``checks.CHECKS`` is the table of comparisons, of tolerances, and of the errors of a model that pass.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from redundancy_pin.arrays import whole
 from redundancy_pin.crosscheck.checks import check_states
 from redundancy_pin.crosscheck.report import SCOPE, CheckRow, CrossCheckReport, merged
 from redundancy_pin.crosscheck.states import batches, random_states
-from redundancy_pin.parallel import parallel, require_jobs
+from redundancy_pin.parallel import Progress, parallel, require_jobs
 from redundancy_pin.robot.shipped import shipped_robots
 
 MOST_STATES = 100_000_000
 """Most states of each robot: weeks of computing."""
 
 __all__ = ["SCOPE", "CheckRow", "CrossCheckReport", "run"]
-
-Progress = Callable[[int, int], None]
-"""Called with the states done and the states in all."""
 
 
 def run(
@@ -41,7 +38,7 @@ def run(
         robots: names or paths; all shipped robots when left out.
         samples: random states for each robot.
         seed: seed of the random states; the same seed gives the same report.
-        progress: called at the start, and as batches get ready.
+        progress: called with the states done and the states in all, at the start and as batches get ready.
         jobs: processes that share the work, -1 for one per core; the report does not depend on it.
         trust: as for ``load_robot``.
         settings: arguments of the robots, as ``load_robot`` takes them.

@@ -1,4 +1,4 @@
-"""The checks of a robot: one table of what is compared and what a pass does not show, and one loop over it."""
+"""The checks of a robot: one table of comparisons, tolerances and errors that pass, and one loop over it."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ class Check:
     Attributes:
         compare: returns the deviations of a case.
         tolerance: largest deviation that passes.
-        does_not_show: what a pass does not say about the model.
+        does_not_show: the errors of a model that pass.
     """
 
     compare: Callable[[Case], Compared]
