@@ -105,9 +105,9 @@ def sweep(
 
     Raises:
         InputError: ``jobs`` is not a whole number, 0, below -1, or many times the cores; an argument has no values, or
-            is not a list of them; points are not mappings; the function returns an entry with the name of an argument; with a
-            cache, a folder that cannot be made, a closure or ``functools.partial``, whose values the cache would not
-            see.
+            is not a list of them; points are not mappings; the function returns an entry with the name of an argument;
+            with a cache, a folder that cannot be made, a closure or ``functools.partial``, whose values the cache would
+            not see.
         RedundancyPinError: a process died.
 
     Example:

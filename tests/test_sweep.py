@@ -243,6 +243,7 @@ def test_a_cluster_gives_what_one_machine_gives(cluster: Cluster, ends: bool, tm
         with joblib.parallel_config("dask", client=client):
             result = rp.sweep(slow, {"number": range(20), "folder": [str(calls)]}, progress=progress)
         if ends:
+            client.wait_for_workers(2, timeout=60.0)  # a loaded machine takes seconds to start one
             assert len(client.scheduler_info(n_workers=-1)["workers"]) == 2
     assert result.values("value").ravel().tolist() == [number**2 for number in range(20)]
     assert done_of == list(range(1, 21))
