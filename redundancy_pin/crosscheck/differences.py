@@ -39,8 +39,8 @@ _STILL = 1e-3
 def closure_misses(robot: Robot, q: Array, v: Array, a: Array, xd: Array, xdd: Array) -> Array:
     """Return (N,) by how much v and a (N, nv) at q (N, nq) miss closures, ẋ and ẍ (N, n).
 
-    Along the path the closure residual keeps Φ̇ = Φ̈ = 0, and the coordinates x have the rates
-    ẋ and ẍ. What is missed is relative to the joint rates: Σ|v|, and Σ|a| + (Σ|v|)².
+    Along the path the closure residual keeps Φ̇ = Φ̈ = 0, and the coordinates x have the rates ẋ and ẍ. Misses of rates
+    are relative to the size s of the joint rates, s² = (Σ|v|)² + Σ|a|, those of second rates to s².
     """
     system, unit = constraint_system(robot), coordinate_unit(robot)
     misses = np.empty(len(q))
