@@ -14,7 +14,6 @@ import ctypes
 import hashlib
 import importlib.resources
 import importlib.util
-import itertools
 import logging
 import os
 import platform
@@ -57,7 +56,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Compiler:
-    """A C compiler: the words of its command, and what tells it from an older one of the same path."""
+    """A C compiler: the words of its command, and its path, size and date."""
 
     command: tuple[str, ...]
     identity: str
@@ -105,7 +104,7 @@ def _identified(path: str, *arguments: str) -> Compiler:
 
 
 def processor() -> str:
-    """Return what tells machines apart that ``NATIVE`` makes other code for."""
+    """Return a description of the processor: machines with equal ones run the same ``NATIVE`` code."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:  # not on Linux
@@ -124,12 +123,12 @@ def digest(parts: Iterable[str]) -> str:
 def built(
     digest_of: Callable[[str], str], write: Callable[[], str], load: Callable[[Path], T], flags: Sequence[str] = FLAGS
 ) -> tuple[T | None, str]:
-    """Return a library, from disk or new; or None and the reason why there is none.
+    """Return a library, from disk or new, and an empty reason; without one None and the reason.
 
     Args:
-        digest_of: returns, from the identity of the compiler, what tells the library from all others (``digest``).
+        digest_of: returns the name of the library (``digest``) from the identity of the compiler.
         write: returns the C.
-        load: opens a library; raises what ``loaded`` raises where it is another one.
+        load: opens a library; raises as ``loaded`` for another one.
         flags: of the compiler.
     """
     compiler = find_compiler()
@@ -177,7 +176,7 @@ def _is_full(folder: Path) -> bool:
 
 
 def cache_folder() -> Path | None:
-    """Return the folder of compiled libraries, made where it is missing; None where none can be kept."""
+    """Return the folder of compiled libraries, which is made if it is missing; None if no library can be kept."""
     named = os.environ.get(CACHE)
     if named == "":
         return None
@@ -193,15 +192,15 @@ def cache_folder() -> Path | None:
 
 
 def _user_cache() -> Path:
-    """Return ``$XDG_CACHE_HOME``, or ``~/.cache`` where it is no absolute path: its specification ignores those."""
+    """Return ``$XDG_CACHE_HOME``, otherwise ``~/.cache``; its specification ignores relative paths."""
     named = Path(os.environ.get("XDG_CACHE_HOME", ""))
     return named if named.is_absolute() else Path.home() / ".cache"
 
 
 def _make_trusted(folder: Path) -> str:
-    """Make a folder where it is missing, and return why other users could change what it holds; empty if they cannot.
+    """Make a missing folder, and return why other users could change its content; empty if they cannot.
 
-    From the root down: what is above a folder is known to be safe before that folder is looked at, so that nobody can
+    From the root down: the folders above are known to be safe before a folder is checked, so that no other user can
     replace it between this check and its use.
     """
     if not hasattr(os, "geteuid"):
@@ -310,53 +309,35 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def loaded(path: Path) -> ctypes.CDLL:
-    """Return a shared library that says itself that it is the one of its name.
+    """Return a shared library that has its own name as its key.
 
     Raises:
         OSError, AttributeError, ValueError: it is half a file, another machine's, or of another name. PermissionError:
-            it is no file of this user's, or others may write to it.
+            it is not a file of this user's, or others may write to it.
     """
-    with _checked(path) as name:
-        library = ctypes.CDLL(name)
+    _require_own(path)
+    library = ctypes.CDLL(str(path))
     own = (ctypes.c_char * (len(path.stem) + 1)).in_dll(library, _KEY).value.decode(errors="replace")
     if own != path.stem:
         raise ValueError(f"{path} is the library {own}.")
     return library
 
 
-@contextlib.contextmanager
-def _checked(path: Path) -> Iterator[str]:
-    """Give the name under which to load a file that only this user can have written."""
-    if not hasattr(os, "geteuid"):
-        yield str(path)
-        return
-    if path.is_symlink():
-        raise PermissionError(f"{path} is a link")
-    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    try:
-        status = os.fstat(handle)
-        if not stat.S_ISREG(status.st_mode):
-            raise PermissionError(f"{path} is no file")
-        if status.st_uid != os.geteuid():
-            raise PermissionError(f"{path} belongs to user {status.st_uid}")
-        if status.st_mode & 0o022:
-            raise PermissionError(f"others may write to {path} (mode {stat.S_IMODE(status.st_mode):04o})")
-        # through its descriptor: the file that was checked, whatever has that path now. Without /proc, as on macOS, the
-        # folder has to do, in which nobody else can put another file there (``_make_trusted``)
-        yield f"{_DESCRIPTORS}{_unused()}/{handle}" if os.path.isdir(_DESCRIPTORS) else str(path)
-    finally:
-        os.close(handle)
+def _require_own(path: Path) -> None:
+    """Raise PermissionError unless a library is a file of this user's that no other user may write.
 
-
-def _unused() -> str:
-    """Return slashes and dots that change no path, never the same twice.
-
-    glibc takes a name that it has loaded for the library of then, and numbers of descriptors are given again.
+    No other user can replace it between this check and its use: its folder was checked before (``_make_trusted``).
     """
-    return "".join("/." if digit == "1" else "/" for digit in f"{next(_LOADS):b}")
+    if not hasattr(os, "geteuid"):
+        return
+    status = path.lstat()
+    if not stat.S_ISREG(status.st_mode):
+        raise PermissionError(f"{path} is no file")
+    if status.st_uid != os.geteuid():
+        raise PermissionError(f"{path} belongs to user {status.st_uid}")
+    if status.st_mode & 0o022:
+        raise PermissionError(f"others may write to {path} (mode {stat.S_IMODE(status.st_mode):04o})")
 
-
-_DESCRIPTORS, _LOADS = "/proc/self/fd", itertools.count(1)
 
 _KEY = "rp_key"
 """In every library: the name that it was compiled under."""

@@ -88,8 +88,8 @@ def sweep(
     loads its robots itself, from their names or paths. An error that it raises ends the sweep; a function that should
     continue where no plan exists catches ``InfeasiblePlanError`` and returns the status. With a cache, points that are
     finished are kept (``joblib.Memory``): the same call after an interruption computes only the others. A changed
-    function, or another version of the package, computes all points again. What else it uses is not looked at: after a
-    change of a model file, of a global or of another function that it calls, delete the folder.
+    function, or another version of the package, computes all points again. Other things that it uses are not compared:
+    after a change of a model file, of a global or of another function that it calls, delete the folder.
 
     Within ``joblib.parallel_config("dask")`` the points are computed by the workers of a dask cluster, which need the
     same version of the package; with a cache, the folder must be one that all of them share.
@@ -104,10 +104,10 @@ def sweep(
         progress: called as points finish.
 
     Raises:
-        InputError: ``jobs`` is no whole number, 0, below -1, or many times the cores; an argument has no values, or is
-            no list of them; points are no mappings; the function returns an entry with the name of an argument; with a
-            cache, a folder that cannot be made, a closure or ``functools.partial``, whose values the cache would not
-            see.
+        InputError: ``jobs`` is not a whole number, 0, below -1, or many times the cores; an argument has no values, or
+            is not a list of them; points are not mappings; the function returns an entry with the name of an argument;
+            with a cache, a folder that cannot be made, a closure or ``functools.partial``, whose values the cache would
+            not see.
         RedundancyPinError: a process died.
 
     Example:
@@ -158,10 +158,10 @@ def _listed(values: Any, name: str) -> tuple[Any, ...]:
 
 
 def _require_named(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function whose results can be kept; what it has beside its arguments is not seen by the cache.
+    """Return a function whose results can be kept: the cache compares nothing but its arguments.
 
     Raises:
-        InputError: it is none of a module or notebook, or has values of the function around it.
+        InputError: it is not a function of a module or notebook, or it has values of the function around it.
     """
     if not inspect.isfunction(function) or function.__closure__:
         raise InputError(

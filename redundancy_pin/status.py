@@ -25,7 +25,7 @@ class SampleStatus(Labelled):
     """The answer at one sample, from inverse dynamics, forward kinematics, allocation or a generated controller.
 
     The first three have efforts, or positions and rates, that solve the equations; so has ``OUT_OF_RANGE``. Results of
-    all others are NaN, except where their description says otherwise.
+    all others are NaN, with exceptions named below.
     """
 
     OK = 0

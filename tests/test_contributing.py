@@ -37,7 +37,7 @@ def test_the_walks_lead_through_functions_that_are_there() -> None:
 def test_every_room_of_the_table_is_there_and_every_room_is_in_it() -> None:
     rows = re.findall(r"^\| (`.*?) \|", PAGE.partition("| room |")[2].partition("Three walls")[0], re.MULTILINE)
     named = {name.rstrip("/") for row in rows for name in re.findall(r"`([a-z_/.]+)`", row)}
-    own = {"__init__.py", "__main__.py", "_startup.py", "py.typed", "__pycache__", "models"}
+    own = {"__init__.py", "__init__.pyi", "__main__.py", "py.typed", "__pycache__", "models"}
     assert named == {path.name for path in PACKAGE.iterdir()} - own
 
 
@@ -73,7 +73,7 @@ def test_tests_of_a_room_enter_the_others_by_modules_that_rooms_import_or_docume
     entered = set(re.findall(r"redundancy_pin(?:\.\w+)+", documents)) | {
         f"redundancy_pin.{path.replace('/', '.')}" for path in re.findall(r"`(\w+/[\w/]+)\.py`", PAGE)
     }
-    for path in PACKAGE.rglob("*.py"):
+    for path in (*PACKAGE.rglob("*.py"), PACKAGE / "__init__.pyi"):
         own = path.relative_to(PACKAGE).parts[0]
         entered |= {module for module in _imported(path) if module.split(".")[1] != own}
     inner = {

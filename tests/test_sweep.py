@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -19,7 +20,7 @@ import numpy as np
 import pytest
 
 import redundancy_pin as rp
-from redundancy_pin.errors import InputError, RedundancyPinError
+from redundancy_pin.errors import InputError, RedundancyPinError, shown
 from redundancy_pin.parallel import parallel
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -81,8 +82,8 @@ def test_an_entry_with_the_name_of_an_argument_is_refused_at_the_first_result(tm
 
 def test_numbers_of_processes_are_whole_numbers_of_any_kind() -> None:
     assert len(rp.sweep(area, GRID, jobs=int_of(np.int64(1)))) == 6
-    for jobs in (1.0, "2", np.float64(1.0), 0, -2):
-        with pytest.raises(InputError, match="jobs is"):
+    for jobs in (1.0, 1.5, "2", np.float64(1.0), 0, -2, 10**6):
+        with pytest.raises(InputError, match=rf"jobs is {re.escape(shown(jobs))}; this machine has \d+ cores"):
             rp.sweep(area, GRID, jobs=jobs)  # type: ignore[arg-type]
 
 
@@ -101,12 +102,6 @@ def test_a_data_frame_has_a_row_per_point() -> None:
     assert isinstance(frame, pandas.DataFrame)
     assert list(frame.columns) == ["a", "b", "area", "status"]
     assert frame.groupby("a")["area"].sum().tolist() == [30.0, 60.0, 90.0]
-
-
-@pytest.mark.parametrize("jobs", [0, -2, 10**6])
-def test_numbers_of_processes_are_checked(jobs: int) -> None:
-    with pytest.raises(InputError, match=rf"jobs is {jobs}; this machine has \d+ cores"):
-        rp.sweep(area, GRID, jobs=jobs)
 
 
 def test_a_cache_takes_no_function_with_values_of_its_own(tmp_path: Path) -> None:
@@ -143,14 +138,10 @@ def test_what_is_no_grid_is_refused(tmp_path: Path) -> None:
         ({"a": "3rrr", "b": [1]}, {}, "a is '3rrr', not a list"),  # it would be three letters
         ({"a": 3, "b": [1]}, {}, "a is 3, not a list"),
         ([1, 2], {}, "mapping for each point"),
-        (GRID, {"jobs": "2"}, "jobs is '2'"),
-        (GRID, {"jobs": 1.5}, "jobs is 1.5"),
         (GRID, {"jobs": 1, "cache": tmp_path / "file"}, "The cache .* cannot be made"),
     ):
         with pytest.raises(InputError, match=says):
             rp.sweep(area, grid, **keywords)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="'area' is an argument, and an entry"):
-        rp.sweep(lambda **given: {"area": 1.0}, {"area": [1.0]}, jobs=1)
 
 
 def test_processes_have_one_thread_each_and_leave_the_environment_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -252,6 +243,7 @@ def test_a_cluster_gives_what_one_machine_gives(cluster: Cluster, ends: bool, tm
         with joblib.parallel_config("dask", client=client):
             result = rp.sweep(slow, {"number": range(20), "folder": [str(calls)]}, progress=progress)
         if ends:
+            client.wait_for_workers(2, timeout=60.0)  # a loaded machine takes seconds to start one
             assert len(client.scheduler_info(n_workers=-1)["workers"]) == 2
     assert result.values("value").ravel().tolist() == [number**2 for number in range(20)]
     assert done_of == list(range(1, 21))

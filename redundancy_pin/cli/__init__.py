@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import click
 
-from redundancy_pin import __version__, _startup
+from redundancy_pin import __version__
 from redundancy_pin.cli.errors import OneLineErrors
 
 __all__ = ["main"]
@@ -54,7 +54,6 @@ class Commands(OneLineErrors):
             command = getattr(module, cmd_name.replace("-", "_"))
             _keep_lines(command)
             self.add_command(command)
-        _startup.done()  # what takes long to import is there
         return super().get_command(ctx, cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 
 import click
 
-from redundancy_pin._startup import INTERRUPTED
 from redundancy_pin.errors import CrossCheckError, RedundancyPinError
 
 FAILED_CHECK = 1
@@ -18,6 +17,9 @@ FAILED_CHECK = 1
 
 BAD_INPUT = 2
 """Exit code where the command could not run on what it was given."""
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
 
 
 class OneLineErrors(click.Group):

@@ -1,32 +1,23 @@
 """Cross-check for users: the dynamics of a robot against physics, and backend against backend, on random states.
 
-Four checks: rates and accelerations of the joints keep the closures (``closures``), the power of the actuators is the
-rate of the energy (``energy``), forward dynamics return the accelerations that inverse dynamics were given, and other
-backends give the same W, f, carrier forces and base wrench as RNEA (``physics``).
+``checks.CHECKS`` is the table of comparisons, of tolerances, and of the errors of a model that pass.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
-from redundancy_pin.arrays import require_few
-from redundancy_pin.crosscheck.physics import check_parity, check_physics
+from redundancy_pin.arrays import whole
+from redundancy_pin.crosscheck.checks import check_states
 from redundancy_pin.crosscheck.report import SCOPE, CheckRow, CrossCheckReport, merged
 from redundancy_pin.crosscheck.states import batches, random_states
-from redundancy_pin.dynamics.compiled import CompiledDynamics
-from redundancy_pin.dynamics.rnea import RneaDynamics
-from redundancy_pin.dynamics.virtual_work import VirtualWork
-from redundancy_pin.errors import InputError
-from redundancy_pin.parallel import parallel, require_jobs
+from redundancy_pin.parallel import Progress, parallel, require_jobs
 from redundancy_pin.robot.shipped import shipped_robots
 
 MOST_STATES = 100_000_000
 """Most states of each robot: weeks of computing."""
 
 __all__ = ["SCOPE", "CheckRow", "CrossCheckReport", "run"]
-
-Progress = Callable[[int, int], None]
-"""Called with the states done and the states in all."""
 
 
 def run(
@@ -47,13 +38,14 @@ def run(
         robots: names or paths; all shipped robots when left out.
         samples: random states for each robot.
         seed: seed of the random states; the same seed gives the same report.
-        progress: called at the start, and as batches get ready.
-        jobs: processes that share the work; the report does not depend on it.
+        progress: called with the states done and the states in all, at the start and as batches get ready.
+        jobs: processes that share the work, -1 for one per core; the report does not depend on it.
         trust: as for ``load_robot``.
         settings: arguments of the robots, as ``load_robot`` takes them.
 
     Raises:
-        InputError: ``samples`` or ``jobs`` is not positive, or ``seed`` is negative.
+        InputError: ``samples`` is not positive or above 1e8, ``seed`` is negative, or ``jobs`` is as ``rp.sweep``
+            refuses it.
         RedundancyPinError: a robot does not load, no states of it are found, or a process died.
 
     Example:
@@ -61,10 +53,7 @@ def run(
         >>> crosscheck.run(["four_bar"], samples=8).passed
         True
     """
-    for name, value, least in (("samples", samples, 1), ("seed", seed, 0), ("jobs", jobs, 1)):
-        if value < least:
-            raise InputError(f"{name} is {value}.", remedy=f"Pass {least} or more.", name=name, value=value)
-    require_few(samples, MOST_STATES, "samples is {}", "Ask for fewer, with several seeds.")
+    samples, seed = whole(samples, "samples", 1, MOST_STATES), whole(seed, "seed", 0, 2**63)
     require_jobs(jobs)
     names = tuple(robots) if robots else shipped_robots(gallery=False)
     given = tuple((settings or {}).items())
@@ -91,10 +80,6 @@ def checked_batch(
 ) -> list[CheckRow]:
     """Draw random states, as ``random_states``, and return the rows of all checks on them."""
     states = random_states(source, samples, seed, index, trust=trust, settings=settings)
-    robot, along = states.robot, RneaDynamics(states.robot).along(states.motion)
-    rows = [*check_physics(states, along), *check_parity(states, along, "compiled", CompiledDynamics)]
-    if robot.closed_form is not None:
-        rows += check_parity(states, along, "virtual work", VirtualWork)
     note = "those that cannot be reached are drawn again"
-    drawn = CheckRow(robot.name, "random states", samples, 0.0, 0.0, True, note, states.skipped)
-    return sorted([*rows, drawn], key=lambda row: bool(row.note))
+    drawn = CheckRow(states.robot.name, "random states", samples, 0.0, 0.0, True, note, states.skipped)
+    return sorted([*check_states(states), drawn], key=lambda row: bool(row.note))

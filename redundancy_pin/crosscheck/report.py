@@ -18,7 +18,7 @@ SCOPE = (
     "The checks compare the dynamics with the model as it is declared. They do not say whether its lengths, masses "
     "and loads are those of your machine."
 )
-"""What a cross-check cannot find out; printed below every report."""
+"""What a cross-check cannot find out; the first of the notes below every report."""
 
 PARITY_SCALE = (
     f"Parity: where the singularity margin of the closures is below {NEAR_SINGULAR_MARGIN:g}, the deviation is "
@@ -26,8 +26,7 @@ PARITY_SCALE = (
 )
 """How deviations of parity are scaled; printed below a report with such rows."""
 
-COLOURED = {"ok": "[green]ok[/green]", "FAILED": "[red]FAILED[/red]"}
-"""Verdicts as the terminal shows them."""
+_COLOURED = {"ok": "[green]ok[/green]", "FAILED": "[red]FAILED[/red]"}
 
 
 @dataclass(frozen=True)
@@ -44,6 +43,7 @@ class CheckRow:
         passed: whether it does; false for a check without samples or with NaN.
         note: why the row does not count as a check; empty for a check.
         skipped: number of states that were skipped, by reason (a key of ``REASONS``).
+        does_not_show: the errors of a model that pass; empty unless the row is a check.
     """
 
     robot: str
@@ -54,6 +54,7 @@ class CheckRow:
     passed: bool
     note: str = ""
     skipped: Mapping[str, int] = field(default_factory=dict)
+    does_not_show: str = ""
 
     @property
     def total(self) -> int:
@@ -69,6 +70,11 @@ class CheckRow:
     def title(self) -> str:
         """What was compared, and why it is left out."""
         return f"{self.check}: {self.note}" if self.note else self.check
+
+    @property
+    def is_parity(self) -> bool:
+        """Whether backends are compared with each other, and nothing with physics."""
+        return self.check.startswith("parity")
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, for JSON and tables."""
@@ -91,35 +97,44 @@ class CrossCheckReport:
     @property
     def unjudged(self) -> tuple[str, ...]:
         """Robots without a check against physics: backends that agree may share a wrong declaration."""
-        judged = {row.robot for row in self.rows if not row.note and not row.check.startswith("parity")}
+        judged = {row.robot for row in self.rows if not row.note and not row.is_parity}
         return tuple(dict.fromkeys(row.robot for row in self.rows if row.robot not in judged))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the checks together, and each of them, do not show, and how deviations of parity are scaled."""
+        kinds = {row.does_not_show: "parity" if row.is_parity else row.check for row in self.rows if row.does_not_show}
+        scale = [PARITY_SCALE] * any(row.is_parity for row in self.rows)
+        return (SCOPE, *(f"{kind.capitalize()}: {text}" for text, kind in kinds.items()), *scale)
 
     def as_dict(self) -> dict[str, object]:
         """Return plain numbers, for JSON."""
         rows = [row.as_dict() for row in self.rows]
         return {"passed": self.passed, "seed": self.seed, "rows": rows, "notes": list(self.notes)}
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What the checks do not find out, and how the deviations of parity, if there are any, are scaled."""
-        return (SCOPE, *[PARITY_SCALE] * any(row.check.startswith("parity") for row in self.rows))
-
     def table(self) -> Table:
         """Return the report as a table for the terminal."""
         table = Table("robot", "check", title=f"cross-check, seed {self.seed}", caption="\n".join(self.notes))
+        table.caption_justify = "left"
         for heading in ("states", "worst", "allowed", ""):
             table.add_column(heading, justify="right")
         for row in self.rows:
             states = f"{row.samples} of {row.total}" if row.skipped else str(row.samples)
             numbers = ("", "") if row.note else (f"{row.worst:.1e}", f"{row.tolerance:.0e}")
-            table.add_row(row.robot, escape(row.title), states, *numbers, COLOURED.get(row.verdict, row.verdict))
+            table.add_row(row.robot, escape(row.title), states, *numbers, _COLOURED.get(row.verdict, row.verdict))
             for reason, count in row.skipped.items():
                 table.add_row("", f"  skipped: {REASONS[reason]}", str(count), "", "", "")
         return table
 
 
 def checked_row(
-    robot: str, check: str, values: Array, tolerance: float, skipped: Mapping[str, int], note: str = ""
+    robot: str,
+    check: str,
+    values: Array,
+    tolerance: float,
+    skipped: Mapping[str, int],
+    note: str = "",
+    does_not_show: str = "",
 ) -> CheckRow:
     """Return the row of a check by the deviations (N,) of its states, relative to the size of what was compared.
 
@@ -128,8 +143,8 @@ def checked_row(
     """
     worst = float(np.max(values, initial=0.0)) if np.isfinite(values).all() else float("nan")
     nothing = bool(skipped) and not len(values) and "other_branch" not in skipped
-    note = note or ("every state is skipped" if nothing else "")
-    return CheckRow(robot, check, len(values), worst, tolerance, len(values) > 0 and worst <= tolerance, note, skipped)
+    note, passed = note or "every state is skipped" * nothing, len(values) > 0 and worst <= tolerance
+    return CheckRow(robot, check, len(values), worst, tolerance, passed, note, skipped, does_not_show)
 
 
 def merged(rows: Iterable[CheckRow]) -> tuple[CheckRow, ...]:

@@ -85,18 +85,20 @@ class _Header(Schema):
         return digest.hexdigest()
 
 
-def encode(value: object, arrays: Arrays, name: str = "", *, of_record: bool = True) -> Any:
+def encode(value: object, arrays: Arrays, name: str = "") -> Any:
     """Return a record as what JSON knows, and put its arrays into ``arrays``.
+
+    Inside mappings and lists there is plain data: no dataclasses and no enumerations.
 
     Args:
         value: a dataclass; its fields hold dataclasses, enumerations, tuples of them, arrays and plain data.
         arrays: where the arrays go, by name.
-        name: where the value is in the record.
-        of_record: whether dataclasses and enumerations may be there; inside mappings and lists there is plain data.
+        name: where the value is in the record; it has a bracket inside mappings and lists.
 
     Raises:
         InputError: another type, or one inside a mapping that is not plain.
     """
+    of_record = "[" not in name
     if of_record and is_dataclass(value) and not isinstance(value, type):
         names = {field.name: f"{name}.{field.name}" if name else field.name for field in fields(value)}
         return {key: encode(getattr(value, key), arrays, full) for key, full in names.items()}
@@ -115,15 +117,15 @@ def encode(value: object, arrays: Arrays, name: str = "", *, of_record: bool = T
         return {"$array": key}
     if isinstance(value, tuple):
         part = "{}.{}" if of_record else "{}[{}]"
-        row = [encode(each, arrays, part.format(name, i), of_record=of_record) for i, each in enumerate(value)]
+        row = [encode(each, arrays, part.format(name, i)) for i, each in enumerate(value)]
         return {"$tuple": row}
     if isinstance(value, list):
-        return [encode(each, arrays, f"{name}[{i}]", of_record=False) for i, each in enumerate(value)]
+        return [encode(each, arrays, f"{name}[{i}]") for i, each in enumerate(value)]
     if isinstance(value, Mapping):
-        pairs = [(key, encode(each, arrays, f"{name}[{key!r}]", of_record=False)) for key, each in value.items()]
+        pairs = [(key, encode(each, arrays, f"{name}[{key!r}]")) for key, each in value.items()]
         if all(type(key) is str and not key.startswith("$") for key, _ in pairs):
             return dict(pairs)
-        return {"$mapping": [[encode(key, arrays, f"{name}, key", of_record=False), each] for key, each in pairs]}
+        return {"$mapping": [[encode(key, arrays, f"{name}[key]"), each] for key, each in pairs]}
     what = f"n array of {value.dtype}" if isinstance(value, np.ndarray) else f" {type(value).__name__}"
     raise InputError(
         f"{name} is a{what}, which a file cannot hold.",
