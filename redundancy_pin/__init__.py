@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from redundancy_pin import simulation, trajectory
     from redundancy_pin.codegen import write_c
     from redundancy_pin.dynamics.compiled import CompiledDynamics
+    from redundancy_pin.dynamics.compiled.gpu import GpuDynamics
     from redundancy_pin.dynamics.compiled.symbolic import symbolic
     from redundancy_pin.dynamics.distribution import distribute
     from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics
@@ -54,6 +55,7 @@ _PLACES = {
     for place, names in {
         "codegen": "write_c",
         "dynamics.compiled": "CompiledDynamics",
+        "dynamics.compiled.gpu": "GpuDynamics",
         "dynamics.compiled.symbolic": "symbolic",
         "dynamics.distribution": "distribute",
         "dynamics.inverse_dynamics": "inverse_dynamics",
@@ -96,6 +98,7 @@ _SHORT_NAMES = {"plot": "visualisation.figures.plots"}
 __all__ = [
     "CarrierMotion",
     "CompiledDynamics",
+    "GpuDynamics",
     "JointForces",
     "Limits",
     "Mesh",
