@@ -117,13 +117,13 @@ def test_a_warm_start_follows_a_motion_as_a_motion_is_followed() -> None:
     assert reference is not None
     angle = np.linspace(0.0, 2.0 * np.pi, 60)
     away = 0.06 * np.array([np.cos(angle) - 1.0, np.sin(angle), np.zeros(60)]).T
-    dynamics, state = dynamics_of("3rrr"), None
+    dynamics, state, taus = dynamics_of("3rrr"), None, list[Any]()
     many = np.array([1.0, 0.5, 0.25])[:, None]  # three machines in step, each on a circle of its own
-    taus = []
     for one in away:
         found = dynamics.torque(reference.x + many * one, 0.1, 0.0, start=state)
         assert (found.status == SampleStatus.OK).all()
-        state, taus = found.state, [*taus, found.tau]
+        state = found.state
+        taus.append(found.tau)
     rnea = rp.RneaDynamics(robot)
     for k in (7, 31, 59):
         for at in range(3):
@@ -137,7 +137,7 @@ def test_a_start_decides_how_far_is_far() -> None:
     home = follower(robot).state_at(robot.q_reference)
     assert home is not None
     turned = [home.x @ pin.exp6(np.array([0, 0, 0, 0, 0, 0.05 * k])).homogeneous for k in range(12)]
-    state = None
+    state: Any = None
     for x in turned:
         found = dynamics.torque(x[None], 0.0, 0.0, start=state)
         assert found.status[0] in SOLVED

@@ -50,7 +50,7 @@ compile, a minute for a Gough platform, and more registers than there are."""
 
 @dataclass(frozen=True, eq=False)
 class ManyTorques:
-    """Efforts of N samples, returned by ``GpuDynamics.torque``; arrays are where the motion is: on the device, or numpy.
+    """Efforts of N samples, from ``GpuDynamics.torque``; arrays are where the motion is: on the device, or numpy.
 
     Attributes:
         tau: (N, m) efforts of the main actuators, N or N·m; NaN where there are none.
