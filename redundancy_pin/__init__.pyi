@@ -8,6 +8,7 @@ from redundancy_pin import simulation as simulation
 from redundancy_pin import trajectory as trajectory
 from redundancy_pin.codegen import write_c as write_c
 from redundancy_pin.dynamics.compiled import CompiledDynamics as CompiledDynamics
+from redundancy_pin.dynamics.compiled.gpu import GpuDynamics as GpuDynamics
 from redundancy_pin.dynamics.compiled.symbolic import symbolic as symbolic
 from redundancy_pin.dynamics.distribution import distribute as distribute
 from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics as inverse_dynamics

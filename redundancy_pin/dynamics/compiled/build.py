@@ -88,15 +88,14 @@ class Definition:
     functions: Mapping[str, Any]
 
 
-def define(robot: Robot) -> Definition:
-    """Write the functions of a robot's topology. Matrices are laid out row by row, except K, column by column."""
-    return _defined(topology_of(robot))
+def define(of: Robot | Topology) -> Definition:
+    """Write the functions of a topology, or a robot's. Matrices are laid out row by row, except K, column by column."""
+    return _defined(of if isinstance(of, Topology) else topology_of(of))
 
 
 @functools.lru_cache(maxsize=8)
 def _defined(topology: Topology) -> Definition:
-    robot = topology.robot
-    chain = SymbolicChain(robot)
+    robot, chain = topology.robot, SymbolicChain(topology.robot, topology)
     carriers = [ca.SX.sym(name, robot.k) for name in ("s", "sd", "sdd")]
     columns = robot.carrier_velocity.tolist()
     q, v, a = ca.SX(chain.q), ca.SX(chain.v), ca.SX(chain.a)
@@ -263,7 +262,7 @@ def text_of(name: str) -> str:
 @functools.cache  # nothing that is loaded is ever unloaded
 def _library_of(
     kind: str,
-    source: Callable[[Robot], str],
+    source: Callable[[Topology], str],
     flags: tuple[str, ...],
     topology: Topology,
     _environment: tuple[str | None, ...],
@@ -271,7 +270,7 @@ def _library_of(
     """Return a compiled library of a topology: the one of this process, that on disk, or a new one."""
     library, reason = built(
         lambda compiler: digest([kind, topology.text, *_sources(), compiler, *flags]),
-        lambda: source(topology.robot),
+        lambda: source(topology),
         loaded,
         flags,
     )
@@ -309,10 +308,8 @@ class Code(ABC):
     flags: ClassVar[tuple[str, ...]] = FLAGS
 
     def __init__(self, robot: Robot) -> None:
-        # another compiler or folder, named while the process runs, counts from then on
-        environment = tuple(map(os.environ.get, ("CC", "PATH", CACHE)))
         self.robot = robot
-        self.library = _library_of(type(self).__name__, self.source, self.flags, topology_of(robot), environment)
+        self.library = self.library_of(topology_of(robot))
         self._numbers = parameter_vector(robot)
         self.numbers = address(self._numbers)
 
@@ -320,10 +317,17 @@ class Code(ABC):
         """Load it again, from the cache, where it is copied or sent to."""
         return type(self), (self.robot,)
 
+    @classmethod
+    def library_of(cls, topology: Topology) -> ctypes.CDLL:
+        """Return the compiled functions of a topology."""
+        # another compiler or folder, named while the process runs, counts from then on
+        environment = tuple(map(os.environ.get, ("CC", "PATH", CACHE)))
+        return _library_of(cls.__name__, cls.source, cls.flags, topology, environment)
+
     @staticmethod
     @abstractmethod
-    def source(robot: Robot) -> str:
-        """Return the C of a robot."""
+    def source(topology: Topology) -> str:
+        """Return the C of a topology."""
 
     def call(self, name: str, *arguments: object) -> int:
         """Call a function of the library with arrays, which must be contiguous, and numbers of ctypes or integers."""
@@ -340,12 +344,12 @@ class Library(Code):
     """Inverse dynamics and the closing of loops of one robot: functions called with arrays."""
 
     @staticmethod
-    def source(robot: Robot) -> str:
-        """Return the C of a robot as Python calls it: generated functions, sizes and tables, driver, batches."""
-        definition = define(robot)
+    def source(topology: Topology) -> str:
+        """Return the C that Python calls: generated functions, sizes and tables, driver, batches."""
+        definition = define(topology)
         driver = driver_source(definition, definition.functions.values())
         texts = map(text_of, ("sample.c", "calls.c", "terms.c", "batch.c"))
-        return "\n".join([driver, carried_table(robot), "#define SHARED", *texts])
+        return "\n".join([driver, carried_table(topology.robot), "#define SHARED", *texts])
 
     def map(self, name: str, samples: int, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Evaluate a generated function for many samples, the first axis of all arrays; outputs are written to."""

@@ -45,7 +45,7 @@ static void keep(const Pose *pose, double *state) {
 /* Close the loops where the state is a start, whose sign of the determinant is not known yet. It may be open by the noise of
    measurements: so little that K stays regular on the way, as RneaDynamics has it. The distance moved proves the branch, so that
    Newton's steps need only shrink. Returns whether they close, away from singularities. */
-static int begin_at(const double *numbers, double *state) {
+APART int begin_at(const double *numbers, double *state) {
   double all, platform, moved = 0.0, x[NX], trig[2 * NT + 1];
   Pose pose;
   if (state[NQ] != 0.0) return 1;
@@ -60,34 +60,34 @@ static int begin_at(const double *numbers, double *state) {
 }
 
 /* One sample; in and out as rp_sample, on the branch of the state: by one step of Newton's method, or on the straight way, however many
-   turns away. There (NQ + 1) is where it ended. Returns STATUS_OK; STATUS_NOT_FINITE; STATUS_BRANCH_LOST where the state is a start that
-   does not close; or FOR_KINEMATICS, also of a matrix that is no pose. */
+   turns away. There (NQ + 1) is where it ended. Returns a status: STATUS_OK; STATUS_NOT_FINITE; STATUS_BRANCH_LOST where the state is a
+   start that does not close; or why the branch ends, plus FOR_KINEMATICS, also of a matrix that is no pose. */
 static int reach(const double *numbers, double *state, double *there, const double *in, double *out) {
   double here[NX];
   Pose pose;
   int status = refusal_of(in);
-  if (status) return status == STATUS_NOT_FINITE ? status : FOR_KINEMATICS;
+  if (status) return status == STATUS_NOT_FINITE ? status : FOR_KINEMATICS + status;
   if (!begin_at(numbers, state)) return STATUS_BRANCH_LOST;
-  if (isnan(state[NQ])) return FOR_KINEMATICS;
+  if (isnan(state[NQ])) return FOR_KINEMATICS + STATUS_BRANCH_LOST;
   copy(there, state, NQ + 1);
   status = rp_sample(numbers, there, in, out);
   if (status == STATUS_UNREACHABLE && !pose_at(numbers, state, state[NQ], &pose, here) && go_far(numbers, &pose, here, in)) {
     keep(&pose, there);
     status = rp_sample(numbers, there, in, out);
   }
-  return status == STATUS_OK || status == STATUS_NOT_FINITE ? status : FOR_KINEMATICS;
+  return status == STATUS_OK || status == STATUS_NOT_FINITE ? status : FOR_KINEMATICS + status;
 }
 
 int rp_reach(const double *numbers, double *state, const double *in, double *out) {
   double there[NQ + 1];
   int status = reach(numbers, state, there, in, out);
   if (status == STATUS_OK) copy(state, there, NQ + 1);
-  return status;
+  return status < FOR_KINEMATICS ? status : FOR_KINEMATICS;
 }
 
 #if M
 /* Torques of one sample. out: as rp_sample, then tau (M) and the type II margin. Returns as reach, or the status of the efforts. */
-int rp_torque(const double *numbers, double *state, const double *in, double *out, const Range *ranges, int count) {
+static int torque(const double *numbers, double *state, const double *in, double *out, const Range *ranges, int count) {
   double there[NQ + 1], *const f = out + N * M, *const tau = f + N + NK + 2;
   Efforts efforts;
   int closed = reach(numbers, state, there, in, out);
@@ -100,6 +100,11 @@ int rp_torque(const double *numbers, double *state, const double *in, double *ou
   if (status > STATUS_SINGULAR_CONSISTENT) return status;
   for (int i = 0; i < NK; ++i) there[CARRIED[i]] = in[NX + 2 * N + i];
   return in_ranges(there, ranges, count) ? status : STATUS_OUT_OF_RANGE;
+}
+
+int rp_torque(const double *numbers, double *state, const double *in, double *out, const Range *ranges, int count) {
+  int status = torque(numbers, state, in, out, ranges, count);
+  return status < FOR_KINEMATICS ? status : FOR_KINEMATICS;
 }
 #endif
 

@@ -38,7 +38,7 @@ static void bias_of(const double *numbers, const double *q, const double *trig, 
 }
 
 /* Newton's method from q, to coordinates that miss x by left (N); returns whether each step was at most a ratio of the one before. */
-static int newton_by(double ratio, const double *numbers, const double *q, const double *x, const double *left, Pose *out) {
+APART int newton_by(double ratio, const double *numbers, const double *q, const double *x, const double *left, Pose *out) {
   double step[NP + 1], alignment[NALIGN], last = LONGEST / ratio;
   copy(out->q, q, NQ);
   for (int iteration = 0; iteration < ITERATIONS; ++iteration) {
@@ -145,7 +145,7 @@ static int go_round(const double *numbers, Pose *pose, double *at, int c, double
 #endif
 
 /* From a pose closed at here to the coordinates x, however many turns away. */
-static int go_far(const double *numbers, Pose *pose, const double *here, const double *x) {
+APART int go_far(const double *numbers, Pose *pose, const double *here, const double *x) {
 #if TURNS
   static const int COUNTED[] = COUNTED_COORDINATES;
   double at[NX], count[TURNS];
@@ -257,7 +257,7 @@ static int refusal_of(const double *in) {
 /* One sample: in = x, xd, xdd, s, sd, sdd, wrenches; out = W, f, carrier forces, residual, margin. state is where Newton starts, and
    afterwards where it ended: the configuration, and the determinant's sign (0: not known). Nothing is written unless the
    sample is closed on the same side of every type I singularity. Returns a status: STATUS_UNREACHABLE where Newton's method fails. */
-static int rp_sample(const double *numbers, double *state, const double *in, double *out) {
+APART int rp_sample(const double *numbers, double *state, const double *in, double *out) {
   const double *x = in, *xd = in + NX, *xdd = xd + N, *s = xdd + N;
   double v[NV], a[NV], gamma[NV * N + 1], W[N * M + 1], f[N + 1], force[NK + 1] = {0.0};
   Pose pose;

@@ -25,6 +25,7 @@ from redundancy_pin.dynamics.compiled.build import (
 from redundancy_pin.dynamics.compiled.derivatives import motion_partials
 from redundancy_pin.dynamics.compiled.design import design_of
 from redundancy_pin.dynamics.compiled.integration import DECLARATIONS, CompiledIntegration
+from redundancy_pin.dynamics.compiled.parameters import Topology
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
 from redundancy_pin.dynamics.forward import Accelerations, Equations, LinearParts, Rules
 from redundancy_pin.errors import UnsupportedRobotError
@@ -51,9 +52,14 @@ class CompiledForward(Code):
         self._rows = self._p - robot.n
 
     @staticmethod
-    def source(robot: Robot) -> str:
-        """Return the C of a robot's forward dynamics."""
-        chain = SymbolicChain(robot)
+    def source(topology: Topology) -> str:
+        """Return the C of forward dynamics and their integration."""
+        return "\n".join([CompiledForward.dynamics_source(topology), DECLARATIONS, text_of("integration.c")])
+
+    @staticmethod
+    def dynamics_source(topology: Topology) -> str:
+        """Return the C of forward dynamics."""
+        robot, chain = topology.robot, SymbolicChain(topology.robot, topology)
         pose, motion = [chain.q, chain.trig], [chain.q, chain.trig, chain.v]
         efforts = chain.efforts[0]
         at_rest = ca.substitute(efforts, chain.a, ca.SX.zeros(chain.model.nv))
@@ -66,7 +72,7 @@ class CompiledForward(Code):
             "platform": (motion, [chain.coordinates, chain.row_rates[chain.row_rates.numel() - robot.n :]]),
         }
         text = [*tables(chain, functions_of(chain, definitions).values(), "static"), carried_table(robot)]
-        return "\n".join([*text, text_of("forward.c"), DECLARATIONS, text_of("integration.c")])
+        return "\n".join([*text, text_of("forward.c")])
 
     def accelerations(
         self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None

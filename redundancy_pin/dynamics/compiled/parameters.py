@@ -14,7 +14,7 @@ without mass (Featherstone, "Rigid Body Dynamics Algorithms", 2008, section 2.13
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
@@ -170,8 +170,35 @@ class Topology:
 @lru_cache(maxsize=64)
 def topology_of(robot: Robot) -> Topology:
     """Return the topology of a robot."""
-    model, numbers = robot.model, numbers_of(robot)
+    numbers = numbers_of(robot)
     parts = [
+        *_connections(robot),
+        np.packbits(numbers.structural).tobytes().hex(),
+        numbers.values[numbers.structural].astype(np.int8).tobytes().hex(),
+    ]
+    return Topology(repr(parts), robot, read_only(~numbers.structural))
+
+
+def common_topology(robots: Sequence[Robot]) -> Topology | None:
+    """Return a topology for several robots, in which what is a structural zero of some only is a parameter.
+
+    None if they differ in more than numbers.
+    """
+    first, *others = robots
+    connections, numbers = repr(_connections(first)), numbers_of(first)
+    also = np.zeros(len(numbers.values), dtype=bool)
+    for other in others:
+        if repr(_connections(other)) != connections or len(numbers_of(other).values) != len(also):
+            return None
+        also |= ~numbers_of(other).structural | (numbers_of(other).values != numbers.values)
+    topology = topology_of(first)
+    return topology.varying(read_only(also)) if (also & ~topology.free).any() else topology
+
+
+def _connections(robot: Robot) -> list[object]:
+    """Return what is joined to what, in words that are equal where it is."""
+    model = robot.model
+    return [
         (list(model.names), [joint.shortname() for joint in model.joints], list(model.parents)),
         [(name, joint) for name, _, joint in links_of(robot)],
         [(closure.frame_a, closure.frame_b, closure.axes) for closure in robot.closures],
@@ -179,10 +206,7 @@ def topology_of(robot: Robot) -> Topology:
         (robot.platform, robot.independent_joints, robot.actuated, robot.carriers),
         robot.working_modes.joints if robot.working_modes else (),
         [_kind_of(load) for load in robot.loads if not isinstance(load, Payload)],  # a payload is in the inertias
-        np.packbits(numbers.structural).tobytes().hex(),
-        numbers.values[numbers.structural].astype(np.int8).tobytes().hex(),
     ]
-    return Topology(repr(parts), robot, read_only(~numbers.structural))
 
 
 def _kind_of(load: Any) -> tuple[str, ...]:

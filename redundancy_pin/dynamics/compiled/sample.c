@@ -140,7 +140,7 @@ typedef struct {
 
 /* tau with W tau = f, or NaN; the decisions are those of redundancy_pin.distribute. Nothing is written where a result is
    beyond what a double holds. */
-static int distribute(const double *numbers, const double *W, const double *f, double force_size, Efforts *out) {
+APART int distribute(const double *numbers, const double *W, const double *f, double force_size, Efforts *out) {
   Spectrum s;
   double g[N], u[M], missing = 0.0, size = 0.0;
   for (int i = 0; i < N; ++i) g[i] = f[i] / ROW_SCALE[i];

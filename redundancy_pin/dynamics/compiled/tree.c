@@ -2,6 +2,10 @@
    capitals are generated in front of this text, see build.py; driver.c or forward.c stands behind it. No memory is
    allocated; of the standard library math.h alone is used. */
 
+#ifndef APART
+#define APART static /* in code for a GPU these are calls, and are not written out at each (many.c, gpu.py) */
+#endif
+
 static void copy(double *to, const double *from, int size) {
   for (int i = 0; i < size; ++i) to[i] = from[i];
 }
