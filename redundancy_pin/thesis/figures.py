@@ -13,9 +13,20 @@ from redundancy_pin.crosscheck import CrossCheckReport
 from redundancy_pin.dynamics.backends import RNEA
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation.replay import Replay
-from redundancy_pin.thesis import cases, future
-from redundancy_pin.thesis.case import Case, Plans
-from redundancy_pin.thesis.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OFF, TASKS, by_method, without_carriers
+from redundancy_pin.thesis import cases
+from redundancy_pin.thesis.beyond import coarsened
+from redundancy_pin.thesis.cases import (
+    EFFORT,
+    NONE,
+    PEAK,
+    STEPWISE,
+    SWITCH_OFF,
+    TASKS,
+    Case,
+    Plans,
+    by_method,
+    without_carriers,
+)
 from redundancy_pin.thesis.measures import MotionRun, window
 from redundancy_pin.thesis.table import Record
 from redundancy_pin.visualisation.figures import plots
@@ -235,9 +246,10 @@ def plans_of(plans: Plans, task: Case, coarser: float) -> Figure:
 
 def _future(results: Results) -> Iterator[Picture]:
     caption = "Motion of the carriers, with their limits; dotted: the singular instant."
-    for case in future.SPATIAL:
-        draw = partial(carriers, results.plans, future.coarsened(case, results.extent), case.title)
-        yield Picture(f"future-{case.robot}", case.title, caption, draw)
+    for case in (cases.FUTURE[key] for key in results.extent.future):
+        if case.title:
+            draw = partial(carriers, results.plans, coarsened(case, results.extent), case.title)
+            yield Picture(f"future-{case.robot}", case.title, caption, draw)
 
 
 def _replays(results: Results) -> Iterator[Picture]:

@@ -14,8 +14,20 @@ from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.thesis import cases, measures
-from redundancy_pin.thesis.case import Call, Case, Mode, Plans, call_of
-from redundancy_pin.thesis.cases import CORNERS, CROSSINGS, MODE_CASES, MOVING, NONE, PARKED, Extent
+from redundancy_pin.thesis.cases import (
+    CORNERS,
+    CROSSINGS,
+    MODE_CASES,
+    MOVING,
+    NONE,
+    PARKED,
+    Call,
+    Case,
+    Extent,
+    Mode,
+    Plans,
+    call_of,
+)
 from redundancy_pin.thesis.claims import CONCLUSIONS, verdicts
 from redundancy_pin.thesis.in_words import judge_in_words, mode_records, runs_of
 from redundancy_pin.thesis.measures import numbers, read
@@ -57,7 +69,7 @@ def run_planned(plans: Plans, extent: Extent) -> dict[str, Any]:
         "fair_comparison": _machine_records(plans, extent.modes),
         "sensitivity": sensitivity(plans, extent),
     }
-    return chapter | {"conclusions": verdicts(CONCLUSIONS, chapter)}
+    return chapter | {"conclusions": verdicts(CONCLUSIONS, chapter, complete=extent.complete)}
 
 
 def compare_backends(plans: Plans, case: Case) -> Record:
