@@ -17,21 +17,7 @@ from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.simulation.replay import replay
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.thesis import cases
-from redundancy_pin.thesis.cases import (
-    EFFORT,
-    NONE,
-    PEAK,
-    STEPWISE,
-    SWITCH_OFF,
-    TASKS,
-    Call,
-    Case,
-    Extent,
-    Plans,
-    by_method,
-    call_of,
-    plan_or_error,
-)
+from redundancy_pin.thesis.cases import EFFORT, NONE, PEAK, STEPWISE, TASKS, Case, Extent, Plans, by_method
 from redundancy_pin.thesis.claims import BETWEEN, FINDINGS, SAME_PLAN, by_task, peak_text, verdicts
 from redundancy_pin.thesis.measures import numbers
 from redundancy_pin.thesis.planned import compare_backends
@@ -73,14 +59,14 @@ def _started(extent: Extent) -> list[Case]:
             for task in extent.started for method in (EFFORT, PEAK)]  # fmt: skip
 
 
-def calls(extent: Extent) -> list[Call]:
+def calls(extent: Extent) -> list[cases.Call]:
     """Return the calls that make races and plans of the chapter."""
     races = [(f"as fast as the limits allow: {task.name}", run_race, task, extent) for task in extent.races]
     first = [by_method(task, method, extent.coarser) for task in TASKS for method in cases.methods(task)]
     first += [by_method(task, method, extent.coarser) for task in _moded(extent) for method in MODE_METHODS]
-    second = [call_of(case, backend) for case in _compared(extent) for backend in case.backends[1:]]
+    second = [cases.call_of(case, backend) for case in _compared(extent) for backend in case.backends[1:]]
     # a race takes as long as a hundred plans: it begins before them, so that no process waits for it in the end
-    return [*races, *map(call_of, (*first, *_started(extent))), *second]
+    return [*races, *map(cases.call_of, (*first, *_started(extent))), *second]
 
 
 def run_beyond(plans: Plans, extent: Extent) -> dict[str, Any]:
@@ -135,7 +121,7 @@ def headline(records: Sequence[Record]) -> Table:
     groups, rows = by_task(records), []
     for task in TASKS:
         group = groups.get(task.name, {})
-        thesis = (SWITCH_OFF, cases.SWITCH_OFF_LATE) if cases.crosses(task) else (STEPWISE,)
+        thesis = (cases.SWITCH_OFF, cases.SWITCH_OFF_LATE) if cases.crosses(task) else (STEPWISE,)
         if EFFORT in group:
             shown = {"none": group.get(NONE), "thesis": best(group.get(method) for method in thesis),
                      "effort": group[EFFORT], "peak": group.get(PEAK)}  # fmt: skip
@@ -169,7 +155,8 @@ def fastest(plans: Plans, task: Case, extent: Extent) -> Record:
     Raises:
         InfeasiblePlanError: the task has no plan at its own speed.
     """
-    whole, trials = by_method(task, EFFORT, extent.coarser).with_options(refinements=1), {}
+    whole = by_method(task, EFFORT, extent.coarser).with_options(refinements=1)
+    trials: dict[float, Record] = {}
 
     def feasible(speed: float, **starts: int) -> bool | None:  # None where the ramps do not fit in
         if speed not in trials or (starts and not trials[speed]["feasible"]):
@@ -263,7 +250,7 @@ def coarsened(case: Case, extent: Extent) -> Case:
     return replace(case, dt=case.dt * min(extent.coarser, 2.0))
 
 
-def future_calls(extent: Extent) -> list[Call]:
+def future_calls(extent: Extent) -> list[cases.Call]:
     """Return the calls that make the rows of future work."""
     planned = {key: coarsened(cases.FUTURE[key], extent) for key in extent.future}
     return [(": ".join(key), future_record, *key, case) for key, case in planned.items()]
@@ -276,7 +263,7 @@ def run_future(plans: Plans, extent: Extent) -> dict[str, Any]:
 
 def future_record(task: str, method: str, case: Case) -> Record:
     """Plan a case of future work and return its row, or the reason why it has no plan."""
-    outcome = plan_or_error(case, case.backends[0])
+    outcome = cases.plan_or_error(case, case.backends[0])
     if isinstance(outcome, InfeasiblePlanError):
         return {"task": task, "way": method, "status": f"{INFEASIBLE}: {outcome.message}"}
     dynamics, carriers = case.dynamics(), outcome.carriers

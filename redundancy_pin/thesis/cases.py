@@ -99,7 +99,7 @@ class Case:
         """Return an option of the planner or, if it has none of that name, of the path."""
         return dict(self.path_options + self.options).get(name, default)
 
-    def with_options(self, name: str = "", **changed: Any) -> Case:
+    def with_options(self, name: str = "", /, **changed: Any) -> Case:
         """Return the case with other options of its planner, and another name."""
         return replace(self, name=name or self.name, options=options(**{**dict(self.options), **changed}))
 

@@ -341,7 +341,8 @@ def calm(chapter: Chapter) -> Judged:
         return NO_CASE
     good, worst = _worst(turns, CALM)
     here = f"""In {good} of {len(turns)} plans over the whole trajectory every main effort reverses at most {CALM}
-        times; at worst one reverses {text(turns[worst])} times ({worst}): near a singularity W⁻¹ magnifies every kink of s̈."""
+        times; at worst one reverses {text(turns[worst])} times ({worst}). Near a singularity W⁻¹ magnifies every kink
+        of s̈."""
     return good, len(turns), here
 
 
