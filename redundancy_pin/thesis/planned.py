@@ -169,5 +169,5 @@ def _machine(motion: str, mode: cases.Mode, how: str, case: Case, plan: Plan) ->
     if not bounded:
         shown |= dict.fromkeys(("peak", "rms", "main_energy", "energy"), math.inf) | {"status": "unbounded"}
     kept = ("peak", "rms", "carrier_force", "main_energy", "carrier_energy", "energy", "status")
-    return {"motion": motion, "mode": mode, "what": how, "unit": case.unit, "bounded": bool(bounded),
+    return {"motion": motion, "mode": mode, "what": how, "unit": case.unit,
             **{name: shown[name] for name in kept}}  # fmt: skip
