@@ -1,22 +1,25 @@
-"""The chapter beyond the thesis: its planners against the whole-trajectory planner, and checks of the plans."""
+"""The chapters beyond the thesis: its planners against the whole-trajectory planner, checks of plans, future work."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.planners.base_wrench import load_at_rest
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.robot.lookup import find_joint_index
+from redundancy_pin.simulation.replay import replay
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.thesis import cases, measures
-from redundancy_pin.thesis.case import Call, Case, Mode, Plans, call_of, plan_or_error
-from redundancy_pin.thesis.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OFF, TASKS, Extent, by_method
+from redundancy_pin.thesis import cases
+from redundancy_pin.thesis.cases import EFFORT, NONE, PEAK, STEPWISE, TASKS, Case, Extent, Plans, by_method
 from redundancy_pin.thesis.claims import BETWEEN, FINDINGS, SAME_PLAN, by_task, peak_text, verdicts
+from redundancy_pin.thesis.measures import numbers
 from redundancy_pin.thesis.planned import compare_backends
 from redundancy_pin.thesis.table import Record, Table, table
 
@@ -26,17 +29,8 @@ INFEASIBLE = ResultStatus.INFEASIBLE.value
 SAME_COST = 1e-4
 """Relative difference of costs up to which two optima count as the same."""
 
-ORDERED = 1e-6
-"""Relative rise of a quantity that should fall which still counts as rounding of the solver."""
-
 GROWTH = 1.3
 """Factor on the speed until it is too high."""
-
-_MORE = 1.01
-"""Factor on the acceleration that would suffice, to see whether a plan exists then: bounds are met to rounding."""
-
-_CAPPED_COARSER = 2.0
-"""Factor on the step, and on the width of the bracket, of the race with limited efforts: many more limits bind."""
 
 TARGETS = (
     ("circle-0.5", EFFORT, 0.21),
@@ -50,35 +44,29 @@ MODE_METHODS = (NONE, cases.PARKED, STEPWISE, cases.STEPWISE_HALF, EFFORT, PEAK,
 """Plans of the corners in each mode; the last leaves the end free, as stepwise planning does."""
 
 
-def _methods(extent: Extent) -> list[tuple[Case, Sequence[str]]]:
-    """Return the tasks, and the corners in every working mode, with their methods."""
-    moded = [replace(task, working_mode=mode) for task in cases.TURNS[:2] for mode in extent.modes]
-    return [*((task, cases.methods(task)) for task in TASKS), *((task, MODE_METHODS) for task in moded)]
+def _moded(extent: Extent) -> list[Case]:
+    return [replace(task, working_mode=mode) for task in cases.TURNS[:2] for mode in extent.modes]
 
 
 def _compared(extent: Extent) -> list[Case]:
-    """Return the cases that both backends plan."""
-    compared = (EFFORT, PEAK) if extent.both_backends else (EFFORT,)
-    return [by_method(task, method, extent.coarser) for task in TASKS if len(task.backends) > 1 for method in compared]
+    compared = [by_method(task, method, extent.coarser) for task, method in extent.compared]
+    return [case for case in compared if len(case.backends) > 1]
 
 
 def _started(extent: Extent) -> list[Case]:
-    """Return the cases that are planned from several first guesses."""
-    return [
-        by_method(task, method, extent.starts_coarser).with_options(starts=extent.starts, refinements=0)
-        for task in extent.started
-        for method in (EFFORT, PEAK)
-    ]
+    guesses = {"starts": extent.starts, "refinements": 0}
+    return [by_method(task, method, extent.starts_coarser).with_options(**guesses)
+            for task in extent.started for method in (EFFORT, PEAK)]  # fmt: skip
 
 
-def calls(extent: Extent) -> list[Call]:
-    """Return the calls that make races, trade-offs and plans of the chapter."""
-    races = [(f"as fast as the limits allow: {race.task.name}", run_race, race, extent) for race in extent.races]
-    trades = [(f"trade-off: {task.name}", trade_record, task, extent) for task in cases.TRADED]
-    first = [by_method(task, method, extent.coarser) for task, several in _methods(extent) for method in several]
-    second = [call_of(case, backend) for case in _compared(extent) for backend in case.backends[1:]]
+def calls(extent: Extent) -> list[cases.Call]:
+    """Return the calls that make races and plans of the chapter."""
+    races = [(f"as fast as the limits allow: {task.name}", run_race, task, extent) for task in extent.races]
+    first = [by_method(task, method, extent.coarser) for task in TASKS for method in cases.methods(task)]
+    first += [by_method(task, method, extent.coarser) for task in _moded(extent) for method in MODE_METHODS]
+    second = [cases.call_of(case, backend) for case in _compared(extent) for backend in case.backends[1:]]
     # a race takes as long as a hundred plans: it begins before them, so that no process waits for it in the end
-    return [*races, *trades, *map(call_of, (*first, *_started(extent))), *second]
+    return [*races, *map(cases.call_of, (*first, *_started(extent))), *second]
 
 
 def run_beyond(plans: Plans, extent: Extent) -> dict[str, Any]:
@@ -86,16 +74,13 @@ def run_beyond(plans: Plans, extent: Extent) -> dict[str, Any]:
     records = [plan_record(plans, task, method, extent.coarser) for task in TASKS for method in cases.methods(task)]
     chapter = {
         "plans": records,
-        "targets": targets(records),
-        "fastest": [plans.result("", run_race, race, extent) for race in extent.races],
-        "working_modes": [
-            mode_record(plans, task, mode, extent.coarser) for task in cases.TURNS[:2] for mode in extent.modes
-        ],
+        "targets": targets(records) if extent.coarser == 1.0 else [],  # for the steps of the full run
+        "fastest": [plans.result("", run_race, task, extent) for task in extent.races],
+        "working_modes": [mode_record(plans, task, extent.coarser) for task in _moded(extent)],
         "backends": [backend_record(plans, case) for case in _compared(extent)],
         "first_guesses": [starts_record(plans, case) for case in _started(extent)],
-        "trade_off": [plans.result("", trade_record, task, extent) for task in cases.TRADED],
     }
-    return chapter | {"findings": verdicts(FINDINGS, chapter)}
+    return chapter | {"findings": verdicts(FINDINGS, chapter, complete=extent.complete)}
 
 
 def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> Record:
@@ -106,17 +91,17 @@ def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> 
     """
     case = by_method(task, method, coarser)
     outcome = plans.outcome(case)
-    saved = method in cases.OBJECTIVES or cases.crosses(task)
-    record = {"task": task.name, "way": method, "unit": task.unit, **measures.numbers(outcome)}
+    record = {"task": task.name, "way": method, "unit": task.unit, **numbers(outcome),
+              "exists": isinstance(outcome, Plan), "sound": False, "dense_peak": math.nan, "worst": math.nan,
+              "missing": math.nan, "file": "", "why": ""}  # fmt: skip
     if isinstance(outcome, InfeasiblePlanError):
         singular = outcome.details.get("constraint") == "singular_pose"
         missing = outcome.details.get("amount", math.nan) if singular else math.nan
-        return {**record, "dense_peak": math.nan, "worst": math.nan, "file": "", "exists": False,
-                "sound": False, "why": outcome.message, "missing": missing}  # fmt: skip
-    between = float(outcome.peak_effort.max())
-    return {**record, "dense_peak": between, "worst": max(record["peak"], between), "exists": True, "missing": math.nan,
-            "file": f"beyond-{case.name}" if saved else "", "sound": outcome.status is ResultStatus.OK,
-            "why": ""}  # fmt: skip
+        return record | {"why": outcome.message, "missing": missing}
+    between, saved = float(outcome.peak_effort.max()), method in cases.OBJECTIVES or cases.crosses(task)
+    return record | {"dense_peak": between, "worst": max(record["peak"], between),
+                     "file": f"beyond-{case.name}" if saved else "",
+                     "sound": outcome.status is ResultStatus.OK}  # fmt: skip
 
 
 def targets(records: Sequence[Record]) -> list[Record]:
@@ -127,7 +112,7 @@ def targets(records: Sequence[Record]) -> list[Record]:
         nodes, between, sound = record["peak"], record["dense_peak"], record["sound"]
         met = bool(sound and nodes <= aim and between <= BETWEEN * nodes)
         results.append({"task": task, "way": method, "unit": record["unit"], "asked": aim, "found": nodes,
-                      "between": between, "sound": sound, "met": met})  # fmt: skip
+                        "between": between, "met": met})  # fmt: skip
     return results
 
 
@@ -136,7 +121,7 @@ def headline(records: Sequence[Record]) -> Table:
     groups, rows = by_task(records), []
     for task in TASKS:
         group = groups.get(task.name, {})
-        thesis = (SWITCH_OFF, cases.SWITCH_OFF_LATE) if cases.crosses(task) else (STEPWISE,)
+        thesis = (cases.SWITCH_OFF, cases.SWITCH_OFF_LATE) if cases.crosses(task) else (STEPWISE,)
         if EFFORT in group:
             shown = {"none": group.get(NONE), "thesis": best(group.get(method) for method in thesis),
                      "effort": group[EFFORT], "peak": group.get(PEAK)}  # fmt: skip
@@ -156,16 +141,12 @@ def best(records: Iterable[Record | None]) -> Record | None:
 # as out of reach only if every first guess fails with two objectives, which lead the solver to different places.
 
 
-def run_race(race: cases.Race, extent: Extent) -> Record:
-    """Bracket a race in any process; main efforts of a capped one are limited to what switching off needs."""
-    if not race.capped:
-        return fastest(Plans(), race.task, extent)
-    cap = plan_record(Plans(), race.task, SWITCH_OFF, extent.coarser)["before"]
-    wider = replace(extent, coarser=extent.coarser * _CAPPED_COARSER, tolerance=extent.tolerance * _CAPPED_COARSER)
-    return fastest(Plans(), race.task, wider, cap)
+def run_race(task: Case, extent: Extent) -> Record:
+    """Bracket the fastest motion in any process."""
+    return fastest(Plans(), task, extent)
 
 
-def fastest(plans: Plans, task: Case, extent: Extent, effort: float = math.inf) -> Record:
+def fastest(plans: Plans, task: Case, extent: Extent) -> Record:
     """Bracket the fastest motion that has a plan.
 
     Speeds are tried with parked carriers as the first guess; the upper end of the bracket then from all first guesses,
@@ -174,16 +155,12 @@ def fastest(plans: Plans, task: Case, extent: Extent, effort: float = math.inf) 
     Raises:
         InfeasiblePlanError: the task has no plan at its own speed.
     """
+    whole = by_method(task, EFFORT, extent.coarser).with_options(refinements=1)
     trials: dict[float, Record] = {}
-    limit = {} if math.isinf(effort) else {"effort": effort}
 
-    def case_at(speed: float, **changed: Any) -> Case:
-        whole = by_method(task, EFFORT, extent.coarser).with_options(refinements=1, **limit, **changed)
-        return cases.at_speed(whole, speed)
-
-    def feasible(speed: float, starts: int = 1) -> bool | None:  # None where the ramps do not fit in
-        case = case_at(speed, **({"starts": starts} if starts > 1 else {}))
-        if speed not in trials or (starts > 1 and not trials[speed]["feasible"]):
+    def feasible(speed: float, **starts: int) -> bool | None:  # None where the ramps do not fit in
+        if speed not in trials or (starts and not trials[speed]["feasible"]):
+            case = cases.at_speed(whole.with_options(**starts), speed)
             try:
                 case.trajectory()
             except InputError:
@@ -202,25 +179,19 @@ def fastest(plans: Plans, task: Case, extent: Extent, effort: float = math.inf) 
         return low, high
 
     own = task.option("speed")
-    plans.plan(case_at(own))
+    plans.plan(cases.at_speed(whole, own))
     feasible(own)
     low, high = bracket(own, own * GROWTH)
-    while high is not None and feasible(high, extent.starts):
+    while high is not None and feasible(high, starts=extent.starts):
         low, high = bracket(high, high * (1.0 + extent.tolerance))
-    above = None if high is None else trials[high]
-    suffices = None
-    if above and above["constraint"] == "acceleration" and not math.isnan(above["limit"]):
-        # the planner says which acceleration would do: does it?
-        wider = plans.outcome(case_at(above["speed"], acceleration=_MORE * abs(above["limit"])))
-        suffices = isinstance(wider, Plan)
-    return {"task": task.name, "title": task.title.rpartition(" at ")[0], "unit": task.unit, "effort_limit": effort,
-            "fastest_with_plan": trials[low], "slowest_without": above, "starts": extent.starts if above else 0,
-            "suffices": suffices, "trials": [trials[speed] for speed in sorted(trials)]}  # fmt: skip
+    return {"task": task.name, "title": task.title.rpartition(" at ")[0], "unit": task.unit,
+            "fastest_with_plan": trials[low], "slowest_without": None if high is None else trials[high],
+            "trials": [trials[speed] for speed in sorted(trials)]}  # fmt: skip
 
 
 def attempt(plans: Plans, case: Case) -> Record:
     """Try one speed from the first guesses of a case, with its objective and with the gentlest motion as the aim."""
-    reasons = {"constraint": "", "joint": "", "time": math.nan, "limit": math.nan, "unit": "", "fraction": math.nan}
+    reasons = {"constraint": "", "joint": "", "fraction": math.nan}
     record = {"speed": case.option("speed"), "feasible": False, "status": INFEASIBLE, "peak": math.nan, "binding": [],
               **reasons, "said": ""}  # fmt: skip
     failed = record
@@ -239,14 +210,13 @@ def attempt(plans: Plans, case: Case) -> Record:
     return failed
 
 
-# --- working modes, backends, first guesses, trade-off -------------------------------------------------------------
+# --- working modes, backends, first guesses ------------------------------------------------------------------------
 
 
-def mode_record(plans: Plans, task: Case, mode: Mode, coarser: float) -> Record:
+def mode_record(plans: Plans, task: Case, coarser: float) -> Record:
     """Return a corner in a working mode by all of ``MODE_METHODS``."""
-    moded = replace(task, working_mode=mode)
-    rows = {method: plan_record(plans, moded, method, coarser) for method in MODE_METHODS}
-    ratio = rows[PEAK]["worst"] / rows[NONE]["worst"]
+    rows = {method: plan_record(plans, task, method, coarser) for method in MODE_METHODS}
+    ratio, mode = rows[PEAK]["worst"] / rows[NONE]["worst"], task.working_mode
     return {"radius": task.option("radius"), "mode": mode, "rows": rows, "ratio": ratio,
             "lower": bool(rows[PEAK]["sound"] and ratio < 1.0)}  # fmt: skip
 
@@ -263,51 +233,54 @@ def backend_record(plans: Plans, case: Case) -> Record:
 def starts_record(plans: Plans, case: Case) -> Record:
     """Return the scaled costs of a case from each first guess, parked carriers first; NaN without a plan."""
     outcome = plans.outcome(case)
-    starts: Any = {} if isinstance(outcome, InfeasiblePlanError) else outcome.diagnostics["starts"]
+    starts: Any = outcome.diagnostics["starts"] if not isinstance(outcome, InfeasiblePlanError) else {}
     costs = [float(cost) for cost in starts.get("costs", [math.nan] * case.option("starts"))]
-    reached = sorted(cost for cost in costs if not math.isnan(cost))
-    optima, last = 0, -math.inf
-    for cost in reached:
-        if cost > last + SAME_COST * abs(cost):
-            optima, last = optima + 1, cost
-    best, last = (reached[0], reached[-1]) if reached else (math.nan, math.nan)
-    return {"case": case.name, "step": case.dt, "costs": costs, "missing": len(costs) - len(reached), "best": best,
-            "excess": (last - best) / best, "optima": optima,
-            "parked_is_best": bool(reached) and costs[0] <= best * (1.0 + SAME_COST)}  # fmt: skip
+    reached = np.sort([cost for cost in costs if not math.isnan(cost)])
+    least, most = (reached[0], reached[-1]) if len(reached) else (math.nan, math.nan)
+    return {"case": case.name, "step": case.dt, "costs": costs, "missing": len(costs) - len(reached), "best": least,
+            "excess": (most - least) / least, "parked_is_best": bool(costs[0] <= least * (1.0 + SAME_COST)),
+            "optima": int((np.diff(reached, prepend=-math.inf) > SAME_COST * abs(reached)).sum())}  # fmt: skip
 
 
-def trade_record(task: Case, extent: Extent) -> Record:
-    """Return effort against the carriers' acceleration: what each weight between the two leads to.
-
-    A weight is ``ratio`` times the one at which both parts of the cost are the same for the plan of least effort.
-    """
-    case = by_method(task, EFFORT, extent.coarser)
-    least = case.plan()
-    effort: Mapping[str, Any] = least.diagnostics["objective"]  # type: ignore[assignment]
-    equal = float(effort["effort"]) / _square_integral(least)
-    outcomes: list[tuple[float, Plan | InfeasiblePlanError]] = [(0.0, least)]
-    for ratio in extent.ratios:
-        weighted = case.with_options(objective=(("effort", 1.0), ("carrier_acceleration", ratio * equal)))
-        outcomes.append((ratio, plan_or_error(weighted, case.backends[0])))
-    points = []
-    for ratio, outcome in outcomes:
-        shown, acceleration = measures.numbers(outcome), math.nan
-        if isinstance(outcome, Plan):
-            acceleration = float(np.sqrt(_square_integral(outcome) / (outcome.t[-1] - outcome.t[0])))
-        points.append({"ratio": ratio, "weight": ratio * equal, "rms_effort": shown["rms"], "peak": shown["peak"],
-                       "rms_acceleration": acceleration, "status": shown["status"]})  # fmt: skip
-    planned = [point for point in points if point["status"] != INFEASIBLE]
-    efforts, accelerations = ([point[key] for point in planned] for key in ("rms_effort", "rms_acceleration"))
-    # between global optima effort rises and acceleration falls with the weight
-    monotone = rises(efforts) and rises(accelerations[::-1])
-    return {"task": task.name, "title": task.title, "unit": task.unit, "monotone": monotone, "points": points}
+# --- future work named by the thesis: carriers elsewhere, balancing, design, time and space ------------------------
 
 
-def _square_integral(plan: Plan) -> float:
-    """Return ∫ Σ s̈² dt by the trapezoidal rule, m²/s³."""
-    return float(np.trapezoid((plan.carriers.sdd**2).sum(axis=1), plan.t))
+def coarsened(case: Case, extent: Extent) -> Case:
+    """Return a case with the steps of an extent, up to a factor of two: fewer nodes do not show the crossings."""
+    return replace(case, dt=case.dt * min(extent.coarser, 2.0))
 
 
-def rises(values: Sequence[float]) -> bool:
-    """Return whether values rise, within ``ORDERED``."""
-    return all(after >= before * (1.0 - ORDERED) for before, after in pairwise(values))
+def future_calls(extent: Extent) -> list[cases.Call]:
+    """Return the calls that make the rows of future work."""
+    planned = {key: coarsened(cases.FUTURE[key], extent) for key in extent.future}
+    return [(": ".join(key), future_record, *key, case) for key, case in planned.items()]
+
+
+def run_future(plans: Plans, extent: Extent) -> dict[str, Any]:
+    """Return the rows of future work."""
+    return {"plans": [plans.result(*call) for call in future_calls(extent)]}
+
+
+def future_record(task: str, method: str, case: Case) -> Record:
+    """Plan a case of future work and return its row, or the reason why it has no plan."""
+    outcome = cases.plan_or_error(case, case.backends[0])
+    if isinstance(outcome, InfeasiblePlanError):
+        return {"task": task, "way": method, "status": f"{INFEASIBLE}: {outcome.message}"}
+    dynamics, carriers = case.dynamics(), outcome.carriers
+    robot, point = dynamics.robot, np.array(cases.CENTRE if case.robot == "3rrr" else (0.0, 0.0, 0.0))
+    push = outcome.base_wrench(dynamics, point) - load_at_rest(dynamics, outcome.motion, carriers.s[0], point)
+    added = sum(robot.model.inertias[find_joint_index(robot.model, name)].mass for name in robot.carriers)
+    return {
+        **numbers(outcome),
+        "task": task,
+        "way": method,
+        "unit": case.unit if case.robot != "gough" else "N",
+        "added": float(added),
+        "duration": float(outcome.t[-1] - outcome.t[0]),
+        "peak": float(outcome.peak_effort.max()),
+        "stroke": float(np.ptp(carriers.s, axis=0).max(initial=0.0)),
+        "base_force": float(np.linalg.norm(push[:, :3], axis=1).max()),
+        "base_moment": float(np.linalg.norm(push[:, 3:], axis=1).max()),
+        "replay": replay(outcome, backend=as_dynamics).largest,
+        "singular_instants": list(outcome.findings.singular_instants),
+    }

@@ -13,19 +13,15 @@ from redundancy_pin.crosscheck import CrossCheckReport
 from redundancy_pin.dynamics.backends import RNEA
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation.replay import Replay
-from redundancy_pin.thesis import cases, future
-from redundancy_pin.thesis.case import Case, Plans
-from redundancy_pin.thesis.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OFF, TASKS, by_method, without_carriers
+from redundancy_pin.thesis import cases
+from redundancy_pin.thesis.beyond import coarsened
+from redundancy_pin.thesis.cases import EFFORT, NONE, PEAK, TASKS, Case, Plans, by_method
 from redundancy_pin.thesis.measures import MotionRun, window
 from redundancy_pin.thesis.table import Record
 from redundancy_pin.visualisation.figures import plots
 from redundancy_pin.visualisation.figures.curves import Curves, curves_of_plan
 from redundancy_pin.visualisation.figures.paths import plot_plane_paths
-from redundancy_pin.visualisation.figures.time_panels import (
-    Panel,
-    plot_time_panels,
-    series,
-)
+from redundancy_pin.visualisation.figures.time_panels import Panel, plot_time_panels, series
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -161,7 +157,11 @@ def carriers(plans: Plans, case: Case, title: str = "") -> Figure:
 
 def torques(plans: Plans, case: Case) -> Figure:
     """Draw each base torque of a stepwise plan, of the machine without carriers, and with parked ones."""
-    three = {"no carriers": without_carriers(case), "carriers parked": cases.parked(case), "carriers moving": case}
+    three = {
+        "no carriers": cases.without_carriers(case),
+        "carriers parked": cases.parked(case),
+        "carriers moving": case,
+    }
     drawn = {name: plans.plan(one) for name, one in three.items()}
     return plots.comparison(drawn, title=f"{_planned(case)}: base torques")
 
@@ -212,7 +212,7 @@ def _thesis(results: Results) -> Iterator[Picture]:
 
 # --- beyond the thesis ---------------------------------------------------------------------------------------------
 
-_SHOWN = (NONE, STEPWISE, SWITCH_OFF, EFFORT, PEAK, cases.SMOOTH)
+_SHOWN = (NONE, cases.STEPWISE, cases.SWITCH_OFF, EFFORT, PEAK, cases.SMOOTH)
 """Methods that the figures of a motion show, left to right, where there is a plan."""
 
 
@@ -235,9 +235,10 @@ def plans_of(plans: Plans, task: Case, coarser: float) -> Figure:
 
 def _future(results: Results) -> Iterator[Picture]:
     caption = "Motion of the carriers, with their limits; dotted: the singular instant."
-    for case in future.SPATIAL:
-        draw = partial(carriers, results.plans, future.coarsened(case, results.extent), case.title)
-        yield Picture(f"future-{case.robot}", case.title, caption, draw)
+    for case in (cases.FUTURE[key] for key in results.extent.future):
+        if case.title:
+            draw = partial(carriers, results.plans, coarsened(case, results.extent), case.title)
+            yield Picture(f"future-{case.robot}", case.title, caption, draw)
 
 
 def _replays(results: Results) -> Iterator[Picture]:

@@ -12,8 +12,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, largest
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.thesis import cases, measures
-from redundancy_pin.thesis.case import Mode, Plans
-from redundancy_pin.thesis.cases import MODE_CASES
+from redundancy_pin.thesis.cases import ALL_MODES, MODE_CASES, Mode, Plans
 from redundancy_pin.thesis.measures import bounds
 from redundancy_pin.thesis.statements import verdict
 from redundancy_pin.thesis.table import Record, mode_text, text
@@ -229,15 +228,14 @@ def judge_in_words(runs: Mapping[Mode, Runs]) -> tuple[list[Record], list[Record
         for mode, of_mode in runs.items():
             holds, found = one.test(of_mode)
             shown[mode_text(mode)] = {"holds": bool(holds), "found": found}
-        entry = {**one._asdict(), "modes": shown}
-        claims.append({key: entry[key] for key in ("row", "source", "name", "claim", "criterion", "modes")})
+        claims.append({"name": one.name, "source": one.source, "claim": one.claim, "modes": shown})
         first, holding = next(iter(shown)), [mode for mode, outcome in shown.items() if outcome["holds"]]
         reason = f"in {len(holding) or 'none'} of {len(shown)} working modes"
         reason += f": {', '.join(holding)}" if holding else f" ({one.criterion})"
-        ours = f"{first}: {shown[first]['found']}"
         verdicts.append(
-            verdict(one.row, one.source, one.claim, "in words", ours, bool(holding), reason, first in holding)
-        )
+            verdict(one.row, one.source, one.claim, "in words", f"{first}: {shown[first]['found']}", bool(holding),
+                    reason, first in holding, complete=len(runs) == len(ALL_MODES))
+        )  # fmt: skip
     return claims, verdicts
 
 

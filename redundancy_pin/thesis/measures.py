@@ -20,8 +20,8 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
 from redundancy_pin.status import ResultStatus, SampleStatus
-from redundancy_pin.thesis.case import Case
-from redundancy_pin.thesis.table import Record, data
+from redundancy_pin.thesis.cases import Case
+from redundancy_pin.thesis.table import Record
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
 
 PARITY_TOLERANCE = 1e-10
@@ -111,7 +111,7 @@ class MotionRun:
         """Return the run in numbers, for tables and JSON."""
         return {
             "title": self.case.title,
-            "configuration": {**self.case.as_dict(), "source": data("thesis")["sources"][self.case.robot]},
+            "configuration": self.case.as_dict(),
             "duration": self.case.trajectory().duration,
             "samples": len(self.motion),
             "bounded": not any(instant["unbounded"] for instant in self.instants),
@@ -205,28 +205,6 @@ def _deceleration_start(run: MotionRun) -> float:
     return float(run.t[np.flatnonzero(np.isclose(speed, np.median(speed), rtol=1e-9))[-1]])
 
 
-def _parked_forces(run: MotionRun, threshold: float, ramp: float) -> list[float]:
-    start = _threshold_times(run, threshold)[0] - ramp
-    return [abs(float(np.interp(start, run.t, tau))) for tau in run.distribution.tau.T]
-
-
-def _threshold_times(run: MotionRun, threshold: float) -> tuple[float, float]:
-    """Return when the condition number first and last exceeds a threshold, s.
-
-    The circle passes two singularities, between which the condition number falls to about 17; the thesis treats
-    them as one region, so the first entry and the last exit count.
-    """
-    # the logarithm of the condition number is nearly straight between samples, and finite below the threshold
-    condition = np.minimum(run.distribution.condition, 1e6)
-    above = np.flatnonzero(condition > threshold)
-
-    def level(left: int) -> float:
-        a, b = np.log(condition[left : left + 2])
-        return float(run.t[left] + (np.log(threshold) - a) / (b - a) * (run.t[left + 1] - run.t[left]))
-
-    return level(above[0] - 1), level(above[-1])
-
-
 MEASURES: Mapping[str, Callable[..., Any]] = {
     # switch-off plans: when the condition number meets the threshold ("entry") and falls below it, or forces begin to
     # fall, s; |τ| as they begin to, N; its jump at switch-on, N; its largest rise
@@ -255,11 +233,6 @@ MEASURES: Mapping[str, Callable[..., Any]] = {
     "arc_times": lambda run: run.case.trajectory().breaks[[0, -1]],
     "crossing_abscissae": lambda run: [instant["x"][0] for instant in run.instants],
     "peak_efforts": lambda run: run.peaks,
-    # when the threshold is met and left, and one ramp before it is met the time, s, and |τ| of each actuator, N
-    "threshold_met": lambda run, threshold: _threshold_times(run, threshold)[0],
-    "threshold_left": lambda run, threshold: _threshold_times(run, threshold)[1],
-    "switch_off_start": lambda run, threshold, ramp: _threshold_times(run, threshold)[0] - ramp,
-    "parked_forces": _parked_forces,
 }
 """Measures by the name that the data file has for them."""
 

@@ -14,8 +14,7 @@ from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.thesis import cases, measures
-from redundancy_pin.thesis.case import Call, Case, Mode, Plans, call_of
-from redundancy_pin.thesis.cases import CORNERS, CROSSINGS, MODE_CASES, MOVING, NONE, PARKED, Extent
+from redundancy_pin.thesis.cases import CORNERS, CROSSINGS, MODE_CASES, MOVING, NONE, Case, Plans
 from redundancy_pin.thesis.claims import CONCLUSIONS, verdicts
 from redundancy_pin.thesis.in_words import judge_in_words, mode_records, runs_of
 from redundancy_pin.thesis.measures import numbers, read
@@ -29,17 +28,17 @@ POINTS = 4
 """Points inside each step at which stepwise plans are evaluated."""
 
 
-def calls(extent: Extent) -> list[Call]:
+def calls(extent: cases.Extent) -> list[cases.Call]:
     """Return the calls that make the plans of the chapter."""
     moded = [replace(case, working_mode=mode) for mode in extent.modes for case in MODE_CASES]
     first = (*needed(extent), *moded, *map(cases.without_carriers, moded))
     shortest = [case.with_options(return_time="shortest") for case in (*CROSSINGS, *_squares(extent.modes))]
     others = [*shortest, *map(cases.parked, (*CROSSINGS, *moded)), cases.HEAVY_CROSSING]
-    both = [call_of(case, backend) for case in extent.parity for backend in case.backends]
-    return both + [call_of(case) for case in (*CROSSINGS, *CORNERS, *first, *others)]
+    both = [cases.call_of(case, backend) for case in extent.parity for backend in case.backends]
+    return both + [cases.call_of(case) for case in (*CROSSINGS, *CORNERS, *first, *others)]
 
 
-def run_planned(plans: Plans, extent: Extent) -> dict[str, Any]:
+def run_planned(plans: Plans, extent: cases.Extent) -> dict[str, Any]:
     """Return the records of the chapter."""
     runs = {mode: runs_of(plans, mode) for mode in extent.modes}
     claims, judged = judge_in_words(runs)
@@ -57,7 +56,7 @@ def run_planned(plans: Plans, extent: Extent) -> dict[str, Any]:
         "fair_comparison": _machine_records(plans, extent.modes),
         "sensitivity": sensitivity(plans, extent),
     }
-    return chapter | {"conclusions": verdicts(CONCLUSIONS, chapter)}
+    return chapter | {"conclusions": verdicts(CONCLUSIONS, chapter, complete=extent.complete)}
 
 
 def compare_backends(plans: Plans, case: Case) -> Record:
@@ -123,7 +122,7 @@ def _heavy_record(plans: Plans) -> Record | None:
     return {"what": f"end-effector of {mass:g} kg", "message": outcome.message, "details": dict(outcome.details)}
 
 
-def _squares(modes: Sequence[Mode]) -> list[Case]:
+def _squares(modes: Sequence[cases.Mode]) -> list[Case]:
     return [replace(case, working_mode=mode) for mode in modes for case in (CORNERS[5], CORNERS[4])]
 
 
@@ -141,20 +140,20 @@ def _return_record(plans: Plans, case: Case) -> Record:
 # --- no carriers, carriers parked, carriers moving; both sets of actuators counted ---------------------------------
 
 
-def _machine_records(plans: Plans, modes: Sequence[Mode]) -> list[Record]:
+def _machine_records(plans: Plans, modes: Sequence[cases.Mode]) -> list[Record]:
     """Compare for every motion of the thesis; corners and square in every working mode."""
-    rows: list[tuple[str, Mode, str, Case]] = []
+    rows: list[tuple[str, cases.Mode, str, Case]] = []
     for case in CROSSINGS:
         motion = cases.motion_name(case)
         if motion not in [row[0] for row in rows]:
-            rows.append((motion, (), PARKED, cases.parked(case)))
+            rows.append((motion, (), cases.PARKED, cases.parked(case)))
         rows.append((motion, (), f"{MOVING}, off above CN {case.option('threshold'):g}", case))
     raised = [case for case in MODE_CASES if case.option("speed") or case.option("acceleration")]
     for mode in modes:
         for motion in ("corner-r0.025", "corner-r0.013", "square"):
             moded = [replace(case, working_mode=mode) for case in (*CORNERS, *raised) if case.name.startswith(motion)]
             rows.append((motion, mode, NONE, cases.without_carriers(moded[0])))
-            rows.append((motion, mode, PARKED, cases.parked(moded[0])))
+            rows.append((motion, mode, cases.PARKED, cases.parked(moded[0])))
             for case in moded:
                 acceleration, speed = case.option("acceleration"), case.option("speed")
                 limit = f", {acceleration:g} m/s²" if acceleration else f", {speed:g} m/s" if speed else ""
@@ -162,13 +161,13 @@ def _machine_records(plans: Plans, modes: Sequence[Mode]) -> list[Record]:
     return [_machine(*row, plans.plan(row[-1])) for row in rows]
 
 
-def _machine(motion: str, mode: Mode, how: str, case: Case, plan: Plan) -> Record:
+def _machine(motion: str, mode: cases.Mode, how: str, case: Case, plan: Plan) -> Record:
     bounded = plan.status is not ResultStatus.UNBOUNDED
     # along a singular motion efforts without a plan grow without bound between samples, even if no sample is singular
-    bounded &= not (how == PARKED and (plan.sample_status != SampleStatus.OK).any())
+    bounded &= not (how == cases.PARKED and (plan.sample_status != SampleStatus.OK).any())
     shown = numbers(plan)
     if not bounded:
         shown |= dict.fromkeys(("peak", "rms", "main_energy", "energy"), math.inf) | {"status": "unbounded"}
     kept = ("peak", "rms", "carrier_force", "main_energy", "carrier_energy", "energy", "status")
-    return {"motion": motion, "mode": mode, "what": how, "unit": case.unit, "bounded": bool(bounded),
+    return {"motion": motion, "mode": mode, "what": how, "unit": case.unit,
             **{name: shown[name] for name in kept}}  # fmt: skip

@@ -31,8 +31,8 @@ from redundancy_pin.parallel import parallel
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.simulation.replay import Replay, replay
-from redundancy_pin.thesis import beyond, cases, future, planned
-from redundancy_pin.thesis.case import Call, Plans, plan_or_error
+from redundancy_pin.thesis import beyond, cases, planned
+from redundancy_pin.thesis.cases import Call, Plans, plan_or_error
 from redundancy_pin.thesis.claims import cost_pairs
 from redundancy_pin.thesis.figures import IN_FRONT, Results, pictures
 from redundancy_pin.thesis.measures import CSV_DIGITS, run
@@ -142,8 +142,8 @@ def calls(extent: cases.Extent) -> list[Call]:
     """Return the calls that make motions, plans, replays and rows of all chapters, long ones first."""
     replays = [(f"replay: {one.name}", run_replays, one, extent.coarser) for one in extent.replayed]
     motions = [(case.name, run, case) for case in extent.motions]
-    chapters = {"beyond": beyond.calls(extent), "replay": replays, "motions": motions, "future": future.calls(extent),
-                "planned": planned.calls(extent)}  # fmt: skip
+    chapters = {"beyond": beyond.calls(extent), "replay": replays, "motions": motions,
+                "future": beyond.future_calls(extent), "planned": planned.calls(extent)}  # fmt: skip
     return [call for name, needed in chapters.items() if name in ("motions", *extent.chapters) for call in needed]
 
 
@@ -154,7 +154,7 @@ def compute(
     plans = Plans()
     plans.prepare(todo, extent.jobs, notify)
     runs = tuple(plans.result("", run, case) for case in extent.motions)
-    makers = {"planned": planned.run_planned, "beyond": beyond.run_beyond, "future": future.run_future}
+    makers = {"planned": planned.run_planned, "beyond": beyond.run_beyond, "future": beyond.run_future}
     chapters: dict[str, Any] = {name: make(plans, extent) for name, make in makers.items() if name in extent.chapters}
     replays: list[Replay] = []
     if "replay" in extent.chapters:
@@ -270,62 +270,75 @@ def report(results: Results) -> str:
     )
 
 
+TITLES = {
+    "motions": "experiments: Pinocchio (RNEA) against virtual work",
+    "thesis": "what the thesis states (Parsa 2014), and what comes out here",
+    "conclusions": "the thesis's conclusions",
+    "judged": "planned experiments against the thesis (Parsa 2014)",
+    "findings": "beyond the thesis: planning over the whole trajectory",
+}
+"""Titles of the tables that a terminal shows."""
+
+
 def tables(results: Results) -> dict[str, Table]:
     """Return every table of what was run, by the names in ``tables.yaml``."""
-    runs = [{**run.record(), "name": run.case.name} for run in results.runs]
     left_out = {"worst": None, "tolerance": None}
-    checks = [{**row.as_dict(), "check": row.title, **(left_out if row.note else {})} for row in results.check.rows]
-    chapters = results.chapters
+    rows: dict[str, Sequence[Record]] = {
+        "cross_check": [{**row.as_dict(), "check": row.title, **(left_out if row.note else {})}
+                        for row in results.check.rows],
+        "motions": [{**run.record(), "name": run.case.name} for run in results.runs],
+        "thesis": results.compared,
+    }  # fmt: skip
+    more: dict[str, Sequence[str]] = {}
+    if "planned" in results.chapters:
+        rows |= _planned(results.chapters["planned"], results.extent)
+        more["claims"] = [mode_text(mode) for mode in results.extent.modes]
+    if "beyond" in results.chapters:
+        rows |= _beyond(results.chapters["beyond"])
+        more["beyond_modes"] = (*beyond.MODE_METHODS, "least peak over no carriers")
+    if "future" in results.chapters:
+        rows["future"] = results.chapters["future"]["plans"]
+    if "replay" in results.chapters:
+        rows["replays"] = results.chapters["replay"]["replays"]
+    made = {name: table(name, records, TITLES.get(name, ""), more.get(name, ())) for name, records in rows.items()}
+    return made | (
+        {"headline": beyond.headline(results.chapters["beyond"]["plans"])} if "beyond" in results.chapters else {}
+    )
+
+
+def _planned(chapter: Mapping[str, Any], extent: cases.Extent) -> dict[str, Sequence[Record]]:
+    machines, ranged = chapter["fair_comparison"], ("peak", "rms", "carrier_force", "main_energy", "energy")
+    moded = grouped([record for record in machines if record["mode"]], "motion", "what").values()
+    several = grouped(chapter["sensitivity"], "case", "quantity").values()
     return {
-        "cross_check": table("cross_check", checks),
-        "motions": table("motions", runs, "experiments: Pinocchio (RNEA) against virtual work"),
-        "thesis": table("thesis", results.compared, "what the thesis states (Parsa 2014), and what comes out here"),
-        **(_planned(chapters["planned"], results.extent) if "planned" in chapters else {}),
-        **(_beyond(chapters["beyond"]) if "beyond" in chapters else {}),
-        **({"future": table("future", chapters["future"]["plans"])} if "future" in chapters else {}),
-        **({"replays": table("replays", chapters["replay"]["replays"])} if "replay" in chapters else {}),
-    }
+        **{name: chapter[name] for name in (
+            "working_modes", "between_samples", "shortest_returns_on_square", "crossings", "parity", "conclusions"
+        )},
+        "judged": chapter["against_thesis"],
+        "claims": [one | {name: mode["holds"] for name, mode in one["modes"].items()} for one in chapter["claims"]],
+        "fair_comparison": [record for record in machines if record["mode"] in ((), extent.modes[0])],
+        "fair_over_modes": [same[0] | {key: span([one[key] for one in same]) for key in ranged} for same in moded],
+        "sensitivity": [
+            same[0] | {"ranges": "; ".join(f"{one['parameter']}: {span((one['low'], one['high']))}" for one in same)}
+            for same in several
+        ],
+    }  # fmt: skip
 
 
-def _planned(chapter: Mapping[str, Any], extent: cases.Extent) -> dict[str, Table]:
-    machines, modes = chapter["fair_comparison"], [mode_text(mode) for mode in extent.modes]
-    ranged = ("peak", "rms", "carrier_force", "main_energy", "energy")
-    moded = grouped([record for record in machines if record["mode"]], "motion", "what")
-    over_modes = [same[0] | {key: span([one[key] for one in same]) for key in ranged} for same in moded.values()]
-    sensitive = [
-        {**same[0], "ranges": "; ".join(f"{one['parameter']}: {span((one['low'], one['high']))}" for one in same)}
-        for same in grouped(chapter["sensitivity"], "case", "quantity").values()
-    ]
-    holds = {name: (lambda record, name=name: record["modes"][name]["holds"]) for name in modes}
-    alone = [record for record in machines if record["mode"] in ((), extent.modes[0])]
-    whole = ("working_modes", "between_samples", "shortest_returns_on_square", "crossings", "parity")
-    return {
-        **{name: table(name, chapter[name]) for name in whole},
-        "conclusions": table("conclusions", chapter["conclusions"], "the thesis's conclusions"),
-        "judged": table("judged", chapter["against_thesis"], "planned experiments against the thesis (Parsa 2014)"),
-        "claims": table("claims", chapter["claims"], more=holds),
-        "fair_comparison": table("fair_comparison", alone),
-        "fair_over_modes": table("fair_over_modes", over_modes),
-        "sensitivity": table("sensitivity", sensitive),
-    }
-
-
-def _beyond(chapter: Mapping[str, Any]) -> dict[str, Table]:
+def _beyond(chapter: Mapping[str, Any]) -> dict[str, Sequence[Record]]:
     def worst(row: Record) -> str:
         shown = f"{row['worst']:.2f}" if row["exists"] else ""
         return shown if row["sound"] else f"{shown} ({row['status']})".strip()
 
-    plans, modes = chapter["plans"], chapter["working_modes"]
-    peaks = {name: (lambda record, name=name: worst(record["rows"][name])) for name in beyond.MODE_METHODS if modes}
-    ratio = {"least peak over no carriers": lambda record: f"{record['ratio']:.2f}"}
-    shown = {name: table(name, chapter[name]) for name in ("targets", "fastest", "backends", "first_guesses")}
+    shown: dict[str, Sequence[Record]] = {
+        **{name: chapter[name] for name in ("targets", "findings", "fastest", "backends", "first_guesses")},
+        "beyond_modes": [
+            {**one, **{method: worst(row) for method, row in one["rows"].items()},
+             "least peak over no carriers": f"{one['ratio']:.2f}"}
+            for one in chapter["working_modes"]
+        ],
+    }  # fmt: skip
     for name, tasks in (("singular", cases.SINGULAR), ("turns", cases.TURNS)):
-        chosen = [record for record in plans if record["task"] in {task.name for task in tasks}]
-        shown[f"{name}_limits"] = table("plans_limits", chosen)
-        shown[f"{name}_costs"] = table("plans_costs", [record for record in chosen if record["exists"]])
-    return shown | {
-        "headline": beyond.headline(plans),
-        "findings": table("findings", chapter["findings"], "beyond the thesis: planning over the whole trajectory"),
-        "beyond_modes": table("beyond_modes", modes, more={**peaks, **ratio}),
-        "trade_off": table("trade_off", [{**one, **point} for one in chapter["trade_off"] for point in one["points"]]),
-    }
+        chosen = [record for record in chapter["plans"] if record["task"] in {task.name for task in tasks}]
+        shown |= {f"{name}_limits": chosen, f"{name}_costs": [record for record in chosen if record["exists"]]}
+    return shown

@@ -12,16 +12,13 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.thesis.case import Case, Plans
-from redundancy_pin.thesis.cases import BY_NAME, CORNERS, CROSSINGS, Extent
+from redundancy_pin.thesis.cases import BY_NAME, CORNERS, CROSSINGS, Case, Extent, Plans
+from redundancy_pin.thesis.claims import NOT_JUDGED
 from redundancy_pin.thesis.measures import MotionRun, Numbers, read
 from redundancy_pin.thesis.table import Record, data, mode_text, span, text
 
 ROUNDING = 1e-12
 """A gap up to this is none: the limits of an interval are themselves rounded."""
-
-_RAMP_DOWN = 0.03
-"""Time in which the forces fall before the motors are off, on the circle, s."""
 
 _LATE = 0.01
 """Largest delay with which the thesis notices an instant, s: its times have two decimals, its step may be 10 ms."""
@@ -32,30 +29,23 @@ Grid = Mapping[str, Sequence[Any]]
 
 @functools.cache
 def thesis() -> Mapping[str, Any]:
-    """Return ``thesis.yaml``; the numbers stated with each crossing are among ``motions``, ``planned`` and ``rows``."""
+    """Return ``thesis.yaml``; the numbers stated with each crossing are among ``planned`` and ``rows``."""
     stated = dict(data("thesis"))
     rows: dict[str, str] = {}
-    motions, planned = list(stated["motions"]), []
+    planned: list[Record] = []
     for one in stated["crossings"]:
-        threshold, figure = one["threshold"], f"fig. {one['figure']}"
-        parked = {"source": figure, "case": f"{one['motion']}-parked"}
-        moving = {"source": figure, "case": f"{one['motion']}-cn{threshold}"}
+        threshold, figure = one["threshold"], one["figure"]
         for edge, when, forces, switching in (("entry", "met", "falling", "off"), ("exit", "left", "rising", "on")):
-            row, at = f"{one['figure']} {edge}", float(one[when])
+            row = f"{figure} {edge}"
+            moving = {"source": f"fig. {figure}", "case": f"{one['motion']}-cn{threshold}", "row": row}
             rows[row] = f"{one['motion'].replace('-', ' ')} m/s, CN {threshold}, switching {switching}"
-            motions.append({**parked, "quantity": f"threshold {threshold} {when}", "unit": "s", "stated": [at],
-                            "measure": [f"threshold_{when}", threshold], "note": one.get("note", "")})  # fmt: skip
-            planned.append({**moving, "row": row, "quantity": f"threshold {when}", "unit": "s", "stated": [one[when]],
+            planned.append({**moving, "quantity": f"threshold {when}", "unit": "s", "stated": [one[when]],
                             "measure": ["time_of", edge], "grids": [one["ramps"]], "late": _LATE,
                             "why": f"at {one[when]} s the condition number is {{:.3g}} here",
-                            "of": ["condition_at", at]})  # fmt: skip
-            planned.append({**moving, **stated["forces"][edge], "row": row, "unit": "N", "stated": one[forces],
+                            "of": ["condition_at", float(one[when])]})  # fmt: skip
+            planned.append({**moving, **stated["forces"][edge], "unit": "N", "stated": one[forces],
                             "grids": [one["ramps"], "ramp_starts"] if edge == "entry" else ["returns"]})  # fmt: skip
-        motions.append({**parked, "quantity": f"threshold {threshold}: forces", "unit": "N",
-                        "stated": [float(force) for force in one["falling"]], "note": stated["forces"]["note"],
-                        "measure": ["parked_forces", threshold, _RAMP_DOWN]})  # fmt: skip
-    motions.sort(key=lambda entry: list(BY_NAME).index(entry["case"]))
-    return {**stated, "motions": motions, "planned": [*planned, *stated["planned"]], "rows": rows | stated["rows"]}
+    return {**stated, "planned": [*planned, *stated["planned"]], "rows": rows | stated["rows"]}
 
 
 def compare_motions(runs: Sequence[MotionRun]) -> list[Record]:
@@ -115,15 +105,11 @@ _CORNER_SPEED = 0.2
 """Cruising speed v of the 3-RRR, m/s; the 2-RPR's cases have their own."""
 
 _PARAMETERS = {
-    "ramp_length": ("ramp length p", "{:g} v T"),
-    "return_time": ("return time", "{:g} s"),
-    "dt": ("step δt", "{:g} ms"),
-    "ramp_down": ("sample at which the ramp starts", "{:g} s before the threshold"),
-    "threshold": ("threshold", "{:g}"),
-    "working_mode": ("working mode", ""),
-    "alpha": ("orientation α", "{:g} rad"),
-}
-"""What the parameters of a grid are called, and how a value is shown."""
+    "ramp_length": "ramp length p [v T]", "return_time": "return time [s]", "dt": "step δt [s]",
+    "ramp_down": "start of the ramp before the threshold [s]", "threshold": "threshold", "working_mode": "working mode",
+    "alpha": "orientation α [rad]",
+}  # fmt: skip
+"""Names of the parameters of a grid."""
 
 
 def vary(case: Case, name: str, value: Any) -> Case:
@@ -142,20 +128,14 @@ def variations(case: Case, values: Grid) -> list[tuple[Case, str]]:
         changed, labels = case, []
         for name, value in zip(values, combination, strict=True):
             before, changed = changed, vary(changed, name, value)
-            labels += [_label(name, value)] if changed != before else []
+            shown = mode_text(value) if name == "working_mode" else f"{value:g}"
+            labels += [f"{_PARAMETERS[name]} {shown}"] if changed != before else []
         varied.append((changed, ", ".join(labels)))
     return varied
 
 
-def _label(name: str, value: Any) -> str:
-    if name == "working_mode":
-        return f"mode {mode_text(value)}"
-    called, form = _PARAMETERS[name]
-    return f"{called} = {form.format(1e3 * value if name == 'dt' else value)}"
-
-
 def _named(values: Grid) -> str:
-    return " and ".join(_PARAMETERS[name][0] for name in values)
+    return " and ".join(_PARAMETERS[name] for name in values)
 
 
 def grid(name: str, extent: Extent) -> Grid:
@@ -209,20 +189,23 @@ def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
         reason = f"{beyond:.2g} {unit} beyond the range" if math.isfinite(beyond) else "never happens here"
         reason += "; " + entry["why"].format(*read(plan, *entry["of"])) if "why" in entry else ""
     over = [*map(_named, grids), *([f"step up to {late:g} s"] if late else [])]
-    deviations = [text(value - _value(digits), "+.2g") for value, digits in zip(ours, printed, strict=True)]
     covered = ", ".join(span((low, high + late)) for low, high in ranges) + f" over {', '.join(over)}"
     return verdict(entry["row"], entry["source"], f"{entry['quantity']} [{unit}]", ", ".join(printed), text(ours),
-                   not fails, reason, as_run, deviation=", ".join(deviations), covered=covered)  # fmt: skip
+                   not fails, reason, as_run, complete=extent.complete, covered=covered)  # fmt: skip
 
 
 def verdict(
     row: str, source: str, quantity: str, stated: str, ours: str, holds: bool, reason: str, as_run: bool,
-    *, condition: str = "", deviation: str = "", covered: str = "",
+    *, complete: bool = True, condition: str = "", covered: str = "",
 ) -> Record:  # fmt: skip
-    """Return the verdict on a statement; ``as_run``: whether our own run reproduces it, without a variation."""
+    """Return the verdict on a statement; ``as_run``: whether our own run reproduces it, without a variation.
+
+    What a run that is not ``complete`` does not reproduce, a full run may: it is not judged.
+    """
+    failed = "differs" if complete else NOT_JUDGED
     return {"row": row, "source": source, "condition": condition or thesis()["rows"][row], "quantity": quantity,
-            "stated": stated, "ours": ours, "deviation": deviation, "covered": covered,
-            "verdict": "reproduced" if holds else "differs", "reason": reason, "as_run": as_run}  # fmt: skip
+            "stated": stated, "ours": ours, "covered": covered,
+            "verdict": "reproduced" if holds else failed, "reason": reason, "as_run": as_run}  # fmt: skip
 
 
 def _miss(printed: Sequence[str], values: Numbers) -> float:
@@ -258,11 +241,10 @@ def sensitivity(plans: Plans, extent: Extent) -> list[Record]:
     for case in _ranged(extent):
         stated = thesis()["sensitivity"][case.path]
         for over in (grid(name, extent) for name in stated["grids"]):
-            outcomes = [plans.outcome(varied) for varied, _ in variations(case, over)]
+            outcomes = (plans.outcome(varied) for varied, _ in variations(case, over))
             existing = [outcome for outcome in outcomes if isinstance(outcome, Plan)]
             for quantity, reading in stated["quantities"].items():
                 low, high = limits_of([value for plan in existing for value in read(plan, *reading)])
-                records.append({"case": case.name, "quantity": quantity, "parameter": _named(over), "grid": over,
-                                "ours": max(read(plans.plan(case), *reading)), "low": low, "high": high,
-                                "plans": len(outcomes), "without": len(outcomes) - len(existing)})  # fmt: skip
+                records.append({"case": case.name, "quantity": quantity, "parameter": _named(over), "low": low,
+                                "ours": max(read(plans.plan(case), *reading)), "high": high})  # fmt: skip
     return records

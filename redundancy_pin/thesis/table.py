@@ -24,13 +24,10 @@ NONE = "–"
 Record: TypeAlias = dict[str, Any]
 """A row: plain values by the name of their column."""
 
-Cell: TypeAlias = Callable[[Record], Any]
-"""Returns the content of a cell from the record of its row."""
-
 
 @functools.cache
 def data(name: str) -> Mapping[str, Any]:
-    """Return the content of a data file of this package: "tables" or "thesis"."""
+    """Return the content of a data file of this package, "tables" or "thesis"."""
     content: Mapping[str, Any] = read_yaml(Path(__file__).with_name(f"{name}.yaml"), InputError).data
     return content
 
@@ -67,23 +64,24 @@ class Table:
         return shown
 
 
-def table(name: str, records: Sequence[Record], title: str = "", more: Mapping[str, Cell] | None = None) -> Table:
-    """Return records as the table of a name in ``tables.yaml``, followed by further columns by their heading."""
-    columns = [_column(key, shown) for key, shown in data("tables")[name].items()]
-    columns += [(heading, heading, cell) for heading, cell in (more or {}).items()]
-    names, headings, cells = zip(*columns, strict=True)
-    return Table(names, headings, tuple(tuple(text(cell(record)) for cell in cells) for record in records), title)
-
-
-def _column(key: str, shown: str) -> tuple[str, str, Cell]:
-    heading, kind, form = re.fullmatch(r"(.*?)(?: ([:=])(\S+))?", shown).groups()  # type: ignore[union-attr]
-    return key, heading, CELLS[form] if kind == "=" else lambda record: text(entry(key, record), form or ".3g")
+def table(name: str, records: Sequence[Record], title: str = "", more: Sequence[str] = ()) -> Table:
+    """Return records as the table of a name in ``tables.yaml``, followed by further columns, named by their keys."""
+    columns = {**data("tables")[name], **{key: key for key in more}}
+    shown = [re.fullmatch(r"(.*?)(?: ([:=])(\S+))?", heading).groups() for heading in columns.values()]  # type: ignore[union-attr]
+    rows = tuple(
+        tuple(
+            text(CELLS[form](record) if kind == "=" else entry(key, record), ".3g" if kind != ":" else form)
+            for key, (_, kind, form) in zip(columns, shown, strict=True)
+        )
+        for record in records
+    )
+    return Table(tuple(columns), tuple(heading for heading, _, _ in shown), rows, title)
 
 
 def entry(key: str, record: Record) -> Any:
     """Return an entry of a record; a dot leads into a nested record, None if it is missing."""
     first, _, rest = key.partition(".")
-    return entry(rest, record.get(first) or {}) if rest else record.get(first)
+    return entry(rest, record.get(first) or {}) if rest and key not in record else record.get(key)
 
 
 def text(value: Any, form: str = ".3g") -> str:
@@ -126,16 +124,15 @@ def _peak(record: Record) -> str:
     return text(record["peak"]) + before if record["exists"] else "none"
 
 
-def _of(value: str, limit: str) -> Cell:
+def _of(value: str, limit: str) -> Callable[[Record], Any]:
     return lambda record: None if math.isnan(record[limit]) else f"{record[value]:.3f} of {record[limit]:g}"
 
 
-CELLS: Mapping[str, Cell] = {
+CELLS: Mapping[str, Callable[[Record], Any]] = {
     "counts": lambda record: ", ".join(f"{name} {count}" for name, count in record["statuses"].items()),
     "with_reason": lambda record: ": ".join(part for part in (record["verdict"], record["reason"]) if part),
     "mode": lambda record: mode_text(record["mode"]),
     "met": lambda record: "met" if record["met"] else "missed",
-    "effort_limit": lambda record: "none" if math.isinf(record["effort_limit"]) else record["effort_limit"],
     "method": lambda record: f"[{record['way']}]({record['file']}.npz)" if record["file"] else record["way"],
     "motion": lambda record: f"[{record['name']}]({record['name']}.csv)",
     "peak": _peak,

@@ -35,7 +35,7 @@ def test_tables(tmp_path: Path) -> None:
     assert result.stderr == ""
     assert "unbounded at t = 0.5194 s" in result.stdout
     assert "bounded: peaks" in result.stdout
-    assert "fig. 3.11" in result.stdout
+    assert "section 3.2" in result.stdout
     assert "report.md" in result.stdout
 
 

@@ -14,8 +14,7 @@ import pytest
 
 from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
 from redundancy_pin.thesis import reproduce as job
-from redundancy_pin.thesis.case import Case
-from redundancy_pin.thesis.cases import BY_NAME, QUICK
+from redundancy_pin.thesis.cases import BY_NAME, QUICK, Case
 from redundancy_pin.thesis.figures import Picture
 from redundancy_pin.thesis.measures import MotionRun, run
 from redundancy_pin.thesis.reproduce import Reproduction

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from redundancy_pin.thesis.beyond import INFEASIBLE, headline, plan_record
-from redundancy_pin.thesis.case import Case, Plans
 from redundancy_pin.thesis.cases import (
     EFFORT,
     NONE,
@@ -22,6 +21,8 @@ from redundancy_pin.thesis.cases import (
     SWITCH_OFF_LATE,
     TASKS,
     TURNS,
+    Case,
+    Plans,
     crosses,
 )
 from redundancy_pin.thesis.claims import BREAKS, NO_PLAN, peak_text

@@ -54,24 +54,19 @@ def _missing_force(x: float, v: tuple[float, float], a_y: float) -> float:
     return abs(total)
 
 
-def test_missing_force_at_the_singular_instants_of_the_circle() -> None:
+@pytest.mark.parametrize(("name", "speed"), [("circle-0.5-parked", 0.5), ("circle-0.75-parked", 0.75)])
+def test_missing_force_at_the_singular_instants_of_the_circle(name: str, speed: float) -> None:
     """At constant speed on the circle: v tangential, a = v²/r towards the centre."""
-    result = quick_results.motion_run("circle-0.5-parked")
+    result = quick_results.motion_run(name)
     for instant in result.instants:
         outward = (np.array(instant["x"]) - [0.25, 0.185]) / 0.2
-        v = 0.5 * np.array([-outward[1], outward[0]])
-        a = -(0.5**2) / 0.2 * outward
+        v = speed * np.array([-outward[1], outward[0]])
+        a = -(speed**2) / 0.2 * outward
         expected = _missing_force(instant["x"][0], (v[0], v[1]), a[1])
         assert instant["missing_force"] == pytest.approx(expected, rel=1e-6)  # the pose is on the line to 1e-13
         assert instant["unbounded"]
         assert instant["t"] in result.t
         np.testing.assert_allclose(np.abs(instant["uncontrolled"]), [0.0, 1.0], atol=1e-9)
-
-
-def test_missing_force_scales_with_the_speed_squared() -> None:
-    slow, fast = quick_results.motion_run("circle-0.5-parked"), quick_results.motion_run("circle-0.75-parked")
-    ratios = [b["missing_force"] / a["missing_force"] for a, b in zip(slow.instants, fast.instants, strict=True)]
-    np.testing.assert_allclose(ratios, 1.5**2, rtol=1e-6)
 
 
 def test_efforts_grow_as_missing_force_over_margin() -> None:
@@ -100,23 +95,6 @@ def test_peaks_leave_out_near_singular_samples_and_the_statement_says_unbounded(
     assert len(windows) == 2
     for (start, end), instant in zip(windows, result.instants, strict=True):
         assert start < instant["t"] < end
-
-
-@pytest.mark.parametrize(
-    ("name", "peaks"),
-    [("corner-r0.025-baseline", (2.3, 3.0, 2.9)), ("corner-r0.013-baseline", (4.6, 5.9, 5.6))],
-)
-def test_baseline_corner_peaks(name: str, peaks: tuple[float, ...]) -> None:
-    """Independent rebuild of the model, sampled at 10 ms and rounded to two digits, so a peak may be missed by 3 %."""
-    np.testing.assert_allclose(quick_results.motion_run(name, 1e-3).peaks, peaks, atol=0.1)
-
-
-def test_parked_carriers_raise_the_corner_torque() -> None:
-    parked = quick_results.motion_run("corner-r0.025-parked", 1e-3).peaks
-    baseline = quick_results.motion_run("corner-r0.025-baseline", 1e-3).peaks
-    assert (parked > 7.5).all()
-    assert (parked < 13.0).all()
-    assert (parked > 3.0 * baseline).all()
 
 
 def test_jumps_are_two_sided_and_the_torque_jumps_there() -> None:

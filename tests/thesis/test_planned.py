@@ -12,9 +12,8 @@ import quick_results
 
 from redundancy_pin.errors import CrossCheckError
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.thesis.case import Case, Plans
-from redundancy_pin.thesis.cases import CORNERS, CROSSINGS, MOVING, NONE, PARKED, parked, without_carriers
-from redundancy_pin.thesis.claims import CONCLUSIONS, verdicts
+from redundancy_pin.thesis.cases import CORNERS, MOVING, NONE, Case, Plans, parked, without_carriers
+from redundancy_pin.thesis.claims import NOT_JUDGED
 from redundancy_pin.thesis.in_words import IN_WORDS, runs_of
 from redundancy_pin.thesis.planned import plan_parity
 from redundancy_pin.thesis.statements import thesis
@@ -39,7 +38,11 @@ def test_every_statement_has_a_verdict() -> None:
         assert record["stated"]
         assert record["ours"]
         assert record["reason"] or record["verdict"] == "reproduced", record
-    assert {record["verdict"] for record in records} == {"reproduced", "differs"}
+    # only what a full run cannot cure differs in one with two of the working modes
+    assert {record["quantity"] for record in records if record["verdict"] == "differs"} == {
+        "carrier 2 first meets its speed limit [s]"
+    }
+    assert {record["verdict"] for record in records} == {"reproduced", "differs", NOT_JUDGED}
 
 
 @pytest.mark.long
@@ -104,73 +107,3 @@ def test_known_answers_in_a_working_mode(mode: tuple[int, ...]) -> None:
     for run in runs.values():
         np.testing.assert_array_equal(run.plan.t[: len(run.baseline.t)], run.baseline.t)
         assert run.accelerating.sum() > 20
-
-
-# --- conclusions follow the numbers --------------------------------------------------------------------------------
-
-MODES = ((1, 1, 1), (-1, -1, -1))
-KEY = f"{MOVING}, λ = 0"
-CROSSING = {
-    "case": "circle-0.5-cn5", "status": "limit_violated", "beyond_track_at_exit": 0.047, "shortest": float("nan"),
-    "no_shortest": "none", "jump": (1e-12, 1e-12),
-}  # fmt: skip
-SOUND = {**CROSSING, "status": "ok", "beyond_track_at_exit": 0.0, "no_shortest": "", "shortest": 0.4}
-HEAVY = {"what": "end-effector of 0.5 kg", "message": "no", "details": {"amount": 0.25}}
-
-
-def made(
-    moving: float = 1.0, crossing: Any = CROSSING, heavy: Any = HEAVY, holds: bool = False
-) -> dict[str, dict[str, Any]]:
-    """Conclusions of every motion in two modes: 3 N·m without carriers, 12 parked, and a given peak moving."""
-    records = []
-    for motion in ("corner-r0.025", "corner-r0.013", "square"):
-        for mode in MODES:
-            for what, peak, energy in ((NONE, 3.0, 0.4), (PARKED, 12.0, 1.4), (KEY, moving, 0.1 * moving)):
-                carriers = 5.0 if what == KEY else 0.0
-                records.append({"motion": motion, "mode": mode, "what": what, "peak": peak, "rms": peak / 2.0,
-                             "carrier_force": 20.0, "main_energy": energy, "energy": energy + carriers,
-                             "status": "ok"})  # fmt: skip
-    claims = [{"modes": {"+": {"holds": True}, "-": {"holds": holds}}}]
-    chapter = {"crossings": [crossing], "fair_comparison": records, "heavy_end_effector": heavy, "claims": claims}
-    return {record["name"]: record for record in verdicts(CONCLUSIONS, chapter)}
-
-
-@pytest.mark.parametrize(
-    ("name", "changes", "stands"),
-    [
-        ("crossing", {}, "does not stand"),
-        ("crossing", {"crossing": SOUND}, "stands with conditions"),
-        ("crossing", {"crossing": SOUND, "heavy": None}, "stands"),
-        ("limits", {}, "does not stand"),
-        ("limits", {"crossing": SOUND}, "stands"),
-        ("exit_forces", {}, "does not stand"),
-        ("exit_forces", {"crossing": {**CROSSING, "jump": (0.2, 0.2)}}, "stands"),
-        ("wide_corner", {}, "stands"),
-        ("wide_corner", {"moving": 9.0}, "does not stand"),
-        ("sharp_corner", {}, "does not stand"),  # there the thesis says that torques exceed the baseline
-        ("sharp_corner", {"moving": 9.0}, "stands"),
-        ("square", {}, "stands"),
-        ("square", {"moving": 9.0}, "does not stand"),
-        ("shared", {}, "stands"),
-        ("shared", {"moving": 9.0}, "does not stand"),
-        ("agreement", {}, "stands with conditions"),
-        ("agreement", {"holds": True}, "stands"),
-    ],
-)
-def test_conclusions_follow_the_numbers(name: str, changes: dict[str, Any], stands: str) -> None:
-    record = made(**changes)[name]
-    assert record["stands"] == stands
-    assert record["claim"]
-    assert "{" not in record["here"]
-
-
-def test_both_sets_of_actuators_count() -> None:
-    """Moving, they need 0.1 J and 5 J where the machine without carriers needs 0.4 J."""
-    assert f"it is {5.1 / 0.4:.2g} times the energy" in made()["shared"]["here"]
-
-
-@pytest.mark.long
-def test_conclusions_of_the_run_show_its_numbers() -> None:
-    shown = {record["name"]: record["here"] for record in chapter()["conclusions"]}
-    assert f"{len(CROSSINGS)} crossings" in shown["crossing"]
-    assert "0.047 m beyond its track" in shown["limits"]

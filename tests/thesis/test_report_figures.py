@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import quick_results
 
-from redundancy_pin.thesis.case import Plans
-from redundancy_pin.thesis.cases import FULL, SINGULAR
+from redundancy_pin.thesis.cases import FULL, SINGULAR, Plans
 from redundancy_pin.thesis.figures import Results, pictures
 from redundancy_pin.thesis.measures import MotionRun
 from redundancy_pin.visualisation.figures.plots import side_by_side

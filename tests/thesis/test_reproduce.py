@@ -20,8 +20,7 @@ from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
 from redundancy_pin.dynamics.virtual_work import VirtualWorkAlongMotion
 from redundancy_pin.errors import CrossCheckError, OutputError
 from redundancy_pin.thesis import reproduce as job
-from redundancy_pin.thesis.case import Case
-from redundancy_pin.thesis.cases import CHAPTERS, FULL
+from redundancy_pin.thesis.cases import CHAPTERS, FULL, Case
 from redundancy_pin.thesis.figures import THESIS, Picture, pictures
 from redundancy_pin.thesis.page import html
 from redundancy_pin.thesis.reproduce import Reproduction
