@@ -19,7 +19,7 @@ from redundancy_pin.planners.plan import REVERSAL, Plan
 from redundancy_pin.planners.registry import PLANNERS, STEPWISE, SWITCH_OFF, TIME_OPTIMAL, WHOLE
 from redundancy_pin.planners.summary import event_texts, summary, warnings_of
 from redundancy_pin.robot.joint_ranges import beyond_limits
-from redundancy_pin.visualisation.figures.plots import plan as plot_plan
+from redundancy_pin.visualisation.figures.plots import overview
 from redundancy_pin.visualisation.figures.style import save
 
 _LISTED = 6  # limits that a table lists; the rest is counted
@@ -133,7 +133,7 @@ def _run(read: Callable[[], PlanProblem], source: str | None, out: str | None, p
         advance(2, 3, "writing")
         if out:
             result.save(out)
-        plot, failed = output.drawn(plot, lambda path: save(plot_plan(result), path))
+        plot, failed = output.drawn(plot, lambda path: save(overview(result), path))
     robot = task.dynamics.robot
     left = beyond_limits(robot, inverse_kinematics(robot, result.motion, mark_unreachable=True).q, result.t)
     point = task.parameters.get("base_point", (0.0, 0.0, 0.0))
