@@ -180,9 +180,9 @@ def _followed(subject: Plan | Simulation | Robot, motion: PlatformMotion | None,
     followed = subject.motion if isinstance(subject, Plan) else cast(PlatformMotion, motion)
     require_sampled(followed)
     tree = inverse_kinematics(robot, followed)
-    classes, none = classify_motion(tree), np.zeros((len(tree.q), 0))
     if isinstance(subject, Plan):
-        return replace(curves_of(subject), condition=classes.condition), tree.q
+        return curves_of(subject), tree.q
+    classes, none = classify_motion(tree), np.zeros((len(tree.q), 0))
     parked = CarrierMotion.parked(len(tree.q), 0)
     regular = np.zeros(len(tree.q), dtype=np.intp)
     drawn = Curves(
