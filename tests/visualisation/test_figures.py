@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from io import BytesIO
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -236,12 +236,12 @@ def corner_like(one: rp.Plan) -> rp.Plan:
 
 
 def test_phases_are_shaded_from_one_to_the_next_and_named() -> None:
-    one = plan()
-    starts = [0, *(np.flatnonzero(np.diff(one.phase)) + 1).tolist()]
-    for drawn in (rp.plot.overview(one), rp.plot.condition(one)):
+    for one, draw in product((plan(), corner()), (rp.plot.overview, rp.plot.condition)):
+        drawn, starts = draw(one), [0, *(np.flatnonzero(np.diff(one.phase)) + 1).tolist()]
         shades = [patch for patch in drawn.axes[0].patches if not patch.get_hatch()]
         assert [float(patch.get_x()) for patch in shades] == [float(one.t[start]) for start in starts]
-        assert float(shades[-1].get_x() + shades[-1].get_width()) == one.t[-1]
+        ends = [float(patch.get_x() + patch.get_width()) for patch in shades]
+        np.testing.assert_allclose(ends, one.t[[*starts[1:], -1]], rtol=1e-12)
         greys = np.array([patch.get_facecolor()[:3] for patch in shades])
         assert np.ptp(greys, axis=1).max() == 0.0
         assert np.abs(np.diff(greys[:, 0])).min() > 0.02  # a fiftieth from black to white, and a hairline between them
@@ -549,6 +549,10 @@ def test_a_workspace_colours_margins_and_hatches_the_rest() -> None:
         image = next(one for one in axes.collections if one.get_array() is not None and one.get_array().size == 64)
         shown = np.ma.filled(image.get_array().astype(float), np.nan).reshape(8, 8)
         np.testing.assert_array_equal(shown.T, np.where(space.in_range[k], np.abs(space.margin[k]), np.nan))
+        (hatched,) = [one for one in axes.collections if any(getattr(one, "hatches", ()))]
+        nodes = np.stack(np.meshgrid(*space.axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        inside = np.any([path.contains_points(nodes) for path in hatched.get_paths()], axis=0)
+        np.testing.assert_array_equal(inside, ~space.reachable[k].ravel())
     assert "out of reach" in _legend(drawn)
 
 

@@ -75,7 +75,7 @@ def save_video(
                 if done == 1:
                     legend_below(drawn)
                 elif done == 2:
-                    drawn.set_layout_engine(None)  # the layout of the first frame stays
+                    drawn.set_layout_engine("none")  # the layout of the first frame stays
                 writer.grab_frame()
                 if progress is not None:
                     progress(done, len(frames))
