@@ -18,6 +18,7 @@ from matplotlib import rc_context, rcParams
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from matplotlib.path import Path as Ring
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from scipy.optimize import brentq
@@ -551,7 +552,8 @@ def test_a_workspace_colours_margins_and_hatches_the_rest() -> None:
         np.testing.assert_array_equal(shown.T, np.where(space.in_range[k], np.abs(space.margin[k]), np.nan))
         (hatched,) = [one for one in axes.collections if any(getattr(one, "hatches", ()))]
         nodes = np.stack(np.meshgrid(*space.axes, indexing="ij"), axis=-1).reshape(-1, 2)
-        inside = np.any([path.contains_points(nodes) for path in hatched.get_paths()], axis=0)
+        rings = [Ring(corners) for path in hatched.get_paths() for corners in path.to_polygons()]  # holes among them
+        inside = np.sum([ring.contains_points(nodes) for ring in rings], axis=0) % 2 == 1
         np.testing.assert_array_equal(inside, ~space.reachable[k].ravel())
     assert "out of reach" in _legend(drawn)
 
