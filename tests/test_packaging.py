@@ -50,6 +50,7 @@ def test_wheel_ships_every_module_and_the_typing_marker(contents: set[str]) -> N
     assert modules <= contents
     assert "redundancy_pin/py.typed" in contents
     assert "redundancy_pin/visualisation/viewer/page.html" in contents
+    assert "redundancy_pin/visualisation/figures/style.mplstyle" in contents
 
 
 def test_wheel_holds_the_package_and_nothing_else(contents: set[str]) -> None:

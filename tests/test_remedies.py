@@ -80,7 +80,7 @@ def made() -> Callable[[str], tuple[Robot, Plan, Any]]:
 USES: dict[str, Callable[..., Any]] = {
     "show(plan)": lambda plan, run, **robot: rp.show(plan, **robot),
     "show(run)": lambda plan, run, **robot: rp.show(run, **robot),
-    "plot.simulation": lambda plan, run, **robot: rp.plot.simulation(run, plan, **robot),
+    "plot.overview": lambda plan, run, **robot: rp.plot.overview(run, plan, **robot),
     "plot.path(plan)": lambda plan, run, **robot: rp.plot.path(plan, **robot),
     "plot.path(run)": lambda plan, run, **robot: rp.plot.path(run, **robot),
     "plot.condition": lambda plan, run, **robot: rp.plot.condition(run, **robot),

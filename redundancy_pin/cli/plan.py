@@ -14,7 +14,7 @@ from redundancy_pin.cli.problem import PlanProblem, read_problem
 from redundancy_pin.dynamics.backends import backend_of
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.registry import PLANNERS, STEPWISE, SWITCH_OFF, TIME_OPTIMAL, WHOLE
-from redundancy_pin.visualisation.figures.plots import plan as plot_plan
+from redundancy_pin.visualisation.figures.plots import overview
 from redundancy_pin.visualisation.figures.style import save
 
 _TITLES = {
@@ -141,7 +141,7 @@ def _run(read: Callable[[], PlanProblem], source: str | None, out: str | None, p
         advance(2, 3, "writing")
         if out:
             result.save(out)
-        plot, failed = output.drawn(plot, lambda path: save(plot_plan(result), path))
+        plot, failed = output.drawn(plot, lambda path: save(overview(result), path))
     facts = result.summary(task.dynamics)
     facts.tables[0].title += f", {backend_of(task.dynamics)}"
     more = {"backend": backend_of(task.dynamics), "motion": task.followed, "ends": task.ends}

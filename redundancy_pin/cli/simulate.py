@@ -20,8 +20,7 @@ from redundancy_pin.simulation.summary import summary
 from redundancy_pin.trajectory.trajectory import Ends
 from redundancy_pin.view import show as view
 from redundancy_pin.visualisation.figures.curves import run_title
-from redundancy_pin.visualisation.figures.plots import save
-from redundancy_pin.visualisation.figures.plots import simulation as plot_simulation
+from redundancy_pin.visualisation.figures.plots import overview, save
 from redundancy_pin.visualisation.figures.video import require_video, save_video
 
 CONTROLLERS = {name.lower().replace(" ", "-"): name for name in DRIVES}
@@ -116,9 +115,7 @@ def simulate(
         def film(path: str) -> None:
             save_video(view(run, robot=machine), path, progress=lambda done, all_: advance(done, all_, "video"))
 
-        plot, undrawn = output.drawn(
-            plot, lambda path: save(plot_simulation(run, plan, robot=machine, title=title), path)
-        )
+        plot, undrawn = output.drawn(plot, lambda path: save(overview(run, plan, robot=machine, title=title), path))
         video, unfilmed = output.drawn(video, film)
     facts = summary(run, reference, machine)
     facts.tables[0].title += f", {controller}"

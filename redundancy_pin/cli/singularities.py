@@ -14,7 +14,7 @@ from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
 from redundancy_pin.singularities.locus import singular_locus
 from redundancy_pin.trajectory import Trajectory
-from redundancy_pin.visualisation.figures.maps import draw_locus
+from redundancy_pin.visualisation.figures.maps import plot_workspace
 from redundancy_pin.visualisation.figures.style import save
 
 _DRAWN_STEP = 1e-3
@@ -51,7 +51,7 @@ def singularities(robot: options.RobotOptions, motion: options.MotionOptions, pl
         advance(2, 3, "over the workspace")
 
         def draw(path: str) -> None:
-            save(draw_locus(locus, motion=_drawn(followed), crossings=crossings), path)
+            save(plot_workspace(locus, motion=_drawn(followed), crossings=crossings), path)
 
         locus: Any = singular_locus(loaded) if plot else None
         plot, failed = output.drawn(plot, draw)

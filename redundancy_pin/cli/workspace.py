@@ -9,7 +9,7 @@ import click
 from redundancy_pin.cli import options, output
 from redundancy_pin.errors import InputError
 from redundancy_pin.singularities.workspace import workspace as reached
-from redundancy_pin.visualisation.figures.maps import draw_workspace
+from redundancy_pin.visualisation.figures.maps import plot_workspace
 from redundancy_pin.visualisation.figures.style import save
 
 
@@ -61,7 +61,7 @@ def workspace(
         advance(1, 2, "writing")
         if out:
             space.to_csv(out)
-        plot, failed = output.drawn(plot, lambda path: save(draw_workspace(space), path))
+        plot, failed = output.drawn(plot, lambda path: save(plot_workspace(space), path))
     output.report(as_json, space.summary(), files={"out": ("nodes", out), "plot": ("picture", plot)}, failed=failed)
 
 

@@ -19,9 +19,14 @@ from redundancy_pin.thesis.cases import EFFORT, NONE, PEAK, TASKS, Case, Plans, 
 from redundancy_pin.thesis.measures import MotionRun, window
 from redundancy_pin.thesis.table import Record
 from redundancy_pin.visualisation.figures import plots
-from redundancy_pin.visualisation.figures.curves import Curves, curves_of_plan
+from redundancy_pin.visualisation.figures.curves import Curves, curves_of
 from redundancy_pin.visualisation.figures.paths import plot_plane_paths
-from redundancy_pin.visualisation.figures.time_panels import Panel, plot_time_panels, series
+from redundancy_pin.visualisation.figures.time_panels import (
+    Panel,
+    condition_panel,
+    plot_time_panels,
+    series,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -135,23 +140,23 @@ def paths(plans: Plans, *several: Case) -> Figure:
 def condition(plans: Plans, *several: Case) -> Figure:
     """Draw the condition number along the motion of cases that differ in their threshold."""
     thresholds = tuple(float(case.option("threshold")) for case in several)
-    drawn, title = curves_of_plan(plans.plan(several[0])), f"{several[0].title}: condition number"
+    drawn, title = curves_of(plans.plan(several[0])), f"{several[0].title}: condition number"
     return plots.condition(replace(drawn, thresholds=thresholds, title=title))
 
 
 def forces(plans: Plans, case: Case) -> Figure:
     """Draw the forces of the main actuators and the condition number of a crossing."""
     plan = plans.plan(case)
-    drawn, before = curves_of_plan(plan), plan.t <= float(window(plan)["exit"])
+    drawn, before = curves_of(plan), plan.t <= float(window(plan)["exit"])
     until = series(plan.robot.actuated, plan.t[before], plan.tau[before])
     part = Panel("force τ [N], until\nswitched on", until, height=1.2)
-    panels = (plots.main_panel(drawn), part, plots.singularity_panel(drawn))
-    return plot_time_panels(f"{_planned(case)}: main actuators", panels, plan=plan, instants=drawn.instants)
+    panels = (plots.effort_panels(drawn)[0], part, condition_panel(drawn))
+    return plot_time_panels(f"{_planned(case)}: main actuators", panels, drawn)
 
 
 def carriers(plans: Plans, case: Case, title: str = "") -> Figure:
     """Draw position, speed and acceleration of the carriers."""
-    drawn = curves_of_plan(plans.plan(case))
+    drawn = curves_of(plans.plan(case))
     return plots.carriers(replace(drawn, title=title or f"{_planned(case)}: carriers"))
 
 
@@ -229,7 +234,7 @@ def plans_of(plans: Plans, task: Case, coarser: float) -> Figure:
     own = [method for method in _SHOWN if method in cases.methods(task)]
     outcomes = {method: plans.outcome(by_method(task, method, coarser)) for method in own}
     existing = {method: outcome for method, outcome in outcomes.items() if isinstance(outcome, Plan)}
-    instants = curves_of_plan(existing[EFFORT]).instants if EFFORT in existing else ()
+    instants = curves_of(existing[EFFORT]).instants if EFFORT in existing else ()
     return plots.side_by_side(task.title, existing, task.unit, instants=instants)
 
 

@@ -46,7 +46,7 @@ def lost_nothing(*arguments: object, code: int = 2) -> dict[str, Any]:
     return facts
 
 
-@pytest.mark.parametrize(("function", "error"), [("plot_plan", None), ("save", OutputError("The disk is full."))])
+@pytest.mark.parametrize(("function", "error"), [("overview", None), ("save", OutputError("The disk is full."))])
 def test_plan(function: str, error: Exception | None, fails: Fails, tmp_path: Path) -> None:
     out, plot = tmp_path / "plan.npz", tmp_path / "plan.png"
     fails("cli.plan", function, out, error=error)
@@ -63,7 +63,7 @@ def motion_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("flag", "function"), [("--plot", "plot_simulation"), ("--video", "save_video")])
+@pytest.mark.parametrize(("flag", "function"), [("--plot", "overview"), ("--video", "save_video")])
 def test_simulate(flag: str, function: str, fails: Fails, motion_file: Path, tmp_path: Path) -> None:
     out, picture = tmp_path / "run.npz", tmp_path / ("run.png" if flag == "--plot" else "run.gif")
     fails("cli.simulate", function, out)
@@ -76,7 +76,7 @@ def test_simulate(flag: str, function: str, fails: Fails, motion_file: Path, tmp
 
 def test_workspace(fails: Fails, tmp_path: Path) -> None:
     out = tmp_path / "nodes.csv"
-    fails("cli.workspace", "draw_workspace", out)
+    fails("cli.workspace", "plot_workspace", out)
     small = ("--bounds", "0.1:0.4,0.2:0.5", "--resolution", "5")
     facts = lost_nothing("workspace", "--robot", "five_bar", *small, "--out", out, "--plot", tmp_path / "map.svg")
     assert facts["nodes"] == 25
@@ -85,7 +85,7 @@ def test_workspace(fails: Fails, tmp_path: Path) -> None:
 
 
 def test_singularities(fails: Fails, motion_file: Path, tmp_path: Path) -> None:
-    fails("cli.singularities", "draw_locus")
+    fails("cli.singularities", "plot_workspace")
     motion = ("--robot", "2rpr", "--motion", motion_file)
     facts = lost_nothing("singularities", *motion, "--plot", tmp_path / "locus.png")
     assert facts["robot"] == "2rpr"

@@ -297,7 +297,7 @@ def test_plans_that_leave_a_range_violate_limits_and_say_it_of_samples(robot: rp
     assert {event.limit for event in left} == set(RANGE.values())
     assert {event.joint for event in left} == {"swivel_1"}
     assert marked.robot.limit_unit("range", "swivel_1") == "rad"
-    assert rp.plot.plan(marked).get_suptitle().endswith("(range of swivel_1)")
+    assert rp.plot.overview(marked).get_suptitle().endswith("(range of swivel_1)")
     np.testing.assert_array_equal(marked.tau, unlimited.tau)
     out = marked.sample_status == SampleStatus.OUT_OF_RANGE
     assert (out == (beyond(unlimited.motion) & (unlimited.sample_status <= SampleStatus.SINGULAR_CONSISTENT))).all()

@@ -76,7 +76,7 @@ def test_loops_are_closed_and_efforts_hold_the_robot_while_one_drags(name: str, 
     np.testing.assert_allclose(np.reshape(last, (4, 4)).T, live.scene.placement[0, -1], atol=1e-6)
 
 
-def test_a_drag_that_cannot_be_closed_leaves_the_last_state_and_says_so() -> None:
+def test_a_drag_that_cannot_be_closed_leaves_the_last_state_and_a_value_beyond_its_slider_its_end() -> None:
     live = rp.show("five_bar", live=True)
     live.set(x=0.3)
     q, tau, start = np.array(live.q), np.array(live.tau), live.sliders["y"].value
@@ -90,9 +90,6 @@ def test_a_drag_that_cannot_be_closed_leaves_the_last_state_and_says_so() -> Non
     assert live.message == ""
     assert np.abs(np.array(live.q) - q).max() > 1e-3
     assert _residual(live) < CLOSED
-
-
-def test_a_value_beyond_its_slider_is_set_to_the_end_and_reported() -> None:
     live = rp.show("3rrr", live=True)
     end = live.sliders["carrier_1"].max
     live.set(carrier_1=99.0)

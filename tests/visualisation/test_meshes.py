@@ -20,7 +20,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.view import show
 from redundancy_pin.visualisation.viewer import solids
 from redundancy_pin.visualisation.viewer.scene import Scene
-from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, Solid, corners_of, find_mesh
+from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, Solid, find_mesh
 
 JOINTS = [
     J("left_base", "revolute", "base", "left_1"),
@@ -101,21 +101,17 @@ def test_a_mesh_is_drawn_where_it_is_and_as_large_as_it_is(tmp_path: Path, suffi
     assert abs(drawn.volume) == pytest.approx(wedge().volume, rel=1e-4)  # |2 · −1 · 0.5| = 1
 
 
-def test_each_file_and_each_scale_is_a_mesh_of_its_own(tmp_path: Path) -> None:
+def test_each_file_and_each_scale_is_a_mesh_of_its_own_on_the_base_too_in_the_colour_of_the_urdf(
+    tmp_path: Path,
+) -> None:
     wedge().export(tmp_path / "wedge.stl")
     trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "box.stl")
     given = ('wedge.stl"', 'box.stl"', 'box.stl" scale="3 3 3"', 'wedge.stl"')
-    shapes = shapes_on(scene_of(robot_with(tmp_path, [visual(f'<mesh filename="{name}/>') for name in given])),
-                       "left_base")  # fmt: skip
+    robot = robot_with(tmp_path, [visual(f'<mesh filename="{name}/>', "1.0 0.2 0.6 1") for name in given], link="base")
+    shapes = shapes_on(scene_of(robot), "base")
     reach = [float(solid.mesh[0][:, 0].max()) for solid in shapes if solid.mesh is not None]
     assert reach == pytest.approx([0.3, 0.05, 0.15, 0.3], abs=SINGLE)
-
-
-def test_a_base_has_its_mesh_too_in_the_colour_of_the_urdf(tmp_path: Path) -> None:
-    wedge().export(tmp_path / "wedge.stl")
-    robot = robot_with(tmp_path, [visual('<mesh filename="wedge.stl"/>', "1.0 0.2 0.6 1")], link="base")
-    (solid,) = shapes_on(scene_of(robot), "base")
-    assert (solid.shape, solid.role, solid.color) == ("mesh", "base", "#ff3399")
+    assert {(solid.role, solid.color) for solid in shapes} == {("base", "#ff3399")}
 
 
 def test_the_page_holds_every_vertex_of_a_mesh(tmp_path: Path) -> None:
@@ -123,15 +119,11 @@ def test_the_page_holds_every_vertex_of_a_mesh(tmp_path: Path) -> None:
 
     wedge().export(tmp_path / "wedge.stl")
     view = show(robot_with(tmp_path, [visual('<mesh filename="wedge.stl"/>')]))
-    (solid,) = shapes_on(view.scene, "left_base")
     (tmp_path / "wedge.stl").unlink()  # the page needs no file
     (sent,) = [thing for path, thing in objects_in(view.html()).items() if path.endswith("left_1_0")]
     (geometry,) = sent["geometries"]
     data = geometry["data"]["attributes"]["position"]["array"].data
     vertices = np.frombuffer(data, dtype=np.float32).reshape(-1, 3)
-    corners = (corners_of(solid) - solid.placement[:3, 3]) @ solid.placement[:3, :3]  # which the camera must see
-    np.testing.assert_allclose(corners.min(axis=0), wedge().vertices.min(axis=0), atol=SINGLE)
-    np.testing.assert_allclose(corners.max(axis=0), wedge().vertices.max(axis=0), atol=SINGLE)
     assert {tuple(row) for row in vertices.round(4)} == {tuple(row) for row in wedge().vertices.astype("f4").round(4)}
     assert 'hidden><input id="clear"' not in view.html()
     assert 'hidden><input id="clear"' in show("five_bar").html()  # nothing to see through
@@ -189,9 +181,6 @@ def test_files_that_cannot_be_read_are_named_once_and_bars_stand_in(
     assert sorted(bar.size[1] for bar in bars) == pytest.approx([0.4, 0.4, 0.5, 0.5])  # from joint to joint
     bare = [solid for solid in scene_of(robot_with(tmp_path, [])).solids if solid.name.startswith("bar")]
     assert [bar.size for bar in bare] == [bar.size for bar in bars]
-
-
-def test_many_missing_files_make_no_long_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     scene_of(robot_with(tmp_path, [visual(f'<mesh filename="{i}.stl"/>') for i in range(20)]))
     assert "and 17 more" in caplog.text
     assert "19.stl" not in caplog.text
@@ -273,19 +262,6 @@ def test_meshes_of_strangers_are_small_and_name_no_files(
     scene = scene_of(load_recorded(replace(robot_record(made), folder=str(tmp_path))))
     assert len(shapes_on(scene, "left_base")) == 1
     assert f"{name} is" in caplog.text
-
-
-def test_snapshots_draw_the_outline_of_a_mesh(tmp_path: Path) -> None:
-    wedge().export(tmp_path / "wedge.stl")
-    scene = scene_of(robot_with(tmp_path, [visual('<mesh filename="wedge.stl"/>', "1 0 0 1")]))
-    figure = rp.plot.snapshots(scene, 1)
-    (solid,) = shapes_on(scene, "left_base")
-    placed = scene.placement[0, solid.body] @ solid.placement
-    points = (wedge().vertices @ placed[:3, :3].T + placed[:3, 3])[:, :2]
-    red = [patch for patch in figure.axes[0].patches if patch.get_facecolor()[:3] == (1.0, 0.0, 0.0)]
-    (outline,) = red
-    np.testing.assert_allclose(outline.get_xy().max(axis=0), points.max(axis=0), atol=SINGLE)
-    np.testing.assert_allclose(outline.get_xy().min(axis=0), points.min(axis=0), atol=SINGLE)
 
 
 def test_a_xacro_with_the_mesh_of_a_package_that_is_not_there_loads(

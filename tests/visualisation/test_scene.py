@@ -30,7 +30,6 @@ from redundancy_pin.visualisation.viewer.scene import (
     MARGIN_COLORS,
     MOST_FRAMES,
     MOST_POINTS,
-    JointCourse,
     Scene,
     frame_samples,
     make_scene,
@@ -38,7 +37,7 @@ from redundancy_pin.visualisation.viewer.scene import (
     margin_labels,
     path_samples,
 )
-from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, Solid, corners_of, points_of
+from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, Solid, extent_of, points_of
 
 EXACT = 1e-12
 """Sums and products of numbers of order one."""
@@ -54,10 +53,6 @@ def scene_of(robot: Robot) -> Scene:
 def in_world(scene: Scene, body: int, point: Array) -> Array:
     """Return (F, 3) where a point of a body goes."""
     return scene.placement[:, body, :3, :3] @ point + scene.placement[:, body, :3, 3]
-
-
-def arrow_of(scene: Scene, name: str) -> JointCourse:
-    return next(arrow for arrow in scene.arrows if arrow.name == name)
 
 
 def test_frames_are_samples_at_their_own_times() -> None:
@@ -146,25 +141,6 @@ def test_a_rod_is_drawn_between_its_ends_in_every_frame() -> None:
     assert max(np.linalg.norm(end - start) for start, end in drawn) == pytest.approx(rod.length, abs=ROUNDING)
 
 
-def test_every_role_is_drawn_in_a_colour_of_its_own() -> None:
-    solids = scene_of(zoo.robot_of("3rrr")).solids
-    count = {role: sum(solid.role == role for solid in solids) for role in ROLE_COLORS}
-    assert count == {
-        "base": 1,
-        "link": 7,
-        "track": 3,
-        "carrier": 3,
-        "actuated": 3,
-        "passive": 4,
-        "closure": 2,
-        "platform": 1,
-    }
-    assert len(set(ROLE_COLORS.values())) == len(ROLE_COLORS)
-    for solid in solids:
-        if solid.role != "link":
-            assert solid.color == ROLE_COLORS[solid.role]
-
-
 def test_a_track_spans_what_the_carrier_may_do() -> None:
     robot = zoo.robot_of("3rrr", tail_length=0.4)  # longer on one side than on the other
     assert {limits.lower for limits in robot.carrier_limits} == {-0.4}
@@ -193,7 +169,7 @@ def test_carrier_arrows_point_along_the_work_they_do() -> None:
         for carriers in (rp.CarrierMotion.parked(len(motion), robot.k), moved)
     )
     for name, sign in zip(robot.carriers, (1.0, -1.0), strict=True):
-        arrow = arrow_of(here, name)
+        arrow = next(arrow for arrow in here.arrows if arrow.name == name)
         shift = there.placement[:, arrow.body, :3, 3] - here.placement[:, arrow.body, :3, 3]
         vector = here.placement[:, arrow.body, :3, :3] @ arrow.axis * arrow.length[:, None]
         work = np.einsum("fi,fi->f", shift, vector)
@@ -223,15 +199,10 @@ def test_arrows_are_scaled_to_the_largest_effort_away_from_singularities() -> No
     assert first.length[-1] == pytest.approx(1.5 * longest)
     assert second.length[-1] == third.length[-1] == 0.0
     assert scene.captions == ("largest torque away from singularities: 5 N·m",)
-
-
-def test_forces_and_torques_have_scales_of_their_own() -> None:
-    robot = zoo.robot_of("3rrr")
-    scene = scene_of(robot)
-    size = robot.characteristic_length
-    for turning, longest in ((True, LONGEST_TORQUE), (False, LONGEST_FORCE)):
-        lengths = [np.abs(arrow.length).max() for arrow in scene.arrows if arrow.turning is turning]
-        assert max(lengths) == pytest.approx(longest * size, rel=0.05)  # the largest may fall between two frames
+    both = scene_of(robot)  # forces and torques have scales of their own; the largest may fall between two frames
+    for turning, most in ((True, LONGEST_TORQUE), (False, LONGEST_FORCE)):
+        lengths = [np.abs(arrow.length).max() for arrow in both.arrows if arrow.turning is turning]
+        assert max(lengths) == pytest.approx(most * robot.characteristic_length, rel=0.05)
 
 
 def test_a_motor_that_slides_is_drawn_on_the_barrel_between_its_hinge_and_the_rods_end() -> None:
@@ -316,52 +287,29 @@ def placed(scene: Scene, item: Solid, points: Array, frame: int) -> Array:
     return points @ place[:3, :3].T + place[:3, 3]
 
 
-def distance_to(line: Array, point: Array) -> float:
-    """Least distance of a point from straight pieces between points (P, 3)."""
-    a, b = line[:-1], line[1:]
-    along = np.clip(np.einsum("pi,pi->p", point - a, b - a) / np.einsum("pi,pi->p", b - a, b - a), 0.0, 1.0)
-    return float(np.linalg.norm(a + along[:, None] * (b - a) - point, axis=1).min())
-
-
-def test_the_mass_is_drawn_at_its_centre_of_mass_in_every_frame() -> None:
+def test_the_mass_is_at_its_centre_of_mass_on_its_arc_and_at_the_end_of_its_arm() -> None:
     """Against Pinocchio's own centre of mass of the body's subtree, which is the body alone."""
     s, scene = turned()
-    box = solid(scene, "carrier", "rotor")
-    model, motion = with_turning_carriers().model, default_motion(with_turning_carriers())
+    box, arc = solid(scene, "carrier", "rotor"), solid(scene, "track_of_rotor", "left_base")
+    arm, model, motion = solid(scene, "carrier_arm", "rotor"), with_turning_carriers().model, default_motion(
+        with_turning_carriers())  # fmt: skip
     data = model.createData()
     q = rp.inverse_kinematics(with_turning_carriers(), motion).q.copy()
     q[:, with_turning_carriers().carrier_position] = s
+    radius = np.hypot(LEVER[0], LEVER[1])  # the axis is z
+    assert (arc.role, arc.size[0], arc.size[2:]) == ("track", pytest.approx(radius), (-0.7, 1.1))
     for frame in (0, len(scene.t) // 2, len(scene.t) - 1):
         sample = int(np.abs(motion.t - motion.t[0] - scene.t[frame]).argmin())
         pin.centerOfMass(model, data, q[sample])
         drawn = placed(scene, box, np.zeros((1, 3)), frame)[0]
         np.testing.assert_allclose(drawn, data.oMi[box.body].act(data.com[box.body]), atol=EXACT)
-
-
-def test_the_mass_stays_on_its_arc_from_end_to_end() -> None:
-    _, scene = turned()
-    box, arc = solid(scene, "carrier", "rotor"), solid(scene, "track_of_rotor", "left_base")
-    assert arc.role == "track"
-    radius = np.hypot(LEVER[0], LEVER[1])  # the axis is z
-    assert arc.size[0] == pytest.approx(radius)
-    assert arc.size[2:] == (-0.7, 1.1)
-    sagitta = radius * 0.05**2 / 8.0  # of the pieces the arc is drawn with
-    for frame in range(0, len(scene.t), 10):
-        centre = placed(scene, box, np.zeros((1, 3)), frame)[0]
-        assert distance_to(placed(scene, arc, points_of(arc), frame), centre) < 1.1 * sagitta
-    for frame, end in ((0, 0), (-1, -1)):
-        centre = placed(scene, box, np.zeros((1, 3)), frame)[0]
-        np.testing.assert_allclose(placed(scene, arc, points_of(arc), frame)[end], centre, atol=EXACT)
-
-
-def test_an_arm_holds_the_mass() -> None:
-    _, scene = turned()
-    box, arm = solid(scene, "carrier", "rotor"), solid(scene, "carrier_arm", "rotor")
+        line = placed(scene, arc, points_of(arc), frame)
+        assert np.linalg.norm(line - drawn, axis=1).min() < 0.026 * radius  # half a step of the points along the arc
+        if frame in (0, len(scene.t) - 1):
+            np.testing.assert_allclose(line[0 if frame == 0 else -1], drawn, atol=EXACT)
     half = 0.5 * arm.size[1] * np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
-    foot, tip = (half @ arm.placement[:3, :3].T) + arm.placement[:3, 3]
-    np.testing.assert_allclose(foot, [0.0, 0.0, LEVER[2]], atol=EXACT)
-    np.testing.assert_allclose(tip, LEVER, atol=EXACT)
-    np.testing.assert_allclose(box.placement[:3, 3], LEVER, atol=EXACT)
+    ends = half @ arm.placement[:3, :3].T + arm.placement[:3, 3]
+    np.testing.assert_allclose(ends, [[0.0, 0.0, LEVER[2]], LEVER], atol=EXACT)
 
 
 def test_a_balanced_carrier_is_a_bar_across_its_axis_in_a_full_round() -> None:
@@ -378,19 +326,14 @@ def test_a_balanced_carrier_is_a_bar_across_its_axis_in_a_full_round() -> None:
     assert np.ptp(directions, axis=0).max() > 0.5  # its turning is seen
 
 
-def test_no_solid_is_twice_on_a_body() -> None:
-    _, scene = turned()
-    names = [(item.body, item.name) for item in scene.solids]
-    assert len(set(names)) == len(names)
-
-
 @pytest.mark.parametrize("name", ["turning carriers", "3rrr"])
-def test_boxes_hold_what_is_drawn_and_snapshots_draw_it(name: str) -> None:
+def test_boxes_hold_the_solids_and_snapshots_draw_arcs(name: str) -> None:
     """Every vertex that viewers draw is inside, and each face is touched."""
     scene = turned()[1] if name != "3rrr" else rp.show("3rrr").scene
-    seen = set()
+    assert len({(item.body, item.name) for item in scene.solids}) == len(scene.solids)
     for item in scene.solids:
-        corners = (corners_of(item) - item.placement[:3, 3]) @ item.placement[:3, :3]
+        own = np.linalg.inv(item.placement)[None, None].repeat(len(scene.names), axis=1)
+        low, high = extent_of([item], own, np.zeros((0, 3)), np.eye(3))
         if item.shape == "arc" or item.mesh is not None:
             drawn = points_of(item) if item.mesh is None else item.mesh[0]
         else:
@@ -399,10 +342,9 @@ def test_boxes_hold_what_is_drawn_and_snapshots_draw_it(name: str) -> None:
                 item.shape, np.array([radius, radius, 0.5 * length[-1] if length else 0.0])
             )
             drawn = np.array([reach, -reach])
-        np.testing.assert_allclose(corners.max(axis=0), drawn.max(axis=0), atol=1e-9)
-        np.testing.assert_allclose(corners.min(axis=0), drawn.min(axis=0), atol=1e-9)
-        seen.add(item.shape)
-    assert {"box", "cylinder", "sphere"} <= seen
+        np.testing.assert_allclose([low, high], [drawn.min(axis=0), drawn.max(axis=0)], atol=1e-9)
+        assert item.role == "link" or item.color == ROLE_COLORS[item.role]
+    assert {"box", "cylinder", "sphere"} <= {item.shape for item in scene.solids}
     lines = [np.array(line.get_xydata()) for line in rp.plot.snapshots(scene, 1).axes[0].lines]
     for item in (item for item in scene.solids if item.shape == "arc"):
         expected = placed(scene, item, points_of(item), 0)[:, :2]

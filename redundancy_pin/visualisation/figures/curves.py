@@ -1,16 +1,15 @@
-"""What figures over time draw of a plan, a simulation or efforts of one's own: one kind of curves."""
+"""What figures over time draw of a plan, a simulation or an inverse-dynamics computation: one kind of curves."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, assign, require_type, runs
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, require_type, runs, stretches
 from redundancy_pin.dynamics.distribution import Distribution
 from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.errors import InputError, PlanFileError
@@ -40,10 +39,11 @@ class Curves:
         condition: (N,) condition number of the scaled W.
         margin: (N,) smallest singular value of the scaled W.
         status: (N,) a ``SampleStatus`` each.
+        main_names, carrier_names: of the joints, for legends.
         bounds: (m, 2) smallest and largest main efforts, N or N·m, infinite for none; () where none are known.
         instants: singular instants, s.
         thresholds: condition numbers that mean something to the motion.
-        main_names, carrier_names: of the joints, for legends; numbered where left out.
+        phases: (name, start, end) of each interval of one phase of a plan, s; () if there are fewer than two phases.
     """
 
     title: str
@@ -56,18 +56,13 @@ class Curves:
     condition: Array
     margin: Array
     status: IntArray
+    main_names: tuple[str, ...]
+    carrier_names: tuple[str, ...]
     bounds: ArrayLike = ()
     carriers_turn: bool = False
     instants: tuple[float, ...] = ()
     thresholds: tuple[float, ...] = ()
-    main_names: tuple[str, ...] = ()
-    carrier_names: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Number the joints that have no names."""
-        main, moved = self.tau.shape[1], self.carrier_force.shape[1]
-        assign(self, main_names=self.main_names or tuple(f"actuator {i + 1}" for i in range(main)))
-        assign(self, carrier_names=self.carrier_names or tuple(f"carrier {i + 1}" for i in range(moved)))
+    phases: tuple[tuple[str, float, float], ...] = ()
 
     @property
     def regular(self) -> BoolArray:
@@ -82,7 +77,7 @@ class Curves:
 
     @property
     def without_efforts(self) -> tuple[tuple[float, float], ...]:
-        """Times, s, of the samples with main efforts before and behind each interval of samples without."""
+        """Times, s, of the samples before and after each interval of samples without main efforts."""
         last = len(self.t) - 1
         return tuple(
             (float(self.t[max(start - 1, 0)]), float(self.t[min(stop, last)]))
@@ -93,8 +88,8 @@ class Curves:
 def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -> Curves:
     """Return the curves of a plan or a simulation, or curves as they are.
 
-    Singular instants and the threshold of a plan come from its planner. A simulation whose robot is not given loads it;
-    without its files, condition and margin are NaN.
+    Singular instants, phases and the threshold of a plan come from its planner. A simulation whose robot is not given
+    loads it; without its files, condition and margin are NaN.
     """
     if isinstance(subject, Curves):
         return subject
@@ -104,45 +99,52 @@ def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -
         "A plan, a simulation or curves",
         "Pass load_plan(...), load_simulation(...) or rp.plot.curves(robot, reduced, efforts).",
     )
-    own: dict[str, Any]
     if isinstance(subject, Plan):
-        limits, parameters = subject.limits.judged_by, subject.parameters
+        limits, parameters, t = subject.limits.judged_by, subject.parameters, subject.t
         threshold = parameters.get("threshold") if parameters.get("measure") == "condition" else None
         planner, status = (text.replace("_", " ") for text in (subject.planner, subject.status.value))
-        own = {
-            "title": f"{subject.robot.name}: {planner}, {status}",
-            "bounds": np.outer(limits.effort, [-1.0, 1.0]),
-            "limits": limits.of_carriers,
-            "condition": subject.condition,
-            "margin": subject.margin,
-            "status": subject.sample_status,
-            "instants": subject.findings.singular_instants,
-            "thresholds": (float(threshold),) if isinstance(threshold, (int, float)) else (),
-        }
-    else:
-        own = {"title": run_title(subject), "limits": subject.robot.carrier_limits}
-        own |= dict.fromkeys(("condition", "margin"), np.full(len(subject), np.nan))
-        own["status"] = np.full(len(subject), SampleStatus.OK)  # the efforts are those that acted
-        with suppress(PlanFileError):
-            classes = classify(robot_of_record(subject.robot, robot), subject.q)
-            own |= {"condition": classes.condition, "margin": classes.parallel_margin}
+        return replace(
+            _recorded(subject, f"{subject.robot.name}: {planner}, {status}", limits.of_carriers),
+            bounds=np.outer(limits.effort, [-1.0, 1.0]),
+            condition=subject.condition,
+            margin=subject.margin,
+            status=subject.sample_status,
+            instants=subject.findings.singular_instants,
+            thresholds=(float(threshold),) if isinstance(threshold, (int, float)) else (),
+            phases=() if len(subject.phases) < 2 else tuple(
+                (subject.phases[int(subject.phase[a])].replace("_", " "), float(t[a]), float(t[min(b, len(t) - 1)]))
+                for a, b in stretches(subject.phase)
+            ),
+        )  # fmt: skip
+    drawn = _recorded(subject, run_title(subject), subject.robot.carrier_limits)
+    with suppress(PlanFileError):
+        classes = classify(robot_of_record(subject.robot, robot), subject.q)
+        drawn = replace(drawn, condition=classes.condition, margin=classes.parallel_margin)
+    return drawn
+
+
+def _recorded(subject: Plan | Simulation, title: str, limits: tuple[CarrierLimits, ...]) -> Curves:
+    """Return the samples of a plan or a simulation, with unknown condition and margin."""
+    main_unit, turn = _kinds(subject.robot)
+    unknown = np.full(len(subject.t), np.nan)
     return Curves(
-        t=subject.t,
-        tau=subject.tau,
-        carrier_force=subject.carrier_force,
-        carriers=subject.carriers,
-        **own,
-        **_joints(subject.robot),
+        title,
+        subject.t,
+        subject.tau,
+        main_unit,
+        subject.carrier_force,
+        subject.carriers,
+        limits,
+        condition=unknown,
+        margin=unknown,
+        status=np.full(len(subject.t), SampleStatus.OK),
+        carriers_turn=turn,
+        main_names=subject.robot.actuated,
+        carrier_names=subject.robot.carriers,
     )
 
 
-def curves_of_plan(plan: Plan) -> Curves:
-    """Return the curves of a plan."""
-    require_type(plan, Plan, "A plan", "Pass load_plan(...).")
-    return curves_of(plan)
-
-
-_DRIVES = {
+_CONTROLLERS = {
     "Constant": "constant efforts",
     "FeedForward": "open loop",
     "ComputedTorque": "computed torque",
@@ -150,18 +152,18 @@ _DRIVES = {
 }
 
 
-def run_title(run: Simulation, drive: str | None = None) -> str:
-    """Return one line: robot, what drove it (as the simulation has it, when left out), and how it ended."""
-    if drive is None:
+def run_title(run: Simulation, controller: str | None = None) -> str:
+    """Return one line: robot, controller (as the simulation has it, when left out), and how it ended."""
+    if controller is None:
         named = str(run.parameters.get("drive", ""))
-        drive = _DRIVES.get(named, named.replace("_", " "))
+        controller = _CONTROLLERS.get(named, named.replace("_", " "))
     ended = run.status.value.replace("_", " ")
     last = run.events[-1] if run.events else None
     if last is not None and last.terminal:
         ended = f"stopped at {last.t:.4g} s: {last.name}"
     elif run.status is ResultStatus.NOT_CONVERGED:
         ended = f"failed at {run.t[-1]:.4g} s"
-    return f"{run.robot.name}: simulation{f', {drive}' if drive else ''}, {ended}"
+    return f"{run.robot.name}: simulation{f', {controller}' if controller else ''}, {ended}"
 
 
 def curves(
@@ -189,6 +191,11 @@ def curves(
 
     Raises:
         InputError: parts of different length, or bounds that do not fit the actuators.
+
+    Example:
+        >>> robot, motion = rp.load_robot("3rrr"), rp.trajectory.reference.corner().sample(0.05)
+        >>> result = rp.inverse_dynamics(robot, motion)
+        >>> figure = rp.plot.efforts(rp.plot.curves(robot, result.reduced, result.efforts))
     """
     samples = len(reduced.t)
     sliding = CarrierMotion.parked(samples, robot.k) if carriers is None else carriers
@@ -204,42 +211,41 @@ def curves(
             f"Bounds of shape {ends.shape} do not fit {robot.m} actuators, or are not numbers.",
             remedy=f"Pass {robot.m} rows of a smallest and a largest effort, infinite for none.",
         )
+    main_unit, turn = _kinds(robot_record(robot))
     return Curves(
         title=robot.name if title is None else title,
         t=reduced.t,
         tau=efforts.tau,
+        main_unit=main_unit,
         carrier_force=reduced.carrier_force,
         carriers=sliding,
         limits=robot.carrier_limits,
         condition=efforts.condition,
         margin=efforts.margin,
         status=efforts.status,
+        bounds=bounds,
+        carriers_turn=turn,
         instants=tuple(crossing.t for crossing in crossings),
         thresholds=tuple(thresholds),
-        bounds=bounds,
-        **_joints(robot_record(robot)),
+        main_names=robot.actuated,
+        carrier_names=robot.carriers,
     )
 
 
-def _joints(record: RobotRecord) -> dict[str, Any]:
-    """Return names of the joints, kind and unit of the main efforts, and whether all carriers turn."""
+def _kinds(record: RobotRecord) -> tuple[str, bool]:
+    """Return kind and unit of the main efforts, and whether all carriers turn."""
     unit = record.effort_unit(*record.actuated)
     kind = {"N": "force", "N·m": "torque"}.get(unit, "effort")
-    turn = bool(record.carriers) and set(record.carriers) <= set(record.rotating)
-    names = {"main_names": record.actuated, "carrier_names": record.carriers}
-    return {**names, "main_unit": f"{kind} [{unit}]", "carriers_turn": turn}
+    return f"{kind} [{unit}]", bool(record.carriers) and set(record.carriers) <= set(record.rotating)
 
 
 def plan_title(plan: Plan) -> str:
     """Return one line: robot, planner, status, and which limits of which joints are broken."""
-    title = curves_of_plan(plan).title
-    if not plan.findings.optimal:
-        title = f"{title}, NOT an optimum"
-    if plan.status is not ResultStatus.LIMIT_VIOLATED:
-        return title
-    broken: dict[str, list[str]] = {}
-    for name in dict.fromkeys((*plan.robot.carriers, *(event.joint for event in plan.limits.violated))):
-        for quantity in sorted({event.quantity for event in plan.limits.violated if event.joint == name}):
-            broken.setdefault(quantity, []).append(name)
-    parts = [f"{quantity} of {', '.join(of)}" for quantity, of in broken.items()]
-    return f"{title} ({'; '.join(parts)})"
+    violated = plan.limits.violated if plan.status is ResultStatus.LIMIT_VIOLATED else ()
+    joints = {
+        quantity: dict.fromkeys(event.joint for event in violated if event.quantity == quantity)
+        for quantity in sorted({event.quantity for event in violated})
+    }
+    broken = "; ".join(f"{quantity} of {', '.join(names)}" for quantity, names in joints.items())
+    optimal = "" if plan.findings.optimal else ", NOT an optimum"
+    return f"{curves_of(plan).title}{optimal}{f' ({broken})' if broken else ''}"

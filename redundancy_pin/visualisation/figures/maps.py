@@ -1,4 +1,4 @@
-"""Maps of the margin to singularities over the workspace: singular curves, and where the platform can go."""
+"""Maps of the margin to singularities: singular curves, and reachable poses of the platform."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, require_type
+from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import mode_name
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing
 from redundancy_pin.singularities.locus import SingularLocus
 from redundancy_pin.singularities.workspace import Workspace
 from redundancy_pin.visualisation.figures.paths import draw_mechanism, draw_singular, label_plane, projection
-from redundancy_pin.visualisation.figures.style import figure, legend_below
-from redundancy_pin.visualisation.viewer.mechanism import base_hinges, links
+from redundancy_pin.visualisation.figures.style import break_lines, figure, legend_below
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,26 +38,63 @@ _ISLAND: dict[str, Any] = {"color": "#D55E00", "linestyle": "--", "linewidth": 1
 _ISLAND_NAME = "not reached from the reference"
 
 
-def draw_locus(locus: SingularLocus, *, motion: Array | None = None, crossings: Sequence[Crossing] = ()) -> Figure:
-    """Draw a singular locus: type I and type II curves over the margin, readable in black and white.
+def plot_workspace(
+    subject: Workspace | SingularLocus, *, motion: Array | None = None, crossings: Sequence[Crossing] = ()
+) -> Figure:
+    """Draw the margin to type II singularities over a workspace, or over the singular curves of a robot.
 
-    The colour is the distance to type II (smallest singular value of the scaled W): darker is nearer; hatched is out of
-    reach in this working mode. A robot with a single coordinate gets its margins as curves.
+    The colour is the smallest singular value of the scaled W: darker is nearer to a singularity; hatched is out of
+    reach. A workspace has a map for each working mode over two coordinates, a cloud over three, curves over one. The
+    top of its colours is the 95th percentile; the arrow of the scale shows that larger margins exist. Islands that the
+    start does not reach are outlined. In a cloud the nearest points hide the others. A locus has its type I and
+    type II curves over the map of its working mode, or its margins as curves over a single coordinate.
 
     Args:
-        locus: from ``singular_locus``.
-        motion: (N, n) platform coordinates of a motion to draw over it, base frame, m and rad.
+        subject: from ``workspace`` or ``singular_locus``.
+        motion: (N, n) platform coordinates of a motion to draw over a locus, base frame, m and rad.
         crossings: singularities along that motion, to mark.
 
     Raises:
-        InputError: something else than a locus.
+        InputError: neither a workspace nor a locus, or a motion over a workspace.
+
+    Example:
+        >>> figure = rp.plot.workspace(rp.workspace("five_bar", resolution=10))
+        >>> figure = rp.plot.workspace(rp.singular_locus("five_bar", resolution=10))
     """
-    require_type(locus, SingularLocus, "A singular locus", "Pass what rp.singular_locus(robot) returns.")
+    remedy = "Pass what rp.workspace(robot) or rp.singular_locus(robot) returns."
+    require_type(subject, (Workspace, SingularLocus), "A workspace or a singular locus", remedy)
+    if isinstance(subject, SingularLocus):
+        return _plot_locus(subject, motion, crossings)
+    if motion is not None or len(crossings):
+        raise InputError("A motion is drawn over a locus.", remedy="Pass what rp.singular_locus(robot) returns.")
+    many, flat = len(subject.modes), len(subject.axes)
+    columns = min(many, 4)
+    rows = -(-many // columns)
+    title = f"{subject.robot.name}: margin to type II singularities"
+    with figure(2.4 + 3.6 * columns, 1.4 + 3.4 * rows, title) as drawn:
+        panels = drawn.subplots(rows, columns, squeeze=False).ravel()
+        for axes in panels[many:]:
+            axes.set_visible(False)
+        size = np.abs(subject.margin)
+        top = _brightest(size[subject.in_range])
+        draw: Any = (_curve, _map, _cloud)[flat - 1]
+        images = [draw(axes, subject, k, size[k], top) for k, axes in enumerate(panels[:many])]
+        if flat > 1:
+            bar = drawn.colorbar(images[-1], ax=list(panels), shrink=0.8, extend="max")
+            bar.set_label("smallest scaled singular value of W [–]")
+        for mode, axes in zip(subject.modes, panels, strict=False):
+            axes.set_title(f"working mode {mode_name(mode)}" if mode else axes.get_title())
+        legend_below(drawn)
+        return drawn
+
+
+def _plot_locus(locus: SingularLocus, motion: Array | None, crossings: Sequence[Crossing]) -> Figure:
     mode = [f"working mode {mode_name(locus.robot.working_mode)}"] if locus.robot.working_mode else []
     fixed = [f"{name} = {round(value, 6) + 0.0:g} rad" for name, value in locus.fixed.items()]
     plane = len(locus.axes) == 2
     with figure(7.0, 5.6 if plane else 4.0) as drawn:
-        axes = drawn.add_subplot(title=", ".join([f"Singularities of {locus.robot.name}", *mode, *fixed]))
+        title = ", ".join([f"Singularities of {locus.robot.name}", *mode, *fixed])
+        axes = drawn.add_subplot(title=break_lines(title, 7.0))
         if plane:
             _draw_plane(drawn, axes, locus)
             if motion is not None:
@@ -76,15 +113,11 @@ def _draw_plane(drawn: Figure, axes: Axes, locus: SingularLocus) -> None:
     image = _shade(axes, locus.axes, size, (locus.reachable, locus.reachable), _brightest(size))
     bar = drawn.colorbar(image, ax=axes, shrink=0.8, extend="max")
     bar.set_label("margin to type II: σ_min of scaled W [–]")
-    spatial = ["xyz".index(name) for name in locus.names]  # which of the world's axes the picture has
-    for ends in links(locus.robot, locus.q_reference):
-        axes.plot(*np.stack(ends)[:, spatial].T, "-o", color="#5A5A5A", linewidth=1.6, markersize=3.5, zorder=2.0)
+    seen = np.eye(3)[["xyz".index(name) for name in locus.names]]
+    draw_mechanism(axes, locus.robot, locus.q_reference, seen, color="#5A5A5A", linewidth=1.6, zorder=2.0)
     for curve in locus.curves:
         axes.plot(*curve.points[:, list(locus.free)].T, zorder=2.5, **_LOCUS[curve.kind])
-    axes.plot(*base_hinges(locus.robot)[:, spatial].T, "^", color="#000000", markersize=8, zorder=3.0,
-              label="base hinge")  # fmt: skip
-    home = locus.reference[list(locus.free)]
-    axes.plot(*home, "D", color="#0072B2", markersize=6, zorder=3.0, label="reference")
+    axes.plot(*locus.reference[list(locus.free)], "D", color="#0072B2", markersize=6, zorder=3.0, label="reference")
     axes.set_aspect("equal", adjustable="box")
     axes.set(**_axis_names(locus))
 
@@ -98,40 +131,7 @@ def _draw_line(axes: Axes, locus: SingularLocus) -> None:
         label = f"{curve.kind.label.replace('_', ' ')} at {place:.6g}"
         axes.axvline(place, color="#000000", linewidth=1.0, linestyle=":", label=label)
     axes.plot(locus.reference[0], 0.0, "D", color="#0072B2", markersize=6, clip_on=False, label="reference")
-    axes.set_ylim(bottom=0.0)
-    axes.set(**_axis_names(locus), ylabel="smallest scaled singular value [–]")
-
-
-def draw_workspace(space: Workspace) -> Figure:
-    """Draw a workspace: a map for each working mode over two coordinates, a cloud over three, curves over one.
-
-    The colour is the margin to type II singularities. Its top is the 95th percentile, so that one bright spot does not
-    flatten the rest; the arrow of the scale shows that larger margins exist. Islands that the start does not reach are
-    outlined: in maps as a whole, in clouds each point, on curves by a broken line. In a cloud the nearest points hide
-    the others.
-
-    Raises:
-        InputError: no workspace.
-    """
-    require_type(space, Workspace, "A workspace", "Pass what rp.workspace(robot) returns.")
-    many = len(space.modes)
-    columns = min(many, 4)
-    rows = -(-many // columns)
-    with figure(2.4 + 3.6 * columns, 1.4 + 3.4 * rows, f"{space.robot.name}: margin to type II singularities") as drawn:
-        panels = drawn.subplots(rows, columns, squeeze=False).ravel()
-        for axes in panels[many:]:
-            axes.set_visible(False)
-        size = np.abs(space.margin)
-        top = _brightest(size[space.in_range])
-        draw: Any = (_curve, _map, _cloud)[len(space.axes) - 1]
-        images = [draw(axes, space, k, size[k], top) for k, axes in enumerate(panels[:many])]
-        if len(space.axes) > 1:
-            bar = drawn.colorbar(images[-1], ax=list(panels), shrink=0.8, extend="max")
-            bar.set_label("smallest scaled singular value of W [–]")
-        for mode, axes in zip(space.modes, panels, strict=False):
-            axes.set_title(f"working mode {mode_name(mode)}" if mode else axes.get_title())
-        legend_below(drawn)
-        return drawn
+    axes.set(**_axis_names(locus), ylabel="smallest scaled singular value [–]", ylim=(0.0, None))
 
 
 def _curve(axes: Axes, space: Workspace, k: int, size: Array, top: float) -> None:
@@ -154,16 +154,15 @@ def _map(axes: Axes, space: Workspace, k: int, size: Array, top: float) -> Any:
 
 def _cloud(axes: Axes, space: Workspace, k: int, size: Array, top: float) -> Any:
     matrix, robot = projection("3d"), space.robot
-    lines = [np.stack(ends) @ matrix.T for ends in links(robot, robot.q_reference)]
-    draw_mechanism(axes, lines, base_hinges(robot) @ matrix.T)
+    draw_mechanism(axes, robot, robot.q_reference, matrix, zorder=1.8)
     mesh = np.stack([part.ravel() for part in np.meshgrid(*space.axes, indexing="ij")], axis=1)
     inside = np.flatnonzero(space.in_range[k])
     order = inside[np.argsort(mesh[inside] @ np.cross(matrix[0], matrix[1]))]  # the nearest last, on top
     island = space.island[k].ravel()[order] > 0
     look: dict[str, Any] = {"cmap": _COLORS, "vmin": 0.0, "vmax": top, "s": 6.0, "zorder": 1.5}
     look |= {"linewidths": np.where(island, 0.7, 0.0), "edgecolors": _ISLAND["color"]}
-    flat = mesh[order] @ matrix.T
-    image = axes.scatter(flat[:, 0], flat[:, 1], c=size.ravel()[order], **look)
+    x, y = matrix @ mesh[order].T
+    image = axes.scatter(x, y, c=size.ravel()[order], **look)
     if island.any():
         axes.plot([], [], linestyle="", marker="o", markerfacecolor="none", markeredgecolor=_ISLAND["color"],
                   label=_ISLAND_NAME)  # fmt: skip
@@ -192,9 +191,7 @@ def _shade(axes: Axes, grid: tuple[Array, ...], size: Array, there: tuple[BoolAr
 
     axes.grid(False)
     reachable, in_range = there
-    wide = [
-        np.concatenate([axis[:1] * 1.5 - axis[1:2] * 0.5, axis, axis[-1:] * 1.5 - axis[-2:-1] * 0.5]) for axis in grid
-    ]
+    wide = [np.concatenate([[1.5 * a[0] - 0.5 * a[1]], a, [1.5 * a[-1] - 0.5 * a[-2]]]) for a in grid]
     for (name, style), where in zip(_HATCHES.items(), (~reachable, reachable & ~in_range), strict=True):
         if where.any():
             around = np.pad(where.T.astype(float), 1, mode="edge")

@@ -15,16 +15,16 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, stretches
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.motion import PlatformMotion, require_sampled
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.singularities.classify import classify_motion
 from redundancy_pin.singularities.crossings import Crossing
-from redundancy_pin.visualisation.figures.curves import curves_of
-from redundancy_pin.visualisation.figures.style import STROKES, Stroke, figure, legend_below
-from redundancy_pin.visualisation.figures.time_panels import Background, background_of, condition_panel, draw_panel
+from redundancy_pin.visualisation.figures.curves import Curves, curves_of
+from redundancy_pin.visualisation.figures.style import STROKES, Stroke, break_lines, figure, legend_below
+from redundancy_pin.visualisation.figures.time_panels import condition_panel, draw_background, draw_panel, label_time
 from redundancy_pin.visualisation.viewer import scene as scenes
 from redundancy_pin.visualisation.viewer.mechanism import base_hinges, links
 from redundancy_pin.visualisation.viewer.page import View
@@ -36,6 +36,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _ZOOM_BELOW = 0.3  # A path smaller than this fraction of the mechanism gets a panel of its own
+_PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+
+
+# --- projections ----------------------------------------------------------------------------------------------------
 
 
 def projection(plane: str) -> Array:
@@ -58,18 +62,12 @@ def projection(plane: str) -> Array:
 def label_plane(axes: Axes, plane: str = "xy", *, flat: bool = True) -> None:
     """Give both axes their names and the same scale; the title names a projection unless the machine is ``flat``."""
     axes.set_aspect("equal", adjustable="datalim")
-    if plane == "3d":
-        _draw_triad(axes)
+    if plane != "3d":
+        axes.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]")
+        parts = [axes.get_title()] * bool(axes.get_title()) + [f"projection on {', '.join(plane)}"] * (not flat)
+        axes.set_title(", ".join(parts))
         return
-    axes.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]")
-    if not flat:
-        title = axes.get_title()
-        axes.set_title(f"{title}{', ' if title else ''}projection on {plane[0]}, {plane[1]}")
-
-
-def _draw_triad(axes: Axes) -> None:
-    """Draw the directions of the world's axes in a corner, with their length, in place of ticks."""
-    axes.set_axis_off()
+    axes.set_axis_off()  # the directions of the world's axes in a corner, with their length, in place of ticks
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     length = 10.0 ** np.floor(np.log10(0.3 * max(right - left, top - bottom)))
     foot = np.array([left, bottom])
@@ -79,22 +77,27 @@ def _draw_triad(axes: Axes) -> None:
     axes.annotate(f"axes: {length:g} m", xy=(0.01, 0.005), xycoords="axes fraction", fontsize=7.5, color="#444444")
 
 
-def draw_mechanism(axes: Axes, lines: Sequence[Array], hinges: Array | None) -> None:
-    """Draw lines (2, 2) and base hinges (h, 2), m, in grey."""
-    for line in lines:
-        axes.plot(*line.T, "-o", color="#8C8C8C", linewidth=2.2, markersize=3.5, zorder=1.8)
-    if hinges is not None:
-        axes.plot(*hinges.T, "^", color="#000000", markersize=7, zorder=2.1, label="base hinge")
+# --- lines ----------------------------------------------------------------------------------------------------------
+
+
+def draw_mechanism(axes: Axes, robot: Robot, q: Array, seen: Array, **style: Any) -> None:
+    """Draw links and base hinges at a configuration (nq,) in grey, through a projection (2, 3)."""
+    for ends in links(robot, q):
+        axes.plot(
+            *seen @ np.transpose(ends), "-o", **{"color": "#8C8C8C", "linewidth": 2.2, "markersize": 3.5, **style}
+        )
+    hinges = seen @ base_hinges(robot).T
+    axes.plot(*hinges, "^", color="#000000", markersize=7, zorder=3.0, label="base hinge")
 
 
 def _draw_path(axes: Axes, point: Array, stroke: Stroke, label: str, start_label: str | None = None) -> None:
     """Draw a path (N, 2) with its start and an arrow in its sense, a fifth of its length from there."""
     x, y = point.T
-    axes.plot(x, y, color=stroke.color, linestyle=stroke.dash, linewidth=1.7, label=label, zorder=2.2)
-    axes.plot(x[0], y[0], "o", color=stroke.color, markersize=6, zorder=2.3, label=start_label)
+    axes.plot(x, y, label=label, zorder=2.2, **stroke | {"marker": "", "linewidth": 1.7})
+    axes.plot(x[0], y[0], "o", color=stroke["color"], markersize=6, zorder=2.3, label=start_label)
     length = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
     tail, head = np.searchsorted(length, [0.22 * length[-1], 0.24 * length[-1]])
-    arrow = {"arrowstyle": "-|>", "color": stroke.color, "mutation_scale": 14}
+    arrow = {"arrowstyle": "-|>", "color": stroke["color"], "mutation_scale": 14}
     axes.annotate("", xy=(x[head], y[head]), xytext=(x[tail], y[tail]), arrowprops=arrow)
 
 
@@ -115,8 +118,8 @@ def plot_path(
 ) -> Figure:
     """Draw the mechanism at the start of a motion, the path of its platform, and the condition number.
 
-    A path that is small beside the machine is drawn once more, enlarged. A machine that is not flat is seen obliquely,
-    and its path drawn once more as a projection on x and y.
+    A path that is small relative to the machine is drawn once more, enlarged. A machine that is not flat is seen
+    obliquely, and its path drawn once more as a projection on x and y.
 
     Args:
         subject: a plan, a simulation, or the robot that the motion is for.
@@ -128,6 +131,10 @@ def plot_path(
     Raises:
         InputError: a plan or a simulation with a motion, a robot without one, or a robot without a platform.
         PlanFileError: the robot of the plan or the simulation is gone or has changed.
+
+    Example:
+        >>> robot, motion = rp.load_robot("3rrr"), rp.trajectory.reference.corner().sample(0.02)
+        >>> figure = rp.plot.path(robot, motion)
     """
     if isinstance(subject, (Plan, Simulation)) is (motion is not None):
         raise InputError(
@@ -139,40 +146,49 @@ def plot_path(
     robot = subject if isinstance(subject, Robot) else robot_of_record(subject.robot, robot)
     if robot.platform is None:
         raise InputError(f"{robot.name} has no platform whose path could be drawn.", remedy="Use rp.show to see it.")
-    drawn = None if isinstance(subject, Robot) else curves_of(subject, robot)
-    if isinstance(subject, Simulation) and drawn:
-        t, q, condition = subject.t, subject.q, drawn.condition
-    else:
-        followed = subject.motion if isinstance(subject, Plan) else cast(PlatformMotion, motion)
-        require_sampled(followed)
-        tree = inverse_kinematics(robot, followed)
-        t, q, condition = followed.t, tree.q, classify_motion(tree).condition
-    instants = tuple(crossing.t for crossing in crossings) or (drawn.instants if drawn else ())
-    background = replace(background_of(drawn) if drawn else Background(), instants=instants)
-    panel = condition_panel(t, condition, drawn.thresholds if drawn else (), singular=bool(instants))
+    drawn, q = _followed(subject, motion, robot)
+    drawn = replace(drawn, instants=tuple(crossing.t for crossing in crossings) or drawn.instants)
 
-    point, hinges, lines = traced(robot, q), base_hinges(robot), [np.stack(ends) for ends in links(robot, q[0])]
-    places = np.array([[np.interp(one, t, along) for along in point.T] for one in instants]).reshape(-1, 3)
-    everything = np.concatenate([point, hinges, *lines])
+    point = traced(robot, q)
+    places = np.array([[np.interp(one, drawn.t, along) for along in point.T] for one in drawn.instants]).reshape(-1, 3)
+    everything = np.concatenate([point, base_hinges(robot), *links(robot, q[0])], axis=None).reshape(-1, 3)
     flat = bool(np.ptp(everything[:, 2]) < FLAT * robot.characteristic_length)
     zoomed = not flat or np.ptp(point, axis=0).max() < _ZOOM_BELOW * np.ptp(everything, axis=0).max()
     ratios = [1.0, 1.0, 1.4] if zoomed else [1.0, 1.4]
-    with figure(10.0 if zoomed else 8.0, 3.6, title or (drawn.title if drawn else robot.name)) as page:
+    with figure(10.0 if zoomed else 8.0, 3.6, title or drawn.title) as page:
         *panels, last = page.subplots(1, len(ratios), width_ratios=ratios)
         for axes, name, plane in zip(panels, ("mechanism at the start", "path"), ("xy" if flat else "3d", "xy"),
                                      strict=False):  # fmt: skip
-            seen = projection(plane).T
+            seen = projection(plane)
             if axes is panels[0]:
-                draw_mechanism(axes, [line @ seen for line in lines], hinges @ seen)
-            _draw_path(axes, point @ seen, STROKES[0], "path", "start")
-            draw_singular(axes, places @ seen, STROKES[1].color)
+                draw_mechanism(axes, robot, q[0], seen, zorder=1.8)
+            _draw_path(axes, point @ seen.T, STROKES[0], "path", "start")
+            draw_singular(axes, places @ seen.T, STROKES[1]["color"])
             axes.set_title(name)
             label_plane(axes, plane, flat=flat)
-        draw_panel(last, panel, 1.4 * page.get_figwidth() / sum(ratios) - 0.8)
-        background.draw(last)
-        last.set(xlim=(t[0], t[-1]) if t[-1] > t[0] else None, xlabel="time t [s]")
+        draw_panel(last, condition_panel(drawn), 1.4 * page.get_figwidth() / sum(ratios) - 0.8)
+        draw_background(last, drawn)
+        label_time([last], drawn.t[0], drawn.t[-1])
         legend_below(page)
         return page
+
+
+def _followed(subject: Plan | Simulation | Robot, motion: PlatformMotion | None, robot: Robot) -> tuple[Curves, Array]:
+    """Return curves and (N, nq) configurations; of a robot and a motion without efforts."""
+    if isinstance(subject, Simulation):
+        return curves_of(subject, robot), subject.q
+    followed = subject.motion if isinstance(subject, Plan) else cast(PlatformMotion, motion)
+    require_sampled(followed)
+    tree = inverse_kinematics(robot, followed)
+    if isinstance(subject, Plan):
+        return curves_of(subject), tree.q
+    classes, none = classify_motion(tree), np.zeros((len(tree.q), 0))
+    parked = CarrierMotion.parked(len(tree.q), 0)
+    regular = np.zeros(len(tree.q), dtype=np.intp)
+    drawn = Curves(
+        robot.name, followed.t, none, "", none, parked, (), classes.condition, classes.parallel_margin, regular, (), ()
+    )
+    return drawn, tree.q
 
 
 def plot_plane_paths(title: str, paths: Mapping[str, Array]) -> Figure:
@@ -186,6 +202,14 @@ def plot_plane_paths(title: str, paths: Mapping[str, Array]) -> Figure:
         return drawn
 
 
+# --- snapshots: a moving picture on paper ---------------------------------------------------------------------------
+
+_FAINTEST = 0.25  # opacity of the first instant; the last one is drawn in full
+_BASE_OPACITY = 0.18  # of the base, which is behind everything
+_MARKERS = {"actuated": "o", "passive": "o", "closure": "D"}
+_ORDER = {"base": 0.5, "link": 1.8, "track": 2.2, "platform": 2.6, "carrier": 3.0}  # in which parts are drawn
+
+
 def scene_in(view: object) -> scenes.Scene:
     """Return the scene of a view, or a scene as it is."""
     scene = view.scene if isinstance(view, View) else view
@@ -195,16 +219,7 @@ def scene_in(view: object) -> scenes.Scene:
     return scene
 
 
-# --- snapshots: a moving picture on paper ---------------------------------------------------------------------------
-
-_FAINTEST = 0.25  # opacity of the first instant; the last one is drawn in full
-_BASE_OPACITY = 0.18  # of the base, which is behind everything
-_PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
-_MARKERS = {"actuated": "o", "passive": "o", "closure": "D"}
-_ORDER = {"base": 0.5, "link": 1.8, "track": 2.2, "platform": 2.6, "carrier": 3.0}  # in which parts are drawn
-
-
-def draw_snapshots(
+def plot_snapshots(
     view: View | scenes.Scene, times: Sequence[float] | int = 5, *, plane: str = "xy", title: str | None = None
 ) -> Figure:
     """Draw links, tracks, carriers, base and platform at several instants, later ones stronger, over the path.
@@ -220,6 +235,9 @@ def draw_snapshots(
 
     Raises:
         InputError: no view, an unknown plane, or times outside the motion.
+
+    Example:
+        >>> figure = rp.plot.snapshots(rp.show("3rrr"), 3)
     """
     scene = scene_in(view)
     projection(plane)  # refused before anything is drawn
@@ -231,7 +249,7 @@ def draw_snapshots(
         )
     frames = [int(np.abs(scene.t - t).argmin()) for t in wanted]
     with figure(6.0, 5.2) as drawn:
-        axes = drawn.add_subplot(title=scene.title if title is None else title)
+        axes = drawn.add_subplot(title=break_lines(scene.title if title is None else title, 6.0))
         for i, frame in enumerate(frames):
             alpha = _FAINTEST + (1.0 - _FAINTEST) * (i + 1) / len(frames)
             draw_frame(axes, scene, frame, plane=plane, alpha=alpha, base=i == 0)
@@ -256,7 +274,8 @@ def draw_frame(
             axes.plot(*matrix @ place[:3, 3], _MARKERS[solid.role], linestyle="none", markersize=4.5,
                       markerfacecolor=face, markeredgecolor="#202020", markeredgewidth=0.7, **style)  # fmt: skip
         elif solid.role == "track":
-            line = points if solid.shape == "arc" else _ends(solid.size[2], place) @ matrix.T
+            ends = place[:3, 3] + 0.5 * solid.size[2] * np.outer([-1.0, 1.0], place[:3, 2])  # of a bar along z
+            line = points if solid.shape == "arc" else ends @ matrix.T
             axes.plot(*line.T, color=solid.color, linewidth=1.2, linestyle=(0, (3, 1.5)), **style)
         elif base or solid.role != "base":
             style["alpha"] = _BASE_OPACITY if solid.role == "base" else solid.opacity * alpha
@@ -276,12 +295,6 @@ def draw_path(axes: Axes, scene: scenes.Scene, *, plane: str = "xy") -> None:
             name = f"margin {scenes.margin_labels()[number]}" if number >= 0 else None
             axes.plot(*points[a : b + 1].T, color=color, linewidth=1.6 if number else 3.4, zorder=4.0, label=name)
     axes.plot(*points[:1].T, "o", color="#000000", markersize=4, zorder=4.1)
-
-
-def _ends(length: float, place: Array) -> Array:
-    """Return (2, 3) the ends of a bar along z that is placed at (4, 4)."""
-    ends: Array = place[:3, 3] + 0.5 * length * np.outer([-1.0, 1.0], place[:3, 2])
-    return ends
 
 
 def _hull(points: Array) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from redundancy_pin.arrays import IntArray, positive
 from redundancy_pin.errors import InputError, optional
 from redundancy_pin.io.files import refusing, replacing_file, require_suffix, require_writable
-from redundancy_pin.visualisation.figures import paths
+from redundancy_pin.visualisation.figures.paths import draw_frame, draw_path, label_plane, projection, scene_in
 from redundancy_pin.visualisation.figures.style import break_lines, figure, legend_below
 from redundancy_pin.visualisation.viewer.page import View
 from redundancy_pin.visualisation.viewer.scene import Scene
@@ -24,8 +24,7 @@ RATE = 25.0
 MOST_FRAMES = 3000
 
 _DPI = 100
-_WIDTH = 6.0  # of a frame, inches
-_ROOM = 0.05  # about everything that moves, as a fraction of it
+_MARGIN = 0.05  # free space about everything that moves, as a fraction of it
 
 
 def save_video(
@@ -35,7 +34,6 @@ def save_video(
     rate: float = RATE,
     speed: float = 1.0,
     plane: str | None = None,
-    title: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
     """Write a moving picture of what ``rp.show`` returns as .gif or .mp4, with the time written into it.
@@ -46,40 +44,41 @@ def save_video(
         rate: frames a second of the file.
         speed: seconds of the motion in a second of the file.
         plane: "xy", "xz", "yz" or "3d", as of ``snapshots``; what fits when left out.
-        title: the scene's when left out.
         progress: called with the numbers of frames drawn and of all.
 
     Raises:
         InputError: no view, a rate or a speed that is not positive, more than 3000 frames.
         OutputError: another suffix, or the file cannot be written; an earlier one is as it was.
         RedundancyPinError: matplotlib, or for an MP4 ffmpeg, is not installed.
+
+    Example:
+        >>> rp.plot.video(rp.show("four_bar"), "four_bar.gif", rate=2.0)
     """
-    scene = paths.scene_in(view)
+    scene = scene_in(view)
     require_video(path)
     frames = _frames(scene, positive(rate, "rate", "Hz"), positive(speed, "speed", ""))
     plane = ("xy" if scene.is_flat else "3d") if plane is None else plane
-    low, high = extent_of(scene.solids, scene.placement, scene.path, paths.projection(plane))
-    room = _ROOM * float((high - low).max())
-    low, high = low - room, high + room
-    with figure(_WIDTH, 5.6) as drawn, replacing_file(path) as temporary, refusing(path):
+    low, high = extent_of(scene.solids, scene.placement, scene.path, projection(plane))
+    space = _MARGIN * float((high - low).max())
+    with figure(6.0, 5.6) as drawn, replacing_file(path) as temporary, refusing(path):
         axes, writer = drawn.subplots(), _writer(path, rate)
         with writer.saving(drawn, str(temporary), _DPI):
-            for done, frame in enumerate(frames.tolist()):
+            for done, frame in enumerate(frames.tolist(), start=1):
                 axes.clear()
-                axes.set_title(break_lines(scene.title if title is None else title, _WIDTH))
-                paths.draw_frame(axes, scene, frame, plane=plane)
-                paths.draw_path(axes, scene, plane=plane)
-                axes.update_datalim([low, high])
+                axes.set_title(break_lines(scene.title, 6.0))
+                draw_frame(axes, scene, frame, plane=plane)
+                draw_path(axes, scene, plane=plane)
+                axes.update_datalim([low - space, high + space])
                 axes.autoscale_view()
-                paths.label_plane(axes, plane, flat=scene.is_flat)
+                label_plane(axes, plane, flat=scene.is_flat)
                 axes.text(0.99, 0.99, f"t = {scene.t[frame]:.2f} s", transform=axes.transAxes, ha="right", va="top")
-                if done == 0:
+                if done == 1:
                     legend_below(drawn)
-                elif done == 1:
-                    drawn.set_layout_engine(None)  # the page is as it was laid out for the first frame
+                elif done == 2:
+                    drawn.set_layout_engine("none")  # the layout of the first frame stays
                 writer.grab_frame()
                 if progress is not None:
-                    progress(done + 1, len(frames))
+                    progress(done, len(frames))
 
 
 def _writer(path: str | Path, rate: float) -> Any:

@@ -106,27 +106,19 @@ def points_of(solid: Solid) -> Array:
     return points
 
 
-def corners_of(solid: Solid) -> Array:
-    """Return the corners (8, 3) of a box about a solid, in the frame of its body, m."""
-    points = points_of(solid)
-    low, high = points.min(axis=0), points.max(axis=0)
-    corners: Array = np.where(np.indices((2, 2, 2)).reshape(3, 8).T, high, low)
-    placed: Array = corners @ solid.placement[:3, :3].T + solid.placement[:3, 3]
-    return placed
-
-
 def extent_of(solids: Iterable[Solid], placement: Array, path: Array, seen: Array) -> tuple[Array, Array]:
     """Return the corners (d,), (d,) of the box that holds solids and a path (N, 3) over F frames, m.
 
     ``placement`` (F, J, 4, 4) are the frames of the joints; ``seen`` (d, 3) is a projection, or the identity.
     """
-    points = [path @ seen.T]
+    every = [path @ seen.T]
     for solid in solids:
-        body = placement[:, solid.body]
-        corners = corners_of(solid) @ body[:, :3, :3].transpose(0, 2, 1) + body[:, None, :3, 3]
-        points.append(corners.reshape(-1, 3) @ seen.T)
-    every = np.concatenate(points)
-    return every.min(axis=0), every.max(axis=0)
+        points = points_of(solid)
+        corners = np.where(np.indices((2, 2, 2)).reshape(3, 8).T, points.max(axis=0), points.min(axis=0))
+        placed = placement[:, solid.body] @ solid.placement  # of a box about the solid: meshes have many points
+        every.append((corners @ placed[:, :3, :3].transpose(0, 2, 1) + placed[:, None, :3, 3]).reshape(-1, 3) @ seen.T)
+    low, high = (end(np.concatenate(every), axis=0) for end in (np.min, np.max))
+    return low, high
 
 
 def shapes_of_urdf(robot: Robot) -> tuple[Solid, ...]:
