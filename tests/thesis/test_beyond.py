@@ -223,7 +223,6 @@ def test_optima_are_counted() -> None:
 TRADE = replace(QUICK, ratios=(1e-2, 1.0, 100.0))
 
 
-@pytest.mark.long
 def test_trade_off_is_ordered() -> None:
     record = trade_record(TURNS[0], TRADE)
     assert record["monotone"]

@@ -181,9 +181,15 @@ def test_each_column_of_a_table_is_in_a_record(
         more = {"targets": beyond.targets(own["plans"]), "fastest": [race],
                 "trade_off": [beyond.trade_record(TURNS[0], replace(QUICK, ratios=(1.0,)))]}  # fmt: skip
         results = replace(results, chapters={"beyond": {**own, **more}})
+    if chapter == "planned":
+        planned = results.chapters["planned"]
+        missing = [{**record, "plans": 5, "without": 3} for record in planned["sensitivity"]]
+        results = replace(results, chapters={"planned": {**planned, "sensitivity": missing}})
     for module in (job, beyond):
         monkeypatch.setattr(module, "table", noted)
-    job.tables(results)
+    shown = job.tables(results)
+    if chapter == "planned":
+        assert all("(3 of 5 without a plan)" in line for line in shown["sensitivity"].markdown().splitlines()[2:])
     unknown = [(name, key) for name, records in made.items() for key in data("tables")[name]
                if not any(holds(key, record) for record in records)]  # fmt: skip
     assert made
