@@ -40,6 +40,7 @@ from redundancy_pin.thesis.cases import (
     SWITCH_OFF,
     SWITCH_OFF_LATE,
     TASKS,
+    TRADED,
     TURNS,
     Case,
     Plans,
@@ -223,8 +224,9 @@ def test_optima_are_counted() -> None:
 TRADE = replace(QUICK, ratios=(1e-2, 1.0, 100.0))
 
 
-def test_trade_off_is_ordered() -> None:
-    record = trade_record(TURNS[0], TRADE)
+@pytest.mark.parametrize("task", [TRADED[0], pytest.param(TRADED[1], marks=pytest.mark.long)])
+def test_trade_off_is_ordered_and_each_plan_is_the_best_by_its_own_weight(task: Case) -> None:
+    record = trade_record(task, TRADE)
     assert record["monotone"]
     points = record["points"]
     assert [point["ratio"] for point in points] == [0.0, *TRADE.ratios]
@@ -233,6 +235,10 @@ def test_trade_off_is_ordered() -> None:
     # weighted by the ratio 1, both parts of the cost are the same for the plan of least effort
     effort, acceleration = points[0]["rms_effort"], points[0]["rms_acceleration"]
     assert points[2]["weight"] * acceleration**2 == pytest.approx(effort**2, rel=1e-2)
+    for point in points:
+        costs = [one["rms_effort"] ** 2 + point["weight"] * one["rms_acceleration"] ** 2 for one in points]
+        own = costs[points.index(point)]
+        assert own <= min(costs) * (1.0 + 1e-6)
 
 
 def test_what_rises() -> None:
