@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -29,8 +30,14 @@ INFEASIBLE = ResultStatus.INFEASIBLE.value
 SAME_COST = 1e-4
 """Relative difference of costs up to which two optima count as the same."""
 
+ORDERED = 1e-6
+"""Relative rise of a quantity that should fall which still counts as rounding of the solver."""
+
 GROWTH = 1.3
 """Factor on the speed until it is too high."""
+
+_MORE = 1.01
+"""Factor on the acceleration that would suffice, to see whether a plan exists then: bounds are met to rounding."""
 
 TARGETS = (
     ("circle-0.5", EFFORT, 0.21),
@@ -59,14 +66,18 @@ def _started(extent: Extent) -> list[Case]:
             for task in extent.started for method in (EFFORT, PEAK)]  # fmt: skip
 
 
+def _trades(extent: Extent) -> list[cases.Call]:
+    return [(f"trade-off: {task.name}", trade_record, task, extent) for task in cases.TRADED if extent.ratios]
+
+
 def calls(extent: Extent) -> list[cases.Call]:
-    """Return the calls that make races and plans of the chapter."""
+    """Return the calls that make races, trade-offs and plans of the chapter."""
     races = [(f"as fast as the limits allow: {task.name}", run_race, task, extent) for task in extent.races]
     first = [by_method(task, method, extent.coarser) for task in TASKS for method in cases.methods(task)]
     first += [by_method(task, method, extent.coarser) for task in _moded(extent) for method in MODE_METHODS]
     second = [cases.call_of(case, backend) for case in _compared(extent) for backend in case.backends[1:]]
     # a race takes as long as a hundred plans: it begins before them, so that no process waits for it in the end
-    return [*races, *map(cases.call_of, (*first, *_started(extent))), *second]
+    return [*races, *_trades(extent), *map(cases.call_of, (*first, *_started(extent))), *second]
 
 
 def run_beyond(plans: Plans, extent: Extent) -> dict[str, Any]:
@@ -79,6 +90,7 @@ def run_beyond(plans: Plans, extent: Extent) -> dict[str, Any]:
         "working_modes": [mode_record(plans, task, extent.coarser) for task in _moded(extent)],
         "backends": [backend_record(plans, case) for case in _compared(extent)],
         "first_guesses": [starts_record(plans, case) for case in _started(extent)],
+        "trade_off": [plans.result(*call) for call in _trades(extent)],
     }
     return chapter | {"findings": verdicts(FINDINGS, chapter, complete=extent.complete)}
 
@@ -184,14 +196,19 @@ def fastest(plans: Plans, task: Case, extent: Extent) -> Record:
     low, high = bracket(own, own * GROWTH)
     while high is not None and feasible(high, starts=extent.starts):
         low, high = bracket(high, high * (1.0 + extent.tolerance))
+    above, suffices = None if high is None else trials[high], None
+    if above and above["constraint"] == "acceleration" and not math.isnan(above["limit"]):
+        # the planner says which acceleration would do: does it?
+        enough = whole.with_options(acceleration=_MORE * abs(above["limit"]))
+        suffices = isinstance(plans.outcome(cases.at_speed(enough, above["speed"])), Plan)
     return {"task": task.name, "title": task.title.rpartition(" at ")[0], "unit": task.unit,
-            "fastest_with_plan": trials[low], "slowest_without": None if high is None else trials[high],
+            "fastest_with_plan": trials[low], "slowest_without": above, "suffices": suffices,
             "trials": [trials[speed] for speed in sorted(trials)]}  # fmt: skip
 
 
 def attempt(plans: Plans, case: Case) -> Record:
     """Try one speed from the first guesses of a case, with its objective and with the gentlest motion as the aim."""
-    reasons = {"constraint": "", "joint": "", "fraction": math.nan}
+    reasons = {"constraint": "", "joint": "", "limit": math.nan, "fraction": math.nan}
     record = {"speed": case.option("speed"), "feasible": False, "status": INFEASIBLE, "peak": math.nan, "binding": [],
               **reasons, "said": ""}  # fmt: skip
     failed = record
@@ -210,7 +227,7 @@ def attempt(plans: Plans, case: Case) -> Record:
     return failed
 
 
-# --- working modes, backends, first guesses ------------------------------------------------------------------------
+# --- working modes, backends, first guesses, trade-off -------------------------------------------------------------
 
 
 def mode_record(plans: Plans, task: Case, coarser: float) -> Record:
@@ -240,6 +257,38 @@ def starts_record(plans: Plans, case: Case) -> Record:
     return {"case": case.name, "step": case.dt, "costs": costs, "missing": len(costs) - len(reached), "best": least,
             "excess": (most - least) / least, "parked_is_best": bool(costs[0] <= least * (1.0 + SAME_COST)),
             "optima": int((np.diff(reached, prepend=-math.inf) > SAME_COST * abs(reached)).sum())}  # fmt: skip
+
+
+def trade_record(task: Case, extent: Extent) -> Record:
+    """Return effort against the carriers' acceleration: what each weight between the two leads to.
+
+    A weight is ``ratio`` times the one at which both parts of the cost are the same for the plan of least effort.
+    """
+    case, points = by_method(task, EFFORT, extent.coarser), []
+    least = case.plan()
+    equal = least.diagnostics["objective"]["effort"] / _square_integral(least)  # type: ignore[index]
+    for ratio in (0.0, *extent.ratios):
+        aims = (("effort", 1.0), ("carrier_acceleration", ratio * equal))
+        outcome = cases.plan_or_error(case.with_options(objective=aims), case.backends[0]) if ratio else least
+        shown, acceleration = numbers(outcome), math.nan
+        if isinstance(outcome, Plan):
+            acceleration = math.sqrt(_square_integral(outcome) / (outcome.t[-1] - outcome.t[0]))
+        points.append({"ratio": ratio, "weight": ratio * equal, "rms_effort": shown["rms"], "peak": shown["peak"],
+                       "rms_acceleration": acceleration, "status": shown["status"]})  # fmt: skip
+    planned = [point for point in points if point["status"] != INFEASIBLE]
+    # between global optima effort rises and acceleration falls with the weight
+    monotone = rises([one["rms_effort"] for one in planned]) and rises([-one["rms_acceleration"] for one in planned])
+    return {"task": task.name, "title": task.title, "unit": task.unit, "monotone": monotone, "points": points}
+
+
+def _square_integral(plan: Plan) -> float:
+    """Return ∫ Σ s̈² dt by the trapezoidal rule, m²/s³."""
+    return float(np.trapezoid((plan.carriers.sdd**2).sum(axis=1), plan.t))
+
+
+def rises(values: Sequence[float]) -> bool:
+    """Return whether values rise, within ``ORDERED``."""
+    return all(after >= before - ORDERED * abs(before) for before, after in pairwise(values))
 
 
 # --- future work named by the thesis: carriers elsewhere, balancing, design, time and space ------------------------

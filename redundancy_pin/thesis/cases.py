@@ -513,6 +513,9 @@ REPLAYED: tuple[Replayed, ...] = (
     *(Replayed(task, method) for task in TURNS[1:] for method in (STEPWISE, EFFORT)),
 )
 
+TRADED: tuple[Case, ...] = (_LIGHT, TURNS[0])
+"""Tasks whose effort is traded against the carriers' acceleration."""
+
 CHAPTERS = ("planned", "beyond", "future", "replay")
 
 
@@ -532,6 +535,8 @@ class Extent:
         tolerance: width of the bracket of the fastest motion, as a fraction of the speed.
         starts: first guesses in the search for other optima, and for a plan at a speed where one failed.
         starts_coarser, started: factor on the step, and tasks, of plans from several first guesses.
+        ratios: weights of the carriers' acceleration in the trade-off of ``TRADED``, over the one at which both parts
+            of the cost are the same for the plan of least effort; no trade-off without any.
         races: tasks whose greatest speed is bracketed, from a speed that has a plan.
         compared: whole-trajectory plans, by task and method, that both backends make.
         future: plans of future work, by task and method.
@@ -552,6 +557,7 @@ class Extent:
     starts: int = 5
     starts_coarser: float = 2.0
     started: tuple[Case, ...] = (_LIGHT, _HEAVY, _FIVE_BAR, *TURNS[:2])
+    ratios: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1e3)
     races: tuple[Case, ...] = (_LIGHT, _HEAVY, SINGULAR[4])
     compared: tuple[tuple[Case, str], ...] = tuple((task, method) for task in TASKS for method in (EFFORT, PEAK))
     future: tuple[tuple[str, str], ...] = tuple(FUTURE)
@@ -570,7 +576,7 @@ FULL = Extent()
 QUICK = Extent(
     motions=tuple(replace(case, dt=2e-3) for case in MOTIONS if case.name != "line-0.1-parked"),
     samples=100, figures=False, parity=(CROSSINGS[0], CORNERS[0]), modes=(FIRST_MODE,), whole_grids=False, coarser=4.0,
-    tolerance=0.1, starts=2, starts_coarser=6.0, started=(_LIGHT,), races=(SINGULAR[4],),
+    tolerance=0.1, starts=2, starts_coarser=6.0, started=(_LIGHT,), ratios=(), races=(SINGULAR[4],),
     compared=((SINGULAR[4], EFFORT), (TURNS[0], EFFORT)),
     future=tuple(key for key in FUTURE if key[0].startswith(("Gough", "delta", "3-RRR corner, balanced"))),
     replayed=(Replayed(_LIGHT, SWITCH_OFF, ("open loop",)), Replayed(_HEAVY, SWITCH_OFF),
@@ -578,4 +584,4 @@ QUICK = Extent(
     jobs=1, name="quick",
 )  # fmt: skip
 """Coarse, for a look and for tests: one working mode, the ends of the grids, a massless, a missing and a cornering
-replay, and the figures of the first page."""
+replay, no trade-off, and the figures of the first page."""

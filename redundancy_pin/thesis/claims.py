@@ -153,12 +153,19 @@ def _by_mode(chapter: Chapter, motion: str) -> list[dict[str, Record]]:
 def _corner(chapter: Chapter, motion: str) -> Judged:
     groups = _by_mode(chapter, motion)
     moving, parked, none = ([group[what] for group in groups] for what in (f"{MOVING}, λ = 0", PARKED, NONE))
-    factors = {name: _ratios(list(zip(moving, other, strict=True)), "peak") for name, other in
-               (("none", none), ("parked", parked))}  # fmt: skip
-    lower = {name: sum(factor < 1.0 for factor in against) for name, against in factors.items()}
-    here = f"""Against the machine without carriers the peak is lower in {lower["none"]} of {len(groups)} working modes
-        ({_factors(factors["none"])} times), against the same machine with parked carriers in {lower["parked"]}."""
-    return lower["none"], len(groups), here
+    factors, alone, against = (
+        _ratios(list(zip(one, other, strict=True)), "peak")
+        for one, other in ((moving, none), (parked, none), (moving, parked))
+    )
+    lower = sum(factor < 1.0 for factor in factors)
+    here = f"""Against the machine without carriers the peak is lower in {lower} of {len(groups)} working modes
+        ({_factors(factors)} times), against the same machine with parked carriers in
+        {sum(factor < 1.0 for factor in against)}; parked carriers alone make it {_factors(alone)} times as large."""
+    for what in groups[0]:
+        if what.startswith(f"{MOVING}, λ = 0,"):  # with a raised limit
+            raised = sum(group[what]["peak"] < group[NONE]["peak"] for group in groups)
+            here += f" With {what.rpartition(', ')[2]} it is lower in {raised}."
+    return lower, len(groups), here
 
 
 @claimed(CONCLUSIONS, sampled=True)
@@ -181,8 +188,10 @@ def square(chapter: Chapter) -> Judged:
     pairs = [(group[what], group[NONE]) for group in groups for what in group if what.startswith(MOVING)]
     factors = _ratios(pairs, "peak")
     better = sum(factor < 1.0 for factor in factors)
+    broken = sum(moving["status"] == ResultStatus.LIMIT_VIOLATED.value for moving, _ in pairs)
     here = f"""Over the whole square, returns of the carriers included, the peak is {_factors(factors)} times that of
-        the machine without carriers; it is lower in {better} of {len(pairs)} plans."""
+        the machine without carriers; it is lower in {better} of {len(pairs)} plans. {broken} of the plans break a limit
+        of the carriers."""
     return better, len(pairs), here
 
 
@@ -229,6 +238,15 @@ def singular(chapter: Chapter) -> Judged:
     kept, none = (_names(t for t in off if off[t][key] is value) for key, value in (("sound", True), ("exists", False)))
     here = f"""Over the whole trajectory {sound} of {len(groups)} motions have plans within every limit, with both
         objectives. Switching off keeps the limits on {kept}, and has no plan for {none}."""
+    late = [task for task, group in groups.items() if not off[task]["sound"] and group[cases.SWITCH_OFF_LATE]["sound"]]
+    if late:
+        here += f" Only beyond a condition number of {text(cases.LATE)} it keeps them on {_names(late)} too."
+    both = [(group[EFFORT], off[task]) for task, group in groups.items()]
+    if both := [pair for pair in both if all(one["exists"] for one in pair)]:
+        here += f""" Where both have one, the plan of least effort has {_factors(_ratios(both, "worst"))} times the
+            largest main force of switching off, which it reaches as the carriers return, and
+            {_factors([whole["worst"] / other["before"] for whole, other in both])} times the largest before the motors
+            are off."""
     return sound, len(groups), here
 
 
@@ -306,6 +324,9 @@ def cost(chapter: Chapter) -> Judged:
     better = sum(factor < 1.0 for factor in factors)
     here = f"""With the carriers' own motors counted, {better} of {len(pairs)} plans need less energy than the machine
         without carriers; they need {_factors(factors)} times as much."""
+    if least := [pair for pair in pairs if pair[0]["way"] == cases.ENERGY]:
+        here += f""" Planned for least energy it is {_factors(_ratios(least, "energy"))} times, at
+            {_factors(_ratios(least, "worst"))} times the peak torque."""
     return better, len(pairs), here
 
 
@@ -336,13 +357,19 @@ def between(chapter: Chapter) -> Judged:
 @claimed(FINDINGS)
 def calm(chapter: Chapter) -> Judged:
     """The efforts are calm enough for motors as they are."""
-    turns = {name: float(one["reversals"]) for name, one in _optimised(chapter).items()}
+    plans, groups = _optimised(chapter), by_task(chapter["plans"])
+    turns = {name: float(one["reversals"]) for name, one in plans.items()}
     if not turns:
         return NO_CASE
     good, worst = _worst(turns, CALM)
     here = f"""In {good} of {len(turns)} plans over the whole trajectory every main effort reverses at most {CALM}
         times; at worst one reverses {text(turns[worst])} times ({worst}). Near a singularity W⁻¹ magnifies every kink
         of s̈."""
+    if smooth := [one for one in plans.values() if one["way"] == cases.SMOOTH]:
+        peaks = _ratios([(one, groups[one["task"]][EFFORT]) for one in smooth], "worst")
+        here += f""" With a weight of {text(cases.SMOOTHING)} on the rate of the efforts they reverse at most
+            {text(max(one["reversals"] for one in smooth))} times on the crossings, with {_factors(peaks)} times the
+            peak of the least effort."""
     return good, len(turns), here
 
 

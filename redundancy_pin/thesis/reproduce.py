@@ -318,11 +318,13 @@ def _planned(chapter: Mapping[str, Any], extent: cases.Extent) -> dict[str, Sequ
         "claims": [one | {name: mode["holds"] for name, mode in one["modes"].items()} for one in chapter["claims"]],
         "fair_comparison": [record for record in machines if record["mode"] in ((), extent.modes[0])],
         "fair_over_modes": [same[0] | {key: span([one[key] for one in same]) for key in ranged} for same in moded],
-        "sensitivity": [
-            same[0] | {"ranges": "; ".join(f"{one['parameter']}: {span((one['low'], one['high']))}" for one in same)}
-            for same in several
-        ],
+        "sensitivity": [same[0] | {"ranges": "; ".join(map(_range, same))} for same in several],
     }  # fmt: skip
+
+
+def _range(one: Record) -> str:
+    missing = f" ({one['without']} of {one['plans']} without a plan)" if one["without"] else ""
+    return f"{one['parameter']}: {span((one['low'], one['high']))}{missing}"
 
 
 def _beyond(chapter: Mapping[str, Any]) -> dict[str, Sequence[Record]]:
@@ -337,6 +339,7 @@ def _beyond(chapter: Mapping[str, Any]) -> dict[str, Sequence[Record]]:
              "least peak over no carriers": f"{one['ratio']:.2f}"}
             for one in chapter["working_modes"]
         ],
+        "trade_off": [{**one, **point} for one in chapter["trade_off"] for point in one["points"]],
     }  # fmt: skip
     for name, tasks in (("singular", cases.SINGULAR), ("turns", cases.TURNS)):
         chosen = [record for record in chapter["plans"] if record["task"] in {task.name for task in tasks}]

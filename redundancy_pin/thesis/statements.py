@@ -189,14 +189,16 @@ def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
         reason = f"{beyond:.2g} {unit} beyond the range" if math.isfinite(beyond) else "never happens here"
         reason += "; " + entry["why"].format(*read(plan, *entry["of"])) if "why" in entry else ""
     over = [*map(_named, grids), *([f"step up to {late:g} s"] if late else [])]
+    deviations = [text(value - _value(digits), "+.2g") for value, digits in zip(ours, printed, strict=True)]
     covered = ", ".join(span((low, high + late)) for low, high in ranges) + f" over {', '.join(over)}"
     return verdict(entry["row"], entry["source"], f"{entry['quantity']} [{unit}]", ", ".join(printed), text(ours),
-                   not fails, reason, as_run, complete=extent.complete, covered=covered)  # fmt: skip
+                   not fails, reason, as_run, complete=extent.complete, deviation=", ".join(deviations),
+                   covered=covered)  # fmt: skip
 
 
 def verdict(
     row: str, source: str, quantity: str, stated: str, ours: str, holds: bool, reason: str, as_run: bool,
-    *, complete: bool = True, condition: str = "", covered: str = "",
+    *, complete: bool = True, condition: str = "", deviation: str = "", covered: str = "",
 ) -> Record:  # fmt: skip
     """Return the verdict on a statement; ``as_run``: whether our own run reproduces it, without a variation.
 
@@ -204,7 +206,7 @@ def verdict(
     """
     failed = "differs" if complete else NOT_JUDGED
     return {"row": row, "source": source, "condition": condition or thesis()["rows"][row], "quantity": quantity,
-            "stated": stated, "ours": ours, "covered": covered,
+            "stated": stated, "ours": ours, "deviation": deviation, "covered": covered,
             "verdict": "reproduced" if holds else failed, "reason": reason, "as_run": as_run}  # fmt: skip
 
 
@@ -241,10 +243,11 @@ def sensitivity(plans: Plans, extent: Extent) -> list[Record]:
     for case in _ranged(extent):
         stated = thesis()["sensitivity"][case.path]
         for over in (grid(name, extent) for name in stated["grids"]):
-            outcomes = (plans.outcome(varied) for varied, _ in variations(case, over))
+            outcomes = [plans.outcome(varied) for varied, _ in variations(case, over)]
             existing = [outcome for outcome in outcomes if isinstance(outcome, Plan)]
             for quantity, reading in stated["quantities"].items():
                 low, high = limits_of([value for plan in existing for value in read(plan, *reading)])
                 records.append({"case": case.name, "quantity": quantity, "parameter": _named(over), "low": low,
-                                "ours": max(read(plans.plan(case), *reading)), "high": high})  # fmt: skip
+                                "ours": max(read(plans.plan(case), *reading)), "high": high, "plans": len(outcomes),
+                                "without": len(outcomes) - len(existing)})  # fmt: skip
     return records

@@ -25,8 +25,10 @@ from redundancy_pin.thesis.beyond import (
     fastest,
     future_record,
     plan_record,
+    rises,
     run_future,
     starts_record,
+    trade_record,
 )
 from redundancy_pin.thesis.cases import (
     EFFORT,
@@ -38,6 +40,7 @@ from redundancy_pin.thesis.cases import (
     SWITCH_OFF,
     SWITCH_OFF_LATE,
     TASKS,
+    TRADED,
     TURNS,
     Case,
     Plans,
@@ -218,6 +221,32 @@ def test_optima_are_counted() -> None:
     assert starts_record(Given(virtual_work=InfeasiblePlanError("no")), case)["missing"] == 3
 
 
+TRADE = replace(QUICK, ratios=(1e-2, 1.0, 100.0))
+
+
+@pytest.mark.parametrize("task", [TRADED[0], pytest.param(TRADED[1], marks=pytest.mark.long)])
+def test_trade_off_is_ordered_and_each_plan_is_the_best_by_its_own_weight(task: Case) -> None:
+    record = trade_record(task, TRADE)
+    assert record["monotone"]
+    points = record["points"]
+    assert [point["ratio"] for point in points] == [0.0, *TRADE.ratios]
+    assert points[0]["rms_effort"] < points[-1]["rms_effort"]
+    assert points[0]["rms_acceleration"] > points[-1]["rms_acceleration"]
+    # weighted by the ratio 1, both parts of the cost are the same for the plan of least effort
+    effort, acceleration = points[0]["rms_effort"], points[0]["rms_acceleration"]
+    assert points[2]["weight"] * acceleration**2 == pytest.approx(effort**2, rel=1e-2)
+    for point in points:
+        costs = [one["rms_effort"] ** 2 + point["weight"] * one["rms_acceleration"] ** 2 for one in points]
+        own = costs[points.index(point)]
+        assert own <= min(costs) * (1.0 + 1e-6)
+
+
+def test_what_rises() -> None:
+    assert rises([1.0, 1.0 - 1e-9, 2.0])
+    assert rises([-2.0, -1.0, -1.0 - 1e-9])
+    assert not rises([1.0, 0.9, 2.0])
+
+
 # --- how fast: the bracket holds the border ---------------------------------------------------------------------------
 
 CIRCLE, LINE = SINGULAR[0], SINGULAR[4]
@@ -245,7 +274,7 @@ class Border(Plans):
         self.wanted.append(case)
         if self._rule(case):
             return self._given or line_plan()
-        return InfeasiblePlanError("none", constraint="acceleration", joint="carrier_1", fraction=0.01)
+        return InfeasiblePlanError("none", constraint="acceleration", joint="carrier_1", limit=-10.1, fraction=0.01)
 
 
 def ends(record: dict[str, Any]) -> tuple[float, float]:
@@ -271,6 +300,16 @@ def test_a_plan_from_another_guess_moves_the_border() -> None:
     record = fastest(Border(lambda case: speed(case) <= (1.05 if case.option("starts") else 1.0)), CIRCLE, EXTENT)
     assert ends(record) > (1.0, 1.05)
     assert ends(record)[1] > 1.05
+
+
+@pytest.mark.parametrize("enough", [True, False])
+def test_whether_the_wider_limit_suffices(enough: bool) -> None:
+    plans = Border(lambda case: speed(case) <= 0.6 or (enough and case.option("acceleration") is not None))
+    record = fastest(plans, CIRCLE, EXTENT)
+    assert record["suffices"] is enough
+    wider = [case for case in plans.wanted if case.option("acceleration")]
+    assert [case.option("acceleration") for case in wider] == [pytest.approx(1.01 * 10.1)]
+    assert speed(wider[0]) == record["slowest_without"]["speed"]
 
 
 def test_an_unsound_plan_is_none() -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,13 @@ from redundancy_pin import crosscheck
 from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
 from redundancy_pin.dynamics.virtual_work import VirtualWorkAlongMotion
 from redundancy_pin.errors import CrossCheckError, OutputError
+from redundancy_pin.thesis import beyond
 from redundancy_pin.thesis import reproduce as job
-from redundancy_pin.thesis.cases import CHAPTERS, FULL, Case
+from redundancy_pin.thesis.cases import CHAPTERS, FULL, QUICK, TURNS, Case
 from redundancy_pin.thesis.figures import THESIS, Picture, pictures
 from redundancy_pin.thesis.page import html
 from redundancy_pin.thesis.reproduce import Reproduction
+from redundancy_pin.thesis.table import Record, Table, data, table
 from redundancy_pin.visualisation.figures.style import save
 
 WRITTEN = Figure.savefig
@@ -153,6 +156,49 @@ def test_reports_show_every_figure_and_link_to_files_that_exist(chapter: str, do
     listed = json.loads((made.folder / "summary.json").read_text())["files"]
     assert sorted([*listed, "summary.json"]) == sorted(path.name for path in made.folder.iterdir())
     assert len(require_self_contained((made.folder / "report.html").read_text())) == len(drawn)
+
+
+def holds(key: str, record: Record) -> bool:
+    first, _, rest = key.partition(".")
+    inner = record.get(first)
+    return key in record or (isinstance(inner, Mapping) and bool(rest) and holds(rest, dict(inner)))
+
+
+@pytest.mark.parametrize("chapter", [*SLOW_CHAPTERS, ""])
+def test_each_column_of_a_table_is_in_a_record(
+    chapter: str, done: Reproduction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: dict[str, list[Record]] = {}
+
+    def noted(name: str, records: Sequence[Record], *more: Any) -> Table:
+        made[name] = [*records]
+        return table(name, records, *more)
+
+    results = (reproduction(chapter) if chapter else done).results
+    if chapter == "beyond":  # a quick run has no efforts that were aimed at, no trade-off, and no speed without a plan
+        own = results.chapters["beyond"]
+        race = {**own["fastest"][0], "slowest_without": own["fastest"][0]["fastest_with_plan"]}
+        more = {"targets": beyond.targets(own["plans"]), "fastest": [race],
+                "trade_off": [beyond.trade_record(TURNS[0], replace(QUICK, ratios=(1.0,)))]}  # fmt: skip
+        results = replace(results, chapters={"beyond": {**own, **more}})
+    if chapter == "planned":
+        planned = results.chapters["planned"]
+        missing = [{**record, "plans": 5, "without": 3} for record in planned["sensitivity"]]
+        results = replace(results, chapters={"planned": {**planned, "sensitivity": missing}})
+    for module in (job, beyond):
+        monkeypatch.setattr(module, "table", noted)
+    shown = job.tables(results)
+    if chapter == "planned":
+        assert all("(3 of 5 without a plan)" in line for line in shown["sensitivity"].markdown().splitlines()[2:])
+    unknown = [(name, key) for name, records in made.items() for key in data("tables")[name]
+               if not any(holds(key, record) for record in records)]  # fmt: skip
+    assert made
+    assert not unknown
+
+
+def test_the_report_shows_every_table() -> None:
+    page = (Path(job.__file__).parent / "report.md.j2").read_text()
+    assert set(re.findall(r'table\("(\w+)"\)', page)) == set(data("tables"))
 
 
 def one_of_each(drawn: list[Picture]) -> list[Picture]:

@@ -12,7 +12,9 @@ import quick_results
 from hypothesis import given
 from hypothesis import strategies as st
 
-from redundancy_pin.thesis.cases import BY_NAME, CORNERS, CROSSINGS, FULL, Case, Plans
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.thesis.cases import BY_NAME, CORNERS, CROSSINGS, FULL, QUICK, Case, Plans
 from redundancy_pin.thesis.in_words import IN_WORDS
 from redundancy_pin.thesis.measures import MEASURES, read
 from redundancy_pin.thesis.statements import (
@@ -22,7 +24,9 @@ from redundancy_pin.thesis.statements import (
     given_by,
     grid,
     interval,
+    judge_all,
     limits_of,
+    sensitivity,
     thesis,
     variations,
 )
@@ -122,6 +126,40 @@ def test_numbers_of_a_crossing_are_read_off_its_motion_and_its_plan() -> None:
     assert thesis()["rows"]["3.16 exit"] == "circle 0.75 m/s, CN 5, switching on"
 
 
+class Own(Plans):
+    """A memo in which cases have a plan as they are, and with no other value of an unstated parameter."""
+
+    def outcome(self, case: Case, backend: str | None = None) -> Plan | InfeasiblePlanError:
+        return super().outcome(case, backend) if case in BY_NAME.values() else InfeasiblePlanError("no")
+
+
+PLANS = Own()
+
+
+def test_deviations_are_ours_less_the_stated() -> None:
+    judged = judge_all(PLANS, QUICK)[: len(thesis()["planned"])]
+    for record in judged:
+        for digits, value, deviation in zip(
+            *(record[key].split(", ") for key in ("stated", "ours", "deviation")), strict=True
+        ):
+            if value != "–":
+                ours, stated = float(value), float(digits.removeprefix("~"))
+                # three digits are shown of ours, and two of the deviation
+                assert float(deviation) == pytest.approx(ours - stated, rel=0.06, abs=6e-3 * abs(ours))
+    assert sum("–" not in record["deviation"] for record in judged) > 10
+
+
+def test_settings_without_a_plan_are_counted() -> None:
+    records = sensitivity(PLANS, QUICK)
+    for case in {record["case"]: BY_NAME[record["case"]] for record in records}.values():
+        stated = thesis()["sensitivity"][case.path]
+        varied = [variations(case, grid(name, QUICK)) for name in stated["grids"]]
+        counts = [(len(one), sum(bool(label) for _, label in one)) for one in varied for _ in stated["quantities"]]
+        found = [(record["plans"], record["without"]) for record in records if record["case"] == case.name]
+        assert found == counts
+        assert any(without for _, without in found)
+
+
 def test_stated_numbers_are_met_to_what_the_thesis_rounds_and_reads_off() -> None:
     """Times to 0.02 s and forces to 20 %: the thesis reads them off samples and does not state its ramps."""
     names = {entry["case"] for entry in thesis()["motions"]}
@@ -130,10 +168,10 @@ def test_stated_numbers_are_met_to_what_the_thesis_rounds_and_reads_off() -> Non
     for record in records:
         tolerance = {"s": 0.02, "m": 0.005, "N·m": 0.1}[record["unit"]]
         np.testing.assert_allclose(record["computed"], record["stated"], atol=tolerance, err_msg=str(record))
-    plans, checked = Plans(), 0
+    checked = 0
     for entry in thesis()["planned"]:
         if entry["row"].endswith(("entry", "exit")) and entry["measure"][0] in ("time_of", "entry_forces"):
-            ours = read(plans.plan(BY_NAME[entry["case"]]), *entry["measure"])
+            ours = read(PLANS.plan(BY_NAME[entry["case"]]), *entry["measure"])
             times = entry["unit"] == "s"
             np.testing.assert_allclose(
                 ours, [*map(float, entry["stated"])], rtol=0.0 if times else 0.2, atol=0.02 * times, err_msg=str(entry)

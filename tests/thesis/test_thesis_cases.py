@@ -51,6 +51,7 @@ def test_a_quick_run_is_a_part_of_the_full_one() -> None:
     assert FULL.complete
     assert set(QUICK.chapters) == set(FULL.chapters)
     assert {case.name for case in QUICK.motions} < {case.name for case in FULL.motions}
+    assert not QUICK.ratios  # no trade-off
     assert set(QUICK.future) < set(FULL.future) == set(FUTURE)
     for part in ("parity", "modes", "started", "races", "compared"):
         assert set(getattr(QUICK, part)) < set(getattr(FULL, part))
