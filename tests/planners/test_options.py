@@ -215,3 +215,5 @@ def test_carriers_measured_in_millimetres_are_the_reason_of_a_fallback() -> None
     assert command.status.value == "fallback"
     assert "carrier_1 was measured at 30 m, off its track from -0.2 to 0.2 m. " in command.reason
     assert "millimetres" in command.reason
+    rounded = planner.update(0.04, circle, [0.2 + 1e-7, -12.0], [0.0, 0.0])  # a rounding off its end is none
+    assert "carrier_2 was measured at -12 m" in rounded.reason
