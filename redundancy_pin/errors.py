@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import decimal
 import difflib
 import importlib
 import reprlib
@@ -14,6 +15,8 @@ _LONGEST = 4000
 
 _SHOWN = 300
 """Characters of a value in a message."""
+
+_ROUND_DOWN = decimal.Context(prec=3, rounding=decimal.ROUND_DOWN)
 
 
 class RedundancyPinError(Exception):
@@ -92,6 +95,11 @@ def one_of(name: object, known: Iterable[str], what: str = "It has") -> str:
 
 _TIMES_THE_SIZE, _LARGE = 20.0, 50.0
 """A length that is so many sizes of a machine, and a machine of so many metres, are probably in millimetres."""
+
+
+def rounded_down(value: float) -> str:
+    """Return a positive number with three digits, never above it: "at most" in a message is then accepted."""
+    return f"{float(_ROUND_DOWN.create_decimal_from_float(value)):g}"
 
 
 def millimetres(length: float, size: float) -> str:

@@ -8,7 +8,7 @@ import pickle
 import pytest
 
 from redundancy_pin import errors
-from redundancy_pin.errors import InputError, RedundancyPinError, UnreachablePoseError
+from redundancy_pin.errors import InputError, RedundancyPinError, UnreachablePoseError, rounded_down
 
 KINDS = [
     kind
@@ -22,6 +22,11 @@ def test_text_is_message_then_remedy() -> None:
     assert str(error) == "It is out of reach by 0.2 m. Move it."
     assert str(UnreachablePoseError("It is out of reach.")) == "It is out of reach."
     assert (error.message, error.remedy) == ("It is out of reach by 0.2 m.", "Move it.")
+
+
+@pytest.mark.parametrize("value", [1.3456, 134.99, 0.26899, 12345.6, 1.34, 0.1 + 0.2, 9.999e-7])
+def test_a_bound_in_a_message_is_rounded_down(value: float) -> None:
+    assert 0.99 * value < float(rounded_down(value)) <= value
 
 
 def test_details_cannot_be_changed() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -100,7 +101,7 @@ def new(
             raise
         notes = (*loaded.notes, *filter(None, [too_few_motors(loaded)]))
         outcome = f"n = {loaded.n}, m = {loaded.m}"
-        warnings += _guessed_by_us(loaded, decided["guess"])
+        warnings += _branch_found(loaded, decided["guess"])
     facts: dict[str, Any] = {
         "out": str(target),
         "loops": [{"name": each.name, "kind": each.kind, "links": each.links} for each in mechanism.loop_joints],
@@ -117,13 +118,30 @@ def new(
     return BAD_INPUT if proposal.questions else 0
 
 
-def _guessed_by_us(robot: Robot, guess: Mapping[str, float]) -> list[str]:
-    """Return where the joints are that a guess leaves out: another branch may be nearer to their start than the own."""
-    from redundancy_pin.loading.reference import reference_positions
+_FAR = 0.3
+"""rad, or characteristic lengths: a joint that ends farther from its guess may be on another branch."""
 
-    known = {*guess, *robot.carriers, *(one.joint for one in robot.couplings)}
-    left = {name: at for name, at in reference_positions(robot).items() if name not in known}
-    if not (guess and left and robot.closures):
+
+def _branch_found(robot: Robot, guess: Mapping[str, float]) -> list[str]:
+    """Return where joints are that a guess leaves out, and those that the closing of the loops took far from theirs."""
+    from redundancy_pin.loading.reference import reference_positions
+    from redundancy_pin.robot.scales import is_revolute
+
+    if not (guess and robot.closures):
         return []
-    places = ",".join(f"{name}={at:.3g}" for name, at in left.items())
-    return [f"--guess leaves out {', '.join(left)}: the branch is the one with {places}; add them for another one."]
+    known = {*guess, *robot.carriers, *(one.joint for one in robot.couplings)}
+    warnings, left, far = [], [], []
+    for name, at in reference_positions(robot).items():
+        if name not in known:
+            left.append(f"{name}={at:.3g}")
+        elif name in guess:
+            off = at - guess[name]
+            off = math.remainder(off, math.tau) if is_revolute(robot, name) else off / robot.characteristic_length
+            far += [f"{name}={at:.3g}, not {guess[name]:.3g}"] if abs(off) > _FAR else []
+    if left:
+        names, places = ", ".join(one.partition("=")[0] for one in left), ",".join(left)
+        warnings.append(f"--guess leaves out {names}: the branch is the one with {places}; guess all for another one.")
+    if far:
+        what = f"the loops closed far from --guess, with {'; '.join(far)}"
+        warnings.append(f"{what}: where that is another branch, guess all joints, nearer to the one that is meant.")
+    return warnings

@@ -11,7 +11,7 @@ import inspect
 import re
 import typing
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -451,12 +451,12 @@ def recorded_robot_options(command: _Command) -> _Command:
     return option(trust_option(command))
 
 
-def backend_option(text: str = "How to compute.") -> Callable[[_Command], _Command]:
-    """Return the option ``--backend``, None where the user names none."""
+def backend_option(text: str = "How to compute.", names: Iterable[str] = ()) -> Callable[[_Command], _Command]:
+    """Return the option ``--backend``, None where the user names none; by default it takes all backends."""
     from redundancy_pin.dynamics.backends import BACKENDS
 
-    default = "compiled; rnea without a C compiler"
-    return click.option("--backend", type=click.Choice(list(BACKENDS)), show_default=default, help=text)
+    choice, default = click.Choice([*names] or list(BACKENDS)), "compiled; rnea without a C compiler"
+    return click.option("--backend", type=choice, show_default=default, help=text)
 
 
 def dynamics_of(robot: Robot, backend: str | None) -> Dynamics:
@@ -497,21 +497,22 @@ class MotionOptions:
     """Where the file is looked for."""
 
     @functools.cached_property
-    def _parts(self) -> tuple[str, Mapping[str, object], str | None]:
-        """The trajectory or the path, its keys, and the path once more, None for a trajectory by name."""
+    def _parts(self) -> tuple[str, Mapping[str, object], bool]:
+        """The trajectory or the path, its keys, and whether it is a path."""
         from redundancy_pin.trajectory.by_name import split_trajectory
         from redundancy_pin.trajectory.reference import TRAJECTORIES
 
         name, keys = split_trajectory(self.given or "") if self.keys is None else (self.given or "", self.keys)
         if not name or not isinstance(name, str) or name in TRAJECTORIES:
-            return name, keys, None
-        path = str(self.folder / name)
-        return (path, keys, path) if Path(name).suffix or is_file(Path(path)) else (name, keys, None)
+            return name, keys, False
+        path = self.folder / name
+        return (str(path), keys, True) if Path(name).suffix or is_file(path) else (name, keys, False)
 
     @property
     def file(self) -> str | None:
         """The file that the motion is read from; None for a trajectory by name."""
-        return self._parts[2]
+        name, _, is_path = self._parts
+        return name if is_path else None
 
     @functools.cached_property
     def is_sampled(self) -> bool:

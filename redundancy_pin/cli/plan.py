@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -48,15 +49,23 @@ class Planners(click.Group):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the options of the group; see ``click.Command.parse_args``."""
+        given = [*args]  # click takes from the list what it has read
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
             flags = {flag for one in self.commands.values() for own in one.params for flag in own.opts}
             if error.option_name not in flags:
                 raise
-            message = f"{error.option_name} comes after the name of a planner, and there is none."
-            remedy = f"Write plan NAME {error.option_name} ..., with one of {', '.join(self.commands)}."
-            raise InputError(message, remedy=remedy, name=error.option_name) from None
+            own, names = error.option_name, f"plan NAME {error.option_name} ..., with one of {', '.join(self.commands)}"
+            message, remedy = f"{own} comes after the name of a planner, and there is none.", f"Write {names}."
+            named = [word for word in given if word in self.commands]
+            if any(word.partition("=")[0] == "--problem" for word in given):
+                message = f"{own} does not go with --problem: the file says what to plan."
+                remedy = f"Write it into the file (docs/problem.yaml), or without --problem {names}."
+            elif named:
+                message = f"{own} comes after the name of the planner, not before it."
+                remedy = f"Write plan {shlex.join([named[0], *(word for word in given if word != named[0])])}."
+            raise InputError(message, remedy=remedy, name=own) from None
 
 
 @click.group(cls=Planners, invoke_without_command=True)

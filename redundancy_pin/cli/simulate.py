@@ -8,6 +8,7 @@ import click
 
 from redundancy_pin.cli import options, output
 from redundancy_pin.cli.show import VIDEO
+from redundancy_pin.dynamics.backends import COMPILED, RNEA
 from redundancy_pin.errors import InputError
 from redundancy_pin.loading import load_with
 from redundancy_pin.planners.plan import Plan, load_plan
@@ -37,7 +38,7 @@ NEVER = "never"
 
 @click.command()
 @options.robot_options(required=False)
-@options.backend_option("How the forward dynamics are computed.")
+@options.backend_option("How the forward dynamics are computed.", (RNEA, COMPILED))
 @click.option("--plan", "plan_path", metavar="NPZ", help="Plan to follow, as `plan --out` writes it.")
 @options.motion_options("to follow")
 @options.settings_option("--machine", "machine", "Parameter in which the machine is not as planned, such as "

@@ -37,20 +37,18 @@ def describe(robot: Robot, description: str = "", defaults: Mapping[str, object]
     Args:
         robot: the robot.
         description: a sentence on it.
-        defaults: of its parameters, by name: only its files have them.
+        defaults: of its parameters, by name: only its files have them; left out where there are none.
 
     Example:
         >>> describe(rp.load_robot("3rrr"))["counts"]["carriers k"]
         3
     """
     platform = robot.platform
-    known = defaults or {}
+    known = {name: {"default": value} for name, value in (defaults or {}).items()}
     facts: dict[str, Any] = {
         "name": robot.name,
         "description": description,
-        "parameters": {
-            name: {"value": value, "default": known.get(name)} for name, value in robot.parameters.items()
-        },
+        "parameters": {name: {"value": value, **known.get(name, {})} for name, value in robot.parameters.items()},
         "counts": {
             "independent velocities n": robot.n,
             "main actuators m": robot.m,
@@ -215,8 +213,10 @@ def _tables(facts: Mapping[str, Any]) -> Iterator[TextTable]:
     ]
     headings: tuple[str, ...] = ("joint q", "of p", "polynomial", "further terms")
     yield from [TextTable("couplings, q = c0 + c1 p + ...", rows, headings)] if rows else []
-    rows = [(name, _text(entry["value"]), _text(entry["default"])) for name, entry in facts["parameters"].items()]
-    headings = ("parameter", "value", "default")
+    parameters: Mapping[str, Mapping[str, object]] = facts["parameters"]
+    columns = ["value", *(["default"] if any("default" in entry for entry in parameters.values()) else [])]
+    rows = [(name, *(_text(entry.get(key, "")) for key in columns)) for name, entry in parameters.items()]
+    headings = ("parameter", *columns)
     yield from [TextTable("parameters (--set NAME=VALUE)", rows, headings, numbers=True)] if rows else []
     rows = [
         (name, row(own["position"], " … "), *(f"{own[key]:g}" for key in ("speed", "acceleration", "force")))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import not_negative, whole
-from redundancy_pin.errors import InputError, did_you_mean, shown
+from redundancy_pin.errors import InputError, did_you_mean, rounded_down, shown
 from redundancy_pin.planners.reference import MotionReference
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import Controller, Sampling
@@ -111,7 +111,7 @@ def follow(
         if value is not None and value > most:
             raise InputError(
                 f"{name} is {value:g} s, and the whole motion takes {FEWEST * most:.4g} s.",
-                remedy=f"Pass at most {most:.3g} s.",
+                remedy=f"Pass at most {rounded_down(most)} s.",
                 name=name,
             )
     limits = {name: settings.get(name) for name in ("effort_limit", "carrier_force_limit")}

@@ -18,6 +18,9 @@ from redundancy_pin.status import ResultStatus
 _LISTED = 8
 """Events that the table lists; the rest is counted."""
 
+_ON_ITS_WAY = 0.05
+"""Share of the extent of the motion, and of a track, up to which a machine that stops was near its plan."""
+
 
 def platform_error(run: Simulation, reference: MotionReference, robot: Robot) -> Array:
     """Return the distance (N,) of the platform from a motion at the samples of a simulation, m.
@@ -69,16 +72,27 @@ def summary(run: Simulation, reference: MotionReference, robot: Robot) -> Summar
         *((f"peak of {name} [{moved}]", number(value)) for name, value in forces),
         ("work of all actuators [J]", number(facts["work"])),
     ]
-    return Summary(facts, TextTable(run.robot.name, [*rows]), warnings=_warnings(run))
+    return Summary(facts, TextTable(run.robot.name, [*rows]), warnings=_warnings(run, reference, robot))
 
 
-def _warnings(run: Simulation) -> list[str]:
+def _warnings(run: Simulation, reference: MotionReference, robot: Robot) -> list[str]:
     """Return why a simulation ended early, and what helps."""
     if run.status is ResultStatus.NOT_CONVERGED:
         return [f"could not go on at t = {run.t[-1]:.6g} s: {run.reason}"]
     if run.status is not ResultStatus.STOPPED:
         return []
     last = run.events[-1]
-    remedy = "a plan of a narrower track (limits=Limits(track=...), --track) leaves room to deviate from it"
     what = f"stopped at t = {last.t:.6g} s: {last.kind.replace('_', ' ')} ({last.name})"
-    return [f"{what}; {remedy}." if last.kind == "track" else what]
+    if last.kind != "track" or not _is_on_its_way(run, reference, robot):
+        return [what]
+    return [f"{what}; a plan of a narrower track (limits=Limits(track=...), --track) leaves room to deviate from it."]
+
+
+def _is_on_its_way(run: Simulation, reference: MotionReference, robot: Robot) -> bool:
+    """Return whether platform and carriers end near where the plan has them then."""
+    platform = np.array([reference.platform(t)[0] for t in reference.edges.tolist()])
+    extent = float(distance(robot, platform, np.broadcast_to(platform[0], platform.shape)).max())
+    off = float(platform_error(run, reference, robot)[-1])
+    lengths = np.array([limits.upper - limits.lower for limits in robot.carrier_limits])
+    planned, _, _ = reference.carriers(float(run.t[-1]))
+    return off <= _ON_ITS_WAY * extent and bool((np.abs(run.s[-1] - planned) <= _ON_ITS_WAY * lengths).all())

@@ -69,6 +69,8 @@ validate --robot 3rrr --jobs -2 => or -1 for one process per core
 {ONLINE} --step 1 --horizon 200 => error: --horizon: horizon is 200 s, and the whole motion takes 2.68 s
 {ONLINE} --start 30 => error: --start: start puts carrier_1 at 30 m
 plan --robot 2rpr --motion circle => Write plan NAME --robot ..., with one of switch-off, stepwise, whole-trajectory
+plan --robot 2rpr whole-trajectory --motion circle => Write plan whole-trajectory --robot 2rpr --motion circle.
+plan --problem task.yaml --robot 2rpr => --robot does not go with --problem
 plan --robto 2rpr => No such option '--robto'
 {ONLINE} --out a.csv => --out a.csv does not end in .npz
 online --robot 3rrr --set carriers=false --motion corner => 3rrr has no carriers to plan for
@@ -188,6 +190,7 @@ export plan.npz --to plan.npz => --to plan.npz does not end in .csv or .json or 
 {RUN} --period -1 => --period: period is -1 s, expected a positive number
 {RUN} --period 2 => error: --period: period is 2 s, and the whole motion takes
 {RUN} --dt 1 => error: --dt: dt is 1 s, and the whole motion takes
+{RUN} --backend virtual-work => 'virtual-work' is not one of 'rnea', 'compiled'
 {RUN} --friction 0.1 => Write revolute_coulomb=0.02
 {RUN} --friction coulomb=1 => error: --friction: friction has no 'coulomb'
 {RUN} --friction revolute_coulomb=-1 => revolute_coulomb is -1.0

@@ -13,6 +13,7 @@ from command_line import call, refused
 import redundancy_pin
 from redundancy_pin import load_robot
 from redundancy_pin.cli import main
+from redundancy_pin.dynamics.description import describe
 from redundancy_pin.io import limited
 from redundancy_pin.robot.shipped import shipped_robots
 
@@ -50,6 +51,13 @@ def test_describes_every_robot(name: str) -> None:
     text = call("info", "--robot", name).stdout
     for parameter in robot.parameters:
         assert parameter in text
+
+
+def test_defaults_are_of_files_and_a_robot_in_python_has_no_column_of_them() -> None:
+    assert "default" in call("info", "--robot", "3rrr").stdout
+    facts = describe(load_robot("3rrr"))
+    assert "default" not in str(facts)
+    assert facts["parameters"]["carrier_mass"].keys() == {"value"}
 
 
 def test_colons_in_names_make_no_pictures(tmp_path: Path) -> None:

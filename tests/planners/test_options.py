@@ -209,9 +209,14 @@ def test_a_misspelt_option_of_the_on_line_planner_is_named() -> None:
 
 
 def test_carriers_measured_in_millimetres_are_the_reason_of_a_fallback() -> None:
-    planner, circle = rp.RecedingHorizon("2rpr"), reference.circle()
-    assert planner.update(0.0, circle, [0.0, 0.0], [0.0, 0.0]).status.value == "ok"
-    command = planner.update(0.02, circle, [30.0, -12.0], [0.0, 0.0])
-    assert command.status.value == "fallback"
-    assert "carrier_1 was measured at 30 m, off its track from -0.2 to 0.2 m. " in command.reason
-    assert "millimetres" in command.reason
+    circle = reference.circle()
+    for places, says in (
+        ([30.0, -12.0], "carrier_1 was measured at 30 m, off its track from -0.2 to 0.2 m. "),
+        ([0.2 + 1e-7, -300.0], "carrier_2 was measured at -300 m"),  # the other is off its own by rounding
+    ):
+        planner = rp.RecedingHorizon("2rpr")
+        assert planner.update(0.0, circle, [0.0, 0.0], [0.0, 0.0]).status.value == "ok"
+        command = planner.update(0.02, circle, places, [0.0, 0.0])
+        assert command.status.value == "fallback"
+        assert says in command.reason
+        assert "millimetres" in command.reason

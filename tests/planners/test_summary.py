@@ -52,6 +52,12 @@ def test_a_plan_that_stopped_early_is_no_optimum_and_keeps_its_limits(monkeypatc
     assert next(warnings_of(plan)).startswith("this is no optimum")
 
 
+def test_ticks_without_a_plan_of_a_run_that_was_saved_before_it_had_reasons(plan: Plan) -> None:
+    early = replace(plan, diagnostics={"ticks": {"ok": 3, "relaxed": 2, "fallback": 0}})
+    (warning,) = early.summary().warnings
+    assert warning.startswith("2 of 5 ticks had no plan within every limit (2 relaxed): ")
+
+
 def test_a_summary_is_printed_as_a_table_and_with_dynamics_has_the_base(plan: Plan) -> None:
     text, dynamics = str(plan.summary()), rp.RneaDynamics("3rrr")
     for value in (plan.rms_effort[0], plan.main_energy):

@@ -15,7 +15,7 @@ from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.options import Limits, group_of, takes_groups
 from redundancy_pin.planners.receding_horizon.command import GOALS, Command, Goal, Weights
 from redundancy_pin.planners.receding_horizon.compiled import CompiledPlanner
-from redundancy_pin.planners.receding_horizon.constants import LATEST, SAME
+from redundancy_pin.planners.receding_horizon.constants import BEYOND, LATEST, SAME
 from redundancy_pin.planners.receding_horizon.preview import Preview, Source
 from redundancy_pin.status import UpdateStatus
 
@@ -149,7 +149,7 @@ class RecedingHorizon:
     def _off_track(self, s: Array) -> str:
         """Return which carrier was measured (k,), m, outside its track; empty if none."""
         for name, (lower, upper), at in zip(self.resolved.names, self.resolved.track, s, strict=True):
-            if not lower <= at <= upper:
+            if max(lower - at, at - upper) > BEYOND:
                 hint = millimetres(abs(at), upper - lower)
                 return (
                     f"{name} was measured at {at:g} m, off its track from {lower:g} to {upper:g} m{hint and f'.{hint}'}"

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, positive
 from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.errors import InfeasiblePlanError, InputError, rounded_down
 from redundancy_pin.io.summary import Summary, TextTable, number, row
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import Actuation
@@ -182,7 +182,7 @@ def _require_times(planner: RecedingHorizon, duration: float) -> None:
         if (value := getattr(planner, name)) > most:
             raise InputError(
                 f"{name} is {value:g} s, and the whole motion takes {duration:.4g} s.",
-                remedy=f"Pass at most {most:.3g} s (seconds, not milliseconds).",
+                remedy=f"Pass at most {rounded_down(most)} s (seconds, not milliseconds).",
                 name=name,
             )
 

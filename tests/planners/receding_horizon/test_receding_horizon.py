@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import re
 from functools import cache
 from types import SimpleNamespace
 
@@ -22,6 +23,7 @@ from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line, circle_path
+from redundancy_pin.trajectory.reference import circle
 
 MISSING = 1e-4
 """N of up to 5 N that may be missing within a millisecond of a singular instant: two rounds leave less."""
@@ -464,6 +466,17 @@ def test_what_is_not_known_is_not_called_known_and_missed_ticks_go_forward():
         run_online(planner, ACROSS, tick=0.6)
     with pytest.raises(InputError, match="effort weighs -1"):
         Weights(effort=-1.0)
+
+
+@pytest.mark.parametrize(("step", "horizon", "share"), [(5.0, 10.0, 0.5), (0.7, 140.0, 50.0)])
+def test_the_longest_step_and_horizon_that_a_refusal_names_are_not_too_long(step, horizon, share):
+    planner = RecedingHorizon(machine()[0], step=step, horizon=horizon)
+    for speed in np.linspace(0.5, 0.9, 9):
+        motion = circle(speed=speed)
+        with pytest.raises(InputError, match="Pass at most") as caught:
+            run_online(planner, motion)
+        most = float(re.search(r"at most (\S+) s", str(caught.value))[1])
+        assert 0.99 < most / (share * motion.duration) <= 1.0
 
 
 def test_no_limit_at_all_is_no_limit():
