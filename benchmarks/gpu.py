@@ -2,7 +2,8 @@
 
 python benchmarks/gpu.py [SAMPLES] [ROBOT ...]     (extra `gpu`; a few minutes on one device, most of them NVRTC's)
 
-Cold: every sample starts from the reference. Warm: it starts from the state of one nearby, as a motion does.
+Cold: every sample starts from the reference. Warm: from the state of a pose a hundredth of the spread away.
+Forward: accelerations at the closed states of these samples, each its own, carriers in motion.
 """
 
 import sys
@@ -37,6 +38,12 @@ def states(robot, samples, reach):
     return [x, rng.normal(size=(samples, n)), rng.normal(size=(samples, n)), *carried]
 
 
+def nearby(robot, x, reach):
+    """Return poses a hundredth of the spread away."""
+    step = 0.01 * reach * robot.characteristic_length
+    return x @ pin.exp6(np.full(6, step)).homogeneous if is_pose(robot) else x + step
+
+
 def seconds(work):
     """Return the least time of a few, after one that compiles."""
     best = np.inf
@@ -69,13 +76,15 @@ def measured(name, reach, samples):
     error = np.abs(found.tau - wanted.tau)[solved].max() / np.abs(wanted.tau[solved]).max()
     device = [cupy.asarray(part) for part in given]
     cold = seconds(lambda: dynamics.torque(*device)) / samples
-    state = dynamics.torque(*device).state
-    warm = seconds(lambda: dynamics.torque(*device, start=state)) / samples
-    # forward dynamics where the loops are closed and everything rests
-    tree = cupy.broadcast_to(cupy.asarray(robot.q_reference), (samples, len(robot.q_reference)))
-    rest = cupy.zeros((samples, robot.model.nv))
-    dynamics.acceleration(tree[:1000], rest[:1000], 1.0)
-    forward = seconds(lambda: dynamics.acceleration(tree, rest, 1.0)) / samples
+    near = dynamics.torque(cupy.asarray(nearby(robot, given[0], reach)), *device[1:]).state
+    warm = seconds(lambda: dynamics.torque(*device, start=near)) / samples
+    q = cupy.ascontiguousarray(near[:, :-1])
+    q[:, cupy.asarray(robot.carrier_position)] = device[3]
+    v = cupy.zeros((samples, robot.model.nv))  # carriers move as they like; the loops are at rest
+    v[:, cupy.asarray(robot.carrier_velocity)] = device[4]
+    tau = cupy.ascontiguousarray(dynamics.torque(*device).tau)
+    dynamics.acceleration(q[:1000], v[:1000], tau[:1000])
+    forward = seconds(lambda: dynamics.acceleration(q, v, tau)) / samples
     times = (f"{1e9 * one:.3g} ns | {1e-6 / one:.4g}" for one in (cold, warm, forward))
     checks = f"{core / cold:.0f} | {error:.1g} | {alike:,} of {len(few[0]):,} | {compiling:.0f} s"
     return f"| {name} | {samples:,} | {' | '.join(times)} | {checks} |"
@@ -86,8 +95,9 @@ def attributes(name):
     dynamics = rp.GpuDynamics(name)
     kernel = dynamics._efforts.get_function("rp_many_efforts")
     kernel.compile()
-    limit = cupy.cuda.Device().attributes["MaxRegistersPerMultiprocessor"]
-    held = min(2048, limit // max(kernel.num_regs, 1))
+    # registers are given to warps by the 256
+    registers = cupy.cuda.Device().attributes["MaxRegistersPerMultiprocessor"]
+    held = min(2048, registers // (-(-32 * kernel.num_regs // 256) * 256 * 4) * 128)
     return f"| {name} | {kernel.num_regs} | {kernel.local_size_bytes:,} B | {held} of 2,048 |"
 
 

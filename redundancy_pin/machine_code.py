@@ -14,6 +14,7 @@ import ctypes
 import hashlib
 import importlib.resources
 import importlib.util
+import itertools
 import logging
 import os
 import platform
@@ -56,7 +57,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Compiler:
-    """A C compiler: the words of its command, and its path, size and date."""
+    """A C compiler: the words of its command, and what tells it from an older one of the same path."""
 
     command: tuple[str, ...]
     identity: str
@@ -104,7 +105,7 @@ def _identified(path: str, *arguments: str) -> Compiler:
 
 
 def processor() -> str:
-    """Return a description of the processor: machines with equal ones run the same ``NATIVE`` code."""
+    """Return what tells machines apart that ``NATIVE`` makes other code for."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:  # not on Linux
@@ -123,12 +124,12 @@ def digest(parts: Iterable[str]) -> str:
 def built(
     digest_of: Callable[[str], str], write: Callable[[], str], load: Callable[[Path], T], flags: Sequence[str] = FLAGS
 ) -> tuple[T | None, str]:
-    """Return a library, from disk or new, and an empty reason; without one None and the reason.
+    """Return a library, from disk or new; or None and the reason why there is none.
 
     Args:
-        digest_of: returns the name of the library (``digest``) from the identity of the compiler.
+        digest_of: returns, from the identity of the compiler, what tells the library from all others (``digest``).
         write: returns the C.
-        load: opens a library; raises as ``loaded`` for another one.
+        load: opens a library; raises what ``loaded`` raises where it is another one.
         flags: of the compiler.
     """
     compiler = find_compiler()
@@ -176,7 +177,7 @@ def _is_full(folder: Path) -> bool:
 
 
 def cache_folder() -> Path | None:
-    """Return the folder of compiled libraries, which is made if it is missing; None if no library can be kept."""
+    """Return the folder of compiled libraries, made where it is missing; None where none can be kept."""
     named = os.environ.get(CACHE)
     if named == "":
         return None
@@ -192,15 +193,15 @@ def cache_folder() -> Path | None:
 
 
 def _user_cache() -> Path:
-    """Return ``$XDG_CACHE_HOME``, otherwise ``~/.cache``; its specification ignores relative paths."""
+    """Return ``$XDG_CACHE_HOME``, or ``~/.cache`` where it is no absolute path: its specification ignores those."""
     named = Path(os.environ.get("XDG_CACHE_HOME", ""))
     return named if named.is_absolute() else Path.home() / ".cache"
 
 
 def _make_trusted(folder: Path) -> str:
-    """Make a missing folder, and return why other users could change its content; empty if they cannot.
+    """Make a folder where it is missing, and return why other users could change what it holds; empty if they cannot.
 
-    From the root down: the folders above are known to be safe before a folder is checked, so that no other user can
+    From the root down: what is above a folder is known to be safe before that folder is looked at, so that nobody can
     replace it between this check and its use.
     """
     if not hasattr(os, "geteuid"):
@@ -309,35 +310,53 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def loaded(path: Path) -> ctypes.CDLL:
-    """Return a shared library that has its own name as its key.
+    """Return a shared library that says itself that it is the one of its name.
 
     Raises:
         OSError, AttributeError, ValueError: it is half a file, another machine's, or of another name. PermissionError:
-            it is not a file of this user's, or others may write to it.
+            it is no file of this user's, or others may write to it.
     """
-    _require_own(path)
-    library = ctypes.CDLL(str(path))
+    with _checked(path) as name:
+        library = ctypes.CDLL(name)
     own = (ctypes.c_char * (len(path.stem) + 1)).in_dll(library, _KEY).value.decode(errors="replace")
     if own != path.stem:
         raise ValueError(f"{path} is the library {own}.")
     return library
 
 
-def _require_own(path: Path) -> None:
-    """Raise PermissionError unless a library is a file of this user's that no other user may write.
-
-    No other user can replace it between this check and its use: its folder was checked before (``_make_trusted``).
-    """
+@contextlib.contextmanager
+def _checked(path: Path) -> Iterator[str]:
+    """Give the name under which to load a file that only this user can have written."""
     if not hasattr(os, "geteuid"):
+        yield str(path)
         return
-    status = path.lstat()
-    if not stat.S_ISREG(status.st_mode):
-        raise PermissionError(f"{path} is no file")
-    if status.st_uid != os.geteuid():
-        raise PermissionError(f"{path} belongs to user {status.st_uid}")
-    if status.st_mode & 0o022:
-        raise PermissionError(f"others may write to {path} (mode {stat.S_IMODE(status.st_mode):04o})")
+    if path.is_symlink():
+        raise PermissionError(f"{path} is a link")
+    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    try:
+        status = os.fstat(handle)
+        if not stat.S_ISREG(status.st_mode):
+            raise PermissionError(f"{path} is no file")
+        if status.st_uid != os.geteuid():
+            raise PermissionError(f"{path} belongs to user {status.st_uid}")
+        if status.st_mode & 0o022:
+            raise PermissionError(f"others may write to {path} (mode {stat.S_IMODE(status.st_mode):04o})")
+        # through its descriptor: the file that was checked, whatever has that path now. Without /proc, as on macOS, the
+        # folder has to do, in which nobody else can put another file there (``_make_trusted``)
+        yield f"{_DESCRIPTORS}{_unused()}/{handle}" if os.path.isdir(_DESCRIPTORS) else str(path)
+    finally:
+        os.close(handle)
 
+
+def _unused() -> str:
+    """Return slashes and dots that change no path, never the same twice.
+
+    glibc takes a name that it has loaded for the library of then, and numbers of descriptors are given again.
+    """
+    return "".join("/." if digit == "1" else "/" for digit in f"{next(_LOADS):b}")
+
+
+_DESCRIPTORS, _LOADS = "/proc/self/fd", itertools.count(1)
 
 _KEY = "rp_key"
 """In every library: the name that it was compiled under."""

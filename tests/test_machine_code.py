@@ -5,6 +5,7 @@ The library is one function that returns a number.
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import os
 import shlex
@@ -317,6 +318,24 @@ def test_a_folder_that_others_may_change_is_not_used(name: str, kept: Path, capl
     (note,) = caplog.messages
     assert str(kept.parent if "above" in name else kept) in note
     assert machine_code.CACHE in note
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="loads by path")
+def test_the_file_that_was_checked_is_the_one_that_is_loaded(
+    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    poisoned = library_in(kept)
+    monkeypatch.setenv(machine_code.CACHE, str(tmp_path / "sound"))
+    assert works()
+    sound, load = library_in(tmp_path / "sound"), ctypes.CDLL
+
+    def load_late(name: str) -> ctypes.CDLL:
+        os.replace(poisoned, sound)
+        return load(name)
+
+    monkeypatch.setattr(machine_code.ctypes, "CDLL", load_late)
+    assert machine_code.loaded(sound).rp_answer() == NUMBER
+    assert not poisoned.exists()
 
 
 @pytest.mark.parametrize("mask", [0o000, 0o002, 0o077, 0o177])

@@ -43,7 +43,7 @@ class CheckRow:
         passed: whether it does; false for a check without samples or with NaN.
         note: why the row does not count as a check; empty for a check.
         skipped: number of states that were skipped, by reason (a key of ``REASONS``).
-        does_not_show: the errors of a model that pass; empty unless the row is a check.
+        does_not_show: the errors of a model that pass; empty of rows that only count states.
     """
 
     robot: str

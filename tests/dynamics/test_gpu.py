@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import ctypes
 import importlib.util
+import pickle
 import sys
 from dataclasses import replace
 from functools import cache
@@ -171,6 +173,36 @@ def test_machines_differ_in_numbers() -> None:
     assert not np.allclose(together.tau[:3], alone.tau[:3])
 
 
+def test_machines_have_their_own_wrenches_and_ranges_and_accelerations() -> None:
+    robot = machine("3rrr")
+    frame = robot.platform.frame if robot.platform else ""
+    pulled = replace(robot, loads=(rp.Wrench(frame, [3.0, -2.0, 0.0, 0.0, 0.0, 0.5]),))
+    other = replace(robot, loads=(rp.Wrench(frame, [-1.0, 4.0, 0.0, 0.0, 0.0, 0.2]),))
+    narrow = rp.with_limits(other, lower=-1e-3, upper=1e-3)
+    given, which = states(robot, 12, 0.1, seed=4), np.arange(12) % 2
+    together = rp.GpuDynamics([pulled, narrow], device="cpu")
+    found = together.torque(**given, machine=which)
+    assert (found.status[which == 1] == SampleStatus.OUT_OF_RANGE).all()
+    assert (found.status[which == 0] != SampleStatus.OUT_OF_RANGE).any()
+    q = found.state[:, :-1].copy()
+    q[:, robot.carrier_position] = given["s"]
+    v = np.zeros((12, robot.model.nv))
+    accelerations = together.acceleration(q, v, found.tau, found.carrier_force, machine=which)
+    for at, one in enumerate((pulled, narrow)):
+        alone = rp.GpuDynamics(one, device="cpu")
+        mine = {name: part[which == at] for name, part in given.items()}
+        np.testing.assert_array_equal(found.tau[which == at], alone.torque(**mine).tau)
+        expected = alone.acceleration(q[which == at], 0.0, found.tau[which == at], found.carrier_force[which == at])
+        np.testing.assert_array_equal(accelerations.a[which == at], expected.a)
+
+
+def test_copies_and_pickles_give_the_same() -> None:
+    dynamics, x = dynamics_of("3rrr"), states(machine("3rrr"), 3, 0.1, seed=6)
+    wanted = dynamics.torque(**x).tau
+    for other in (copy.deepcopy(dynamics), pickle.loads(pickle.dumps(dynamics))):
+        np.testing.assert_array_equal(other.torque(**x).tau, wanted)
+
+
 def test_arrays_of_any_layout_and_one_value_for_all() -> None:
     robot, dynamics = machine("3rrr"), dynamics_of("3rrr")
     given = states(robot, 9, 0.1, seed=5)
@@ -253,6 +285,10 @@ def test_a_constant_wrench_acts_and_one_that_changes_is_refused() -> None:
         ((np.zeros((4, 3)), 0.0, 0.0), {"machine": [0, 0]}),
         ((0.0, 0.0, 0.0), {}),
         ((np.zeros((4, 3)), "fast", 0.0), {}),
+        ((np.zeros((4, 3)), None, 0.0), {}),
+        ((np.zeros((4, 3)), 1j, 0.0), {}),
+        ((np.zeros((4, 3)), 0.0, 0.0), {"machine": [0.5, 0.0, 0.0, 0.0]}),
+        (([1.0, 0.4, 0.0], 0.0, 0.0), {}),
     ],
 )
 def test_wrong_arguments_are_one_clear_error(arguments: tuple[Any, ...], settings: dict[str, Any]) -> None:
@@ -267,6 +303,8 @@ def test_robots_of_other_topologies_are_refused() -> None:
         rp.GpuDynamics([], device="cpu")
     with pytest.raises(InputError, match="device"):
         rp.GpuDynamics("3rrr", device="tpu")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="threads"):
+        rp.GpuDynamics("3rrr", device="cpu", threads=512)
 
 
 def test_without_a_gpu_or_cupy_the_error_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:

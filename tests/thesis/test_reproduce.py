@@ -24,10 +24,9 @@ from redundancy_pin.thesis.cases import CHAPTERS, FULL, Case
 from redundancy_pin.thesis.figures import THESIS, Picture, pictures
 from redundancy_pin.thesis.page import html
 from redundancy_pin.thesis.reproduce import Reproduction
-from redundancy_pin.visualisation.figures import style
 from redundancy_pin.visualisation.figures.style import save
 
-DPI = style.SETTINGS["savefig.dpi"]
+WRITTEN = Figure.savefig
 ALONE = replace(FULL, chapters=(), samples=1, jobs=1)
 
 
@@ -54,7 +53,7 @@ def _few_coarse_pictures() -> Iterator[None]:
             save(drawn, *paths)
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setitem(style.SETTINGS, "savefig.dpi", 40)
+        patched.setattr(Figure, "savefig", lambda *given, **options: WRITTEN(*given, **options, dpi=40))
         patched.setattr(job, "save", some)
         yield
 
@@ -131,7 +130,7 @@ def test_the_same_run_gives_the_same_bytes(
     """Of one motion the files of its own; of all of them summary and report too, and by several processes."""
     if names == NAMES:  # other processes draw all pictures, and in all their pixels
         monkeypatch.setattr(job, "save", save)
-        monkeypatch.setitem(style.SETTINGS, "savefig.dpi", DPI)
+        monkeypatch.setattr(Figure, "savefig", WRITTEN)
         done = reproduce(tmp_path / "first", [motion(name) for name in names])
     again = reproduce(tmp_path / "again", [motion(name) for name in names], jobs=len(names))
     same = [path for path in done.folder.iterdir() if names == NAMES or path.name.startswith(names[0])]

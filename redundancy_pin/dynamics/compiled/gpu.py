@@ -11,17 +11,17 @@ import ctypes
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from redundancy_pin.arrays import blocks, one_of, read_only, whole
+from redundancy_pin.arrays import blocks, one_of, read_only
 from redundancy_pin.dynamics.compiled.build import Code, address, carried_table, define, driver_source, text_of
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
 from redundancy_pin.dynamics.compiled.parameters import Topology, common_topology, layout_of, parameter_vector
-from redundancy_pin.errors import CompilerError, InputError, UnsupportedRobotError, optional
+from redundancy_pin.errors import CompilerError, InputError, UnsupportedRobotError, optional, shortened
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.checks import is_pose
@@ -29,7 +29,7 @@ from redundancy_pin.robot.joint_ranges import range_table
 from redundancy_pin.robot.loads import of_kind
 
 THREADS = 128
-"""Threads of a block: four warps, of which a multiprocessor holds two blocks when each thread has all its registers."""
+"""Threads of a block: a multiprocessor holds two blocks where each thread has all the registers that there are, 255."""
 
 _MOST_BLOCKS = 1 << 20
 """Blocks of one launch; threads go on to further samples."""
@@ -93,15 +93,16 @@ class GpuDynamics:
 
     Double precision; the numbers are those of ``CompiledDynamics`` but for rounding. Arguments are arrays of the device
     (of cupy, torch, jax: whatever has ``__dlpack__``, without a copy, in any layout) and results are cupy's, which the
-    others take by DLPack; or arrays of numpy, which go to the device in blocks. Work is put on cupy's current stream.
+    others take by DLPack; or arrays of numpy, which go to the device in blocks. Work is put on cupy's current stream:
+    keep arrays of other libraries until it is done.
 
-    Where the straight way from the start does not lead to a sample its status says why it ends. ``CompiledDynamics``
-    hands such a sample to kinematics, which may pass a bifurcation; here it has no efforts.
+    Where the straight way from the start does not lead to a sample it is ``unreachable``,
+    ``type_i`` or ``branch_lost``, which is no proof: ``CompiledDynamics`` asks kinematics, which may find a way.
 
     Args:
         robots: the robot, or its name or path; or several of one topology, that differ in numbers.
         device: "gpu"; "cpu" compiles the same text for the processor, in one thread: to try a program without a GPU.
-        threads: threads of a block, a multiple of 32.
+        threads: threads of a block, 32 to 256 by 32: each may need 255 registers, of which a block has 65,536.
 
     Raises:
         RedundancyPinError: cupy is not installed.
@@ -120,10 +121,10 @@ class GpuDynamics:
     def __init__(
         self, robots: RobotLike | Sequence[Robot], *, device: Literal["gpu", "cpu"] = "gpu", threads: int = THREADS
     ) -> None:
-        several = isinstance(robots, (list, tuple))
-        self.robots: tuple[Robot, ...] = tuple(robots) if several else (as_robot(robots),)  # type: ignore[arg-type]
+        several: Sequence[Any] = robots if isinstance(robots, (list, tuple)) else [robots]
+        self.robots: tuple[Robot, ...] = tuple(as_robot(each) for each in several)
         one_of(device, "device", ("gpu", "cpu"))
-        self.threads = 32 * whole(threads / 32, "threads / 32", 1, 32)
+        one_of(threads, "threads", range(32, 257, 32))
         if not self.robots:
             raise InputError("There is no robot.", remedy="Pass at least one.")
         self.robot = robot = self.robots[0]
@@ -136,7 +137,8 @@ class GpuDynamics:
                 remedy="Pass robots that differ in numbers only, and make another GpuDynamics for the others.",
             )
         self._topology: Topology = topology
-        self._device: _Device = _Gpu(self.threads) if device == "gpu" else _Cpu()
+        self._settings = device, threads
+        self._device: _Device = _Gpu(threads) if device == "gpu" else _Cpu()
         wrenches = [[load.value for load in of_kind(each.loads, Wrench)] for each in self.robots]
         if any(not isinstance(value, np.ndarray) or value.ndim > 1 for each in wrenches for value in each):
             raise UnsupportedRobotError(
@@ -147,6 +149,12 @@ class GpuDynamics:
         tables = vectors, wrenches, map(range_table, self.robots)
         rows = (np.array([*table], dtype=np.float64).reshape(len(self.robots), -1) for table in tables)
         self._machines, self._wrenches, self._ranges = map(self._device.xp.asarray, rows)
+        self._device.wait()  # calls may be on other streams than this one
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Make it again, from what is compiled already, where it is copied or sent to."""
+        device, threads = self._settings
+        return partial(type(self), device=device, threads=threads), (self.robots,)
 
     def __repr__(self) -> str:
         """Return the robot, and how many machines there are."""
@@ -248,13 +256,18 @@ class GpuDynamics:
     ) -> dict[str, Any]:
         """Return results by name, None where not wanted; ``given`` and ``wanted`` in the order of the columns in C."""
         device, first = self._device, next(iter(given.values()))[0]
-        if not getattr(first, "ndim", isinstance(first, (list, tuple))):
-            raise InputError("The first argument is one number.", remedy="Pass a row for each sample.")
+        axes = first.ndim if hasattr(first, "ndim") else np.ndim(first)
+        if axes != len(next(iter(given.values()))[1]) + 1:
+            raise InputError(
+                f"{next(iter(given))} has {axes} axes.", remedy="Pass a row for each sample, x[None] for one."
+            )
         on_host, samples = isinstance(first, (np.ndarray, list, tuple)), len(first)
         arrays = {"machine": (machine, ()), **given}
         taken = {each: _taken(np if on_host else device.xp, value, each, (samples, *size))
                  for each, (value, size) in arrays.items()}  # fmt: skip
         which = taken.pop("machine")
+        if which is not None and which.dtype.kind not in "iu":
+            raise InputError("machine has numbers that are not whole.", remedy="Pass integers, from 0.")
         if which is not None and samples and not 0 <= int(which.min()) <= int(which.max()) < len(self.robots):
             raise InputError("machine has a number of no robot.", remedy=f"Pass 0 to {len(self.robots) - 1}.")
         parts: list[dict[str, Any]] = []
@@ -296,7 +309,7 @@ class GpuDynamics:
 
 
 _BLOCK = 1 << 20
-"""Samples of numpy's arrays that are on the device at a time: some hundred megabytes for a Gough platform."""
+"""Samples of numpy's arrays that are on the device at a time: 1 GB of arguments and results for a Gough platform."""
 
 
 def _part(array: Any, part: slice) -> Any:
@@ -314,18 +327,20 @@ def _flat(xp: Any, array: Any) -> Any:
 
 def _taken(xp: Any, value: Any, name: str, shape: tuple[int, ...]) -> Any:
     """Return an argument as an array of its shape, one for all samples repeated without a copy; None as it is."""
-    if value is None:
+    if value is None and name in ("start", "machine"):
         return None
     try:
         is_foreign = xp is not np and hasattr(value, "__dlpack__") and not isinstance(value, (np.ndarray, xp.ndarray))
         array = xp.from_dlpack(value) if is_foreign else xp.asarray(value)
+        if array.dtype.kind not in "biuf":
+            raise TypeError(f"it holds {array.dtype}")
         array = array if name == "machine" else array.astype(np.float64, copy=False)
         if array.ndim == 0 or array.shape in (shape, shape[1:]):
             return xp.broadcast_to(array, shape)
     except (TypeError, ValueError, RuntimeError, BufferError) as error:
         raise InputError(
-            f"{name} is no array of the same device as the first argument: {error}.",
-            remedy="Pass all from one.",
+            f"{name} is no array of numbers on the device of the first argument: {error}.",
+            remedy="Pass all arrays from one device, in real numbers.",
             name=name,
         ) from error
     raise InputError(
@@ -394,6 +409,10 @@ class _Device(ABC):
         """Return an array as one of numpy."""
         return np.asarray(array)
 
+    @abstractmethod
+    def wait(self) -> None:
+        """Return when what was asked of the device is done."""
+
     def column(self, array: Any) -> tuple[int, int, int]:
         """Return the ``Column`` of an array, the samples along its first axis: address and strides, in doubles."""
         if array is None:
@@ -420,6 +439,9 @@ class _Cpu(_Device):
     def address(self, array: Any) -> int:
         return int(array.ctypes.data)
 
+    def wait(self) -> None:
+        """Return: it is done when a call returns."""
+
 
 class _Gpu(_Device):
     """The current GPU of cupy.
@@ -444,12 +466,13 @@ class _Gpu(_Device):
             raise CompilerError("There is no GPU of NVIDIA here.", remedy=instead)
 
     def compiled(self, kind: type[Code], topology: Topology) -> Any:
-        module = self.xp.RawModule(code=gpu_source(kind.source(topology)))
         try:
+            module = self.xp.RawModule(code=gpu_source(kind.source(topology)))
             module.compile()
-        except self.xp.cuda.compiler.CompileException as error:
+        except Exception as error:  # what may be missing or fail has no class in common: NVRTC, headers, the driver
             raise CompilerError(
-                f"NVRTC failed: {error}.", remedy="Install a newer NVRTC, and report the message."
+                f"NVRTC failed: {shortened(str(error))}.",
+                remedy="Run `pip install 'redundancy_pin[gpu]'`, and compare the versions of CUDA and of the driver.",
             ) from error
         return module
 
@@ -460,6 +483,9 @@ class _Gpu(_Device):
 
     def address(self, array: Any) -> int:
         return int(array.data.ptr)
+
+    def wait(self) -> None:
+        self.xp.cuda.get_current_stream().synchronize()
 
     def host(self, array: Any) -> NDArray[Any]:
         found: NDArray[Any] = self.xp.asnumpy(array)
