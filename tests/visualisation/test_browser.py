@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import io
 import shutil
 import time
@@ -88,16 +87,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("pages")
 
 
-@functools.cache
-def _view(name: str) -> View:
-    return show(zoo.robot_of(name))
-
-
 def _page_of(browser: Any, folder: Path, name: str) -> Any:
     """Open the page of a shipped robot, unless the test before has left it open: seconds each."""
     file = folder / f"{name}.html"
     if not file.exists():
-        _view(name).save(file)
+        zoo.view_of(name).save(file)
     if browser.current_url != file.as_uri():
         _open(browser, file)
     return browser
@@ -316,12 +310,12 @@ def _all_is_in_view(browser: Any, times: Iterable[float]) -> None:
 @pytest.mark.long_for("five_bar", "four_bar", "gough")
 @pytest.mark.parametrize("name", ["3rrr", *sorted({*zoo.SHIPPED} - {"2rpr", "3rrr"}), "2rpr"])
 def test_all_of_the_robot_is_in_the_picture_and_beside_the_legend(browser: Any, folder: Path, name: str) -> None:
-    _all_is_in_view(_page_of(browser, folder, name), (0.0, 0.5 * _view(name).scene.duration))
+    _all_is_in_view(_page_of(browser, folder, name), (0.0, 0.5 * zoo.view_of(name).scene.duration))
 
 
 def test_the_path_of_a_crossing_turns_red_and_the_platform_with_it(browser: Any, folder: Path) -> None:
     _page_of(browser, folder, "2rpr")
-    scene = _view("2rpr").scene
+    scene = zoo.view_of("2rpr").scene
     singular = float(scene.t[int(np.argmin(scene.margin))])
     _seek(browser, singular)
     at = _is(_picture(browser), MARGIN_COLORS[0]).sum()

@@ -486,13 +486,13 @@ def test_a_spatial_path_is_seen_obliquely_and_titled_a_projection() -> None:
     np.testing.assert_allclose(path.get_xydata(), motion.x[:, :2, 3], atol=1e-9)
     assert flat.get_title() == "path, projection on x, y"
     assert set(_texts(oblique)) >= {"x", "y", "z", "axes: 0.1 m"}
-    view = rp.show(robot)
+    view = rp.show(robot, motion)
     assert rp.plot.snapshots(view, 1, plane="xz").axes[0].get_title() == "gough, projection on x, z"
     assert {"x", "y", "z"} <= set(_texts(rp.plot.snapshots(view, 1, plane="3d").axes[0]))
 
 
 def test_snapshots_show_the_mechanism_at_each_instant_and_its_margins() -> None:
-    scene = rp.show(zoo.robot_of("2rpr")).scene
+    scene = zoo.view_of("2rpr").scene
     drawn = rp.plot.snapshots(scene, (0.0, 0.5, 1.0))
     axes = drawn.axes[0]
     boxes = [patch for patch in axes.patches if to_hex(patch.get_facecolor()) == "#d95f0e"]
@@ -602,7 +602,7 @@ def test_a_figure_is_its_own_picture_in_a_notebook_and_leaves_settings_alone() -
 
 def test_what_cannot_be_drawn_is_refused() -> None:
     robot, four_bar = zoo.robot_of("2rpr"), zoo.robot_of("four_bar")
-    scene = rp.show(robot).scene
+    scene = zoo.view_of("2rpr").scene
     reduced = rp.VirtualWork(robot).reduce(plan().motion[:5])
     still = rp.PlatformMotion([0.0], [[1.0]], [[0.0]], [[0.0]])
     refused: list[tuple[str, Callable[[], object]]] = [
