@@ -34,6 +34,7 @@ from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.loading import load_robot
 from redundancy_pin.robot import Closure, JointForces, Payload, Spring, Wrench
+from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.shipped import shipped_robots
 from redundancy_pin.simulation.forward import ForwardDynamics
 
@@ -152,7 +153,11 @@ def exaggerate_loads(monkeypatch, factor, only=None):
     def exaggerated(robot, data, state):
         required = effort(robot, data, state)
         unloaded = pin.rnea(robot.model, data, state.q, state.v, state.a)
-        own = required if only is None else effort(only, data, state)
+        own = required
+        if only is not None:
+            rest = np.zeros((1, only.n))  # the wrenches are constant
+            values = wrench_values(only.loads, np.zeros(1), rest, rest)
+            own = effort(only, data, state._replace(wrenches=[value[0] for value in values]))
         return required + (factor - 1.0) * (own - unloaded)
 
     monkeypatch.setattr(rnea_module, "tree_effort", exaggerated)
