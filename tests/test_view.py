@@ -17,7 +17,7 @@ from redundancy_pin.visualisation.viewer.scene import Scene
 @pytest.fixture(scope="module")
 def plan() -> rp.Plan:
     robot = zoo.robot_of("3rrr")
-    motion = rp.trajectory.reference.corner()
+    motion = rp.trajectory.reference.corner().sample(0.01)
     return rp.plan_stepwise(rp.RneaDynamics(robot), motion)
 
 

@@ -65,6 +65,7 @@ def random_rows(name: str, samples: int, seed: int) -> tuple[CheckRow, ...]:
     return merged(row for case in cases for row in checked(case))
 
 
+@pytest.mark.long_for("five_bar", "four_bar")
 @pytest.mark.property
 @pytest.mark.parametrize("name", ROBOTS)
 def test_backends_agree_with_each_other_and_with_physics(name: str) -> None:

@@ -18,6 +18,8 @@ from redundancy_pin.loading import robot_from_model
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.robot.shipped import shipped_robots
+from redundancy_pin.view import show
+from redundancy_pin.visualisation.viewer.page import View
 
 SHIPPED = shipped_robots(gallery=False)
 """Those that every test of all robots takes; those of the gallery have ``test_gallery.py``."""
@@ -41,6 +43,12 @@ _as_loaded: list[tuple[Robot, pin.Model]] = []
 def changed() -> list[str]:
     """Return the robots of ``robot_of`` whose model a test has written to: the tests after it meet another machine."""
     return [str(robot) for robot, model in _as_loaded if robot.model != model]
+
+
+@functools.cache
+def view_of(name: str) -> View:
+    """Show a robot on its default motion, once a session."""
+    return show(robot_of(name))
 
 
 @functools.cache

@@ -49,6 +49,7 @@ def _drag(live: LiveRobot, seed: int = 0) -> list[float]:
     return taken
 
 
+@pytest.mark.long_for("2rpr-platform", "2rpr-actuators", "four_bar-actuators")
 @pytest.mark.parametrize("by", ["platform", "actuators"])
 @pytest.mark.parametrize("name", ["2rpr", "3rrr", "four_bar", "gough", "excavator"])
 def test_loops_are_closed_and_efforts_hold_the_robot_while_one_drags(name: str, by: Any) -> None:

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ JOINTS = [
     J("right_elbow", "revolute", "right_1", "right_2", (0.4, 0, 0)),
     J("right_mount", "fixed", "right_2", "right_tip", (0.5, 0, 0)),
 ]
-DECLARATION = {
+DECLARATION: dict[str, Any] = {
     "name": "five_bar_with_shapes",
     "closures": [{"frames": ["left_tip", "right_tip"], "axes": ["x", "y"]}],
     "actuated": ["left_base", "right_base"],
@@ -56,8 +57,11 @@ def visual(geometry: str, color: str = "") -> str:
     return f'<origin xyz="{ORIGIN["xyz"]}" rpy="{ORIGIN["rpy"]}"/>{painted}<geometry>{geometry}</geometry>'
 
 
+REST = rp.PlatformMotion([0.0], [DECLARATION["reference"]["platform"]], [[0.0, 0.0]], [[0.0, 0.0]])
+
+
 def scene_of(robot: Robot) -> Scene:
-    return show(robot).scene
+    return show(robot, REST).scene
 
 
 def shapes_on(scene: Scene, joint: str) -> list[Solid]:
@@ -118,15 +122,16 @@ def test_the_page_holds_every_vertex_of_a_mesh(tmp_path: Path) -> None:
     from test_page import objects_in
 
     wedge().export(tmp_path / "wedge.stl")
-    view = show(robot_with(tmp_path, [visual('<mesh filename="wedge.stl"/>')]))
+    view = show(robot_with(tmp_path, [visual('<mesh filename="wedge.stl"/>')]), REST)
     (tmp_path / "wedge.stl").unlink()  # the page needs no file
-    (sent,) = [thing for path, thing in objects_in(view.html()).items() if path.endswith("left_1_0")]
+    page = view.html()
+    (sent,) = [thing for path, thing in objects_in(page).items() if path.endswith("left_1_0")]
     (geometry,) = sent["geometries"]
     data = geometry["data"]["attributes"]["position"]["array"].data
     vertices = np.frombuffer(data, dtype=np.float32).reshape(-1, 3)
     assert {tuple(row) for row in vertices.round(4)} == {tuple(row) for row in wedge().vertices.astype("f4").round(4)}
-    assert 'hidden><input id="clear"' not in view.html()
-    assert 'hidden><input id="clear"' in show("five_bar").html()  # nothing to see through
+    assert 'hidden><input id="clear"' not in page
+    assert 'hidden><input id="clear"' in show(robot_with(tmp_path, []), REST).html()  # nothing to see through
 
 
 def test_primitives_are_drawn(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zoo
+from zoo import view_of
 
 import redundancy_pin as rp
 from redundancy_pin.errors import OutputError, RedundancyPinError
@@ -29,11 +30,6 @@ from redundancy_pin.visualisation.viewer.page import LiveView, View
 from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, make_scene, margin_classes
 
 umsgpack = pytest.importorskip("umsgpack", reason="comes with meshcat")
-
-
-@cache
-def view_of(name: str) -> View:
-    return rp.show(zoo.robot_of(name))
 
 
 @cache
@@ -81,6 +77,7 @@ def volume(vertices: np.ndarray, triangles: np.ndarray) -> float:
     return float(np.einsum("ti,ti->t", a, np.cross(b, c)).sum() / 6.0)
 
 
+@pytest.mark.long_for("five_bar", "3rrr")
 @pytest.mark.parametrize("name", zoo.SHIPPED)
 def test_every_clip_moves_a_group_for_as_long_as_the_motion(name: str) -> None:
     duration = view_of(name).scene.duration
@@ -197,7 +194,7 @@ def test_names_and_titles_are_text_and_neither_markup_nor_a_part_of_the_page() -
 
 
 def test_a_notebook_gets_a_page_in_a_frame_and_a_file_is_whole_or_not_there(tmp_path: Path) -> None:
-    view = view_of("five_bar")
+    view = view_of("four_bar")
     (inlined,) = re.findall(r'<iframe srcdoc="([^"]*)"', view._repr_html_())
     assert commands_in(html.unescape(inlined))
     with pytest.raises(OutputError, match=r"does not end in \.html"):
@@ -247,13 +244,13 @@ def read(url: str) -> tuple[str, str]:
 def test_the_page_is_served_to_this_machine_until_it_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
     monkeypatch.setattr(webbrowser, "open", opened.append)
-    live = view_of("five_bar").serve(open_browser=True)
+    live = view_of("four_bar").serve(open_browser=True)
     try:
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", live.url)
         assert opened == [live.url]
         kind, text = read(live.url)
         assert kind == "text/html; charset=utf-8"
-        assert data_in(text, "readings") == data_in(page_of("five_bar"), "readings")
+        assert data_in(text, "readings") == data_in(page_of("four_bar"), "readings")
         assert read(f"{live.url}?again")[1] == text
         with pytest.raises(urllib.error.HTTPError, match="404"):
             read(f"{live.url}etc/passwd")

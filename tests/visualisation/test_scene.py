@@ -46,8 +46,13 @@ ROUNDING = 1e-9
 """Positions of order one from a closure gap of 1e-11 and sines and cosines on either side."""
 
 
+def brief(robot: Robot) -> rp.PlatformMotion:
+    """A few samples about home; each is a frame."""
+    return zoo.smooth_motion(robot).at(np.linspace(0.0, 0.5, 11))
+
+
 def scene_of(robot: Robot) -> Scene:
-    return rp.show(robot).scene
+    return rp.show(robot, brief(robot)).scene
 
 
 def in_world(scene: Scene, body: int, point: Array) -> Array:
@@ -84,7 +89,7 @@ def test_bodies_are_where_another_reader_of_the_urdf_puts_them_loops_closed_and_
     shipped: Robot,
 ) -> None:
     """Joint values of a frame, by inverse_kinematics of the scene's motion, through yourdfpy's forward kinematics."""
-    motion, model = default_motion(shipped), shipped.model
+    motion, model = brief(shipped), shipped.model
     scene = rp.show(shipped, motion).scene
     q = rp.inverse_kinematics(shipped, motion).q.copy()
     q[:, shipped.carrier_position] = 0.0
@@ -109,7 +114,7 @@ def test_bodies_are_where_another_reader_of_the_urdf_puts_them_loops_closed_and_
 
 def test_the_three_rrr_has_its_base_triangle_and_its_platform() -> None:
     """Corners A_i = P − 0.25 (cos φ_i, sin φ_i), φ = 30, 150, −90 degrees, and base hinges of side √3."""
-    scene = scene_of(zoo.robot_of("3rrr"))
+    scene = zoo.view_of("3rrr").scene
     base, platform = (solid for solid in scene.solids if solid.name == "plate")
     angles = np.deg2rad([30.0, 150.0, -90.0])
     expected = -0.25 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -154,7 +159,7 @@ def test_a_track_spans_what_the_carrier_may_do() -> None:
 def test_carrier_arrows_point_along_the_work_they_do() -> None:
     """With a carrier pushed along its track by δ, its place moves along its arrow for a positive force."""
     robot = zoo.robot_of("2rpr")
-    motion = default_motion(robot)
+    motion = brief(robot)
     zero = np.zeros((len(motion), robot.k))
     moved = rp.CarrierMotion(zero + 1e-3, zero, zero)
     force = np.tile([1.0, -2.0], (len(motion), 1))
@@ -178,7 +183,7 @@ def test_carrier_arrows_point_along_the_work_they_do() -> None:
 
 def test_arrows_are_scaled_to_the_largest_effort_away_from_singularities() -> None:
     robot = zoo.robot_of("3rrr")
-    motion = default_motion(robot)
+    motion = brief(robot)
     n = len(motion)
     margin = np.ones(n)
     tau = np.zeros((n, 3))
@@ -199,7 +204,9 @@ def test_arrows_are_scaled_to_the_largest_effort_away_from_singularities() -> No
     assert first.length[-1] == pytest.approx(1.5 * longest)
     assert second.length[-1] == third.length[-1] == 0.0
     assert scene.captions == ("largest torque away from singularities: 5 N·m",)
-    both = scene_of(robot)  # forces and torques have scales of their own; the largest may fall between two frames
+    both = zoo.view_of(
+        "3rrr"
+    ).scene  # forces and torques have scales of their own; the largest may fall between two frames
     for turning, most in ((True, LONGEST_TORQUE), (False, LONGEST_FORCE)):
         lengths = [np.abs(arrow.length).max() for arrow in both.arrows if arrow.turning is turning]
         assert max(lengths) == pytest.approx(most * robot.characteristic_length, rel=0.05)
@@ -223,7 +230,7 @@ def test_the_origin_of_a_floating_joint_is_no_hinge(tmp_path: Path) -> None:
     body = robot.model.getJointId("root")
     np.testing.assert_allclose(sorted(body_points(robot, body)[:, 0]), [0.1, 0.6], atol=1e-12)
     assert len(base_hinges(robot)) == 0
-    scene = rp.show(robot).scene
+    scene = scene_of(robot)
     assert not [solid for solid in scene.solids if solid.role == "base"]
     rp.plot.snapshots(scene, 2)
 
@@ -234,7 +241,7 @@ def test_scales_and_carriers_that_do_not_fit_are_refused() -> None:
         with pytest.raises(InputError, match="force_scale"):
             rp.show(robot, force_scale=scale)
     with pytest.raises(InputError, match=r"shape \(3, 2\)"):
-        rp.show(robot, default_motion(robot), rp.CarrierMotion.parked(3, 2))
+        rp.show(robot, brief(robot), rp.CarrierMotion.parked(3, 2))
 
 
 # --- carriers that turn -----------------------------------------------------------------------------------------------
@@ -271,7 +278,7 @@ def with_turning_carriers() -> Robot:
 @cache
 def turned() -> tuple[Array, Scene]:
     """Angles (N, 2) through the rotor's range and round the wheel, and what is shown of them."""
-    motion = default_motion(with_turning_carriers())
+    motion = brief(with_turning_carriers())
     rate = np.array([1.8, 2.0]) / np.ptp(motion.t)
     s = np.array([-0.7, 0.0]) + np.outer(motion.t - motion.t[0], rate)
     carriers = CarrierMotion(s, np.tile(rate, (len(s), 1)), np.zeros_like(s))
@@ -291,8 +298,8 @@ def test_the_mass_is_at_its_centre_of_mass_on_its_arc_and_at_the_end_of_its_arm(
     """Against Pinocchio's own centre of mass of the body's subtree, which is the body alone."""
     s, scene = turned()
     box, arc = solid(scene, "carrier", "rotor"), solid(scene, "track_of_rotor", "left_base")
-    arm, model, motion = solid(scene, "carrier_arm", "rotor"), with_turning_carriers().model, default_motion(
-        with_turning_carriers())  # fmt: skip
+    arm, model = solid(scene, "carrier_arm", "rotor"), with_turning_carriers().model
+    motion = brief(with_turning_carriers())
     data = model.createData()
     q = rp.inverse_kinematics(with_turning_carriers(), motion).q.copy()
     q[:, with_turning_carriers().carrier_position] = s
@@ -329,7 +336,7 @@ def test_a_balanced_carrier_is_a_bar_across_its_axis_in_a_full_round() -> None:
 @pytest.mark.parametrize("name", ["turning carriers", "3rrr"])
 def test_boxes_hold_the_solids_and_snapshots_draw_arcs(name: str) -> None:
     """Every vertex that viewers draw is inside, and each face is touched."""
-    scene = turned()[1] if name != "3rrr" else rp.show("3rrr").scene
+    scene = turned()[1] if name != "3rrr" else zoo.view_of("3rrr").scene
     assert len({(item.body, item.name) for item in scene.solids}) == len(scene.solids)
     for item in scene.solids:
         own = np.linalg.inv(item.placement)[None, None].repeat(len(scene.names), axis=1)
