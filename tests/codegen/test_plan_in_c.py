@@ -274,7 +274,7 @@ def test_measured_carriers_limits_that_change_and_slowing_down_are_as_in_python(
     """Through two singularities, with limits that no plan keeps for a while."""
     robot = robot_of("2rpr")
     planner = RecedingHorizon(robot, slow_down=slow_down)
-    plan = Plan(folders("2rpr", slow_down=slow_down), Preview.of(CIRCLE))
+    plan = Plan(folders("2rpr", **({"slow_down": True} if slow_down else {})), Preview.of(CIRCLE))
     rng, seen, command = np.random.default_rng(1), set(), None
     for i in range(120):
         t = 0.01 * i
