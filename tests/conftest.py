@@ -91,6 +91,7 @@ def compiled_libraries(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pat
     """A cache of compiled robots of this run's own, shared by its workers: nobody's home is written to or read.
 
     Their compiler optimises little, which takes half the time and rounds as ever: the last of its options counts.
+    ``LEVEL`` in the environment is another one.
     """
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "compiled"
@@ -98,7 +99,7 @@ def compiled_libraries(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pat
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(CACHE, str(folder))
         if compiler := find_compiler():
-            patch.setenv("CC", shlex.join(["sh", "-c", 'exec "$0" "$@" -O1', *compiler.command]))
+            patch.setenv("CC", shlex.join(["sh", "-c", 'exec "$0" "$@" ${LEVEL:--Og}', *compiler.command]))
         yield folder
 
 

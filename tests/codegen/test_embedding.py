@@ -73,7 +73,7 @@ def example_of(folder: Path, target: Path) -> Path:
 # --- dialects --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.long_for(*(f"{name}-gcc" for name in ROBOTS if name not in ("2rpr", "fewer actuators")))
+@pytest.mark.long_for(*(f"{name}-gcc" for name in ROBOTS if name != "2rpr"))
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_dialect_takes_it_without_a_warning(name: str, compiler: str, tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ MATH = re.findall(
 
 
 @pytest.mark.skipif(shutil.which("nm") is None, reason="nm is not installed")
-@pytest.mark.long_for("3rrr", "universal")
+@pytest.mark.long_for("more actuators", "3rrr", "universal")
 @pytest.mark.parametrize("name", ["2rpr", "more actuators", "fewer actuators", "3rrr", "universal"])
 def test_it_needs_math_alone_keeps_no_state_and_every_name_begins_with_the_prefix(name: str, tmp_path: Path) -> None:
     folder = folder_of(robot_of(name))

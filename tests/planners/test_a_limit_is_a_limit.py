@@ -51,6 +51,9 @@ SEEDS = {
 }
 """Problems of each planner whose plans are within limits."""
 
+QUICK = {"least time": (2, 3), "whole trajectory": (4,), "stepwise": (0,), "switch off": (7,), "on line": (2,)}
+"""Those of ``make test``: limits of each kind bind in one of them."""
+
 PLANNERS = tuple(SEEDS)
 
 
@@ -65,7 +68,7 @@ def instants(plan: Plan) -> Array:
 
 def uses(plan: Plan, robot: Robot, given: dict[str, Any]) -> dict[str, float]:
     """Return the largest fraction of each limit that the continuous motion uses, by another backend than the plan's."""
-    other = rp.RneaDynamics(robot)
+    other = (rp.RneaDynamics if plan.backend == "CompiledDynamics" else rp.CompiledDynamics)(robot)
     t = instants(plan)
     platform, carriers = plan.platform_at(t), plan.carriers_at(t)
     along = other.along(platform)
@@ -194,6 +197,9 @@ def judged(planner: str, seed: int) -> str:
     return plan.status.value
 
 
+@pytest.mark.long_for(
+    *(f"{planner}-{seed}" for planner in PLANNERS for seed in SEEDS[planner] if seed not in QUICK[planner])
+)
 @pytest.mark.parametrize(("planner", "seed"), [(planner, seed) for planner in PLANNERS for seed in SEEDS[planner]])
 def test_a_random_plan_keeps_what_it_says(planner: str, seed: int) -> None:
     assert judged(planner, seed) == "ok"
@@ -208,11 +214,12 @@ def test_many_random_plans_keep_what_they_say(planner: str) -> None:
 
 @functools.cache
 def along_the_corner() -> Array:
-    """Return (20001, nq) configurations of the 3-RRR along the corner, by kinematics."""
+    """Return (2001, nq) configurations of the 3-RRR along the corner, by kinematics."""
     whole, corner = zoo.robot_of("3rrr", working_mode=(1, 1, 1)), reference.corner()
-    return inverse_kinematics(whole, corner.sample_at(np.linspace(0.0, corner.duration, 20_001))).q
+    return inverse_kinematics(whole, corner.sample_at(np.linspace(0.0, corner.duration, 2_001))).q
 
 
+@pytest.mark.long_for("VirtualWork")
 @pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.VirtualWork])
 def test_a_joint_that_leaves_its_range_between_two_samples_breaks_a_limit(backend: Any) -> None:
     """The end of the range of a passive joint is between its farthest sample and the farthest there is."""

@@ -19,9 +19,9 @@ from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import Line, reference
 
 
-def other(plan: Plan) -> rp.RneaDynamics | rp.VirtualWork:
-    """Return the backend that the plan was not made by."""
-    kind = rp.RneaDynamics if plan.backend == "VirtualWork" else rp.VirtualWork
+def other(plan: Plan) -> rp.CompiledDynamics | rp.VirtualWork:
+    """Return a backend that the plan was not made by."""
+    kind = rp.CompiledDynamics if plan.backend == "VirtualWork" else rp.VirtualWork
     return kind(rp.load_robot_of(plan))
 
 
@@ -170,14 +170,14 @@ def test_planners_work_where_numpy_raises_its_errors(name: str) -> None:
 def test_limits_wider_than_the_robots_are_noted() -> None:
     robot = zoo.robot_of("3rrr")
     plan = rp.plan_stepwise(rp.VirtualWork(robot), reference.corner(), mesh=rp.Mesh(dt=0.02))
-    assert rp.check_plan(plan, rp.RneaDynamics(robot)).wider_limits == ()
-    result = rp.check_plan(with_limit(plan, track=[-9.0, 9.0]), rp.RneaDynamics(robot))
+    assert rp.check_plan(plan, rp.CompiledDynamics(robot)).wider_limits == ()
+    result = rp.check_plan(with_limit(plan, track=[-9.0, 9.0]), rp.CompiledDynamics(robot))
     assert result.passed
     assert len(result.wider_limits) == robot.k
     assert result.wider_limits[0].startswith(f"{robot.carriers[0]}: judged by a track of -9 to 9, ")
     lower, upper = plan.limits.judged_by.track[0].tolist()
     for track, notes in (([lower, 9.0], robot.k), ([-9.0, upper], robot.k), ([-0.1, 0.1], 0)):
-        assert len(rp.check_plan(with_limit(plan, track=track), rp.RneaDynamics(robot)).wider_limits) == notes
+        assert len(rp.check_plan(with_limit(plan, track=track), rp.CompiledDynamics(robot)).wider_limits) == notes
 
 
 def test_limits_wider_than_those_of_motors_are_noted() -> None:

@@ -164,7 +164,7 @@ def quantity_of(quantity: str) -> str:
 
 
 def test_least_time_keeps_declared_limits() -> None:
-    path, mesh = reference.corner().path, rp.Mesh(steps=40, refinements=1)
+    path, mesh = reference.corner().path, rp.Mesh(steps=20, refinements=1)
     options: dict[str, Any] = {"mesh": mesh, "begin": "rest", "end": "free"}
     given = rp.plan_time_optimal(
         rp.VirtualWork(declaring()), path, limits=rp.Limits(effort=3.0, actuator_speed=0.9), **options

@@ -86,7 +86,7 @@ def test_where_a_plan_has_its_actuators_off_the_reference_has_no_efforts() -> No
     reference = plan_reference(plan)
     window = plan.diagnostics["windows"][0]
     entry, leave = window["entry"], window["exit"]
-    times = np.linspace(entry, leave, 200)[1:-1]
+    times = np.linspace(entry, leave, 40)[1:-1]
     assert not np.array([reference.loads(t)[0] for t in times]).any()
     assert np.abs(reference.loads(0.5 * (window["ramp_start"] + entry))[0]).min() > 0.1
     assert np.abs(np.array([reference.loads(t)[1] for t in times])).max() > 0.1

@@ -98,7 +98,7 @@ def moving(trajectory: Trajectory, units: Units) -> Any:
 def switch_off(units: Units) -> Plan:
     return rp.plan_switch_off(
         dynamics_in(units, "carrier_mass"), moving(circle(units), units), threshold=10.0,
-        mesh=rp.Mesh(dt=0.01 * units.time), return_time=0.5 * units.time, ramp_down=0.05 * units.time,
+        mesh=rp.Mesh(dt=0.02 * units.time), return_time=0.5 * units.time, ramp_down=0.05 * units.time,
     )  # fmt: skip
 
 
@@ -117,20 +117,20 @@ def stepwise(units: Units) -> Plan:
 def whole(objective: str, units: Units) -> Plan:
     motion = moving(line(units), units)
     return rp.plan_whole_trajectory(
-        dynamics_in(units), motion, mesh=rp.Mesh(dt=0.03 * units.time), limits=limits(units), objective=objective
+        dynamics_in(units), motion, mesh=rp.Mesh(dt=0.06 * units.time), limits=limits(units), objective=objective
     )
 
 
 def least_time(units: Units) -> Plan:
     path = line(units).path
-    return rp.plan_time_optimal(dynamics_in(units), path, mesh=rp.Mesh(steps=30), limits=limits(units))
+    return rp.plan_time_optimal(dynamics_in(units), path, mesh=rp.Mesh(steps=16), limits=limits(units))
 
 
 def online(units: Units) -> Plan:
     planner = rp.RecedingHorizon(
         dynamics_in(units), horizon=0.4 * units.time, step=0.04 * units.time, limits=limits(units)
     )
-    return run_online(planner, moving(line(units), units), tick=0.08 * units.time).plan
+    return run_online(planner, moving(line(units), units), tick=0.16 * units.time).plan
 
 
 PLANNERS: Mapping[str, tuple[Callable[[Units], Plan], float]] = {
@@ -185,6 +185,7 @@ def test_a_plan_does_not_depend_on_units(name: str) -> None:
     require_same(planner(other), plain(name), other, share)
 
 
+@pytest.mark.long_for("peak")
 @pytest.mark.parametrize("name", [name for name in PLANNERS if name != "least time"])
 def test_a_plan_does_not_depend_on_when_it_begins(name: str) -> None:
     planner, _ = PLANNERS[name]
@@ -201,13 +202,13 @@ def turning(units: Units) -> Plan:
     shipped, L, T = rp.load_robot("3rrr").parameters, units.length, units.time
     numbers = {name: float(shipped[name]) * L for name in LENGTHS_3RRR}
     numbers |= {name: float(shipped[name]) * units.mass for name in MASSES_3RRR}
-    corner, sizes = rp.trajectory.reference.corner(radius=0.025).sample(0.03, two_sided=False), np.array([L, L, 1.0])
+    corner, sizes = rp.trajectory.reference.corner(radius=0.025).sample(0.06, two_sided=False), np.array([L, L, 1.0])
     motion = rp.PlatformMotion(T * corner.t, corner.x * sizes, corner.xd * sizes / T, corner.xdd * sizes / T**2)
     return rp.plan_whole_trajectory(
         rp.RneaDynamics(rp.load_robot("3rrr", **numbers)),
         motion,
         objective=rp.Objective("effort", calm=0.0),
-        mesh=rp.Mesh(dt=0.03 * T, refinements=0),
+        mesh=rp.Mesh(dt=0.06 * T, refinements=0),
         limits=Limits(
             track=(-0.3 * L, 0.3 * L), speed=5.0 * L / T, acceleration=20.0 * L / T**2, carrier_force=np.inf,
             effort=np.inf, actuator_speed=np.inf,
@@ -228,7 +229,7 @@ SMALL, SLOW = Units(2.0**-20, 2.0**-30, 1.0), Units(2.0**-20, 2.0**-20, 2.0**20)
 """A machine of a micrometre and a nanogram, and a slow one."""
 
 
-@pytest.mark.long_for("small-peak", "slow-effort")
+@pytest.mark.long_for("small-peak", "small-stepwise", "slow-effort")
 @pytest.mark.parametrize(
     ("units", "name"),
     # the other planners have tolerances with units yet

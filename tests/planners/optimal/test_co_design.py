@@ -104,7 +104,7 @@ def test_gradient_where_the_singular_instant_moves(name: str) -> None:
 
 def test_massless_machines_in_closed_form() -> None:
     """Without other masses f is proportional to that of the carriers: effort to its square, and any less is better."""
-    result = co_design([crossing()], {"carrier_mass": (0.9, 2.0)}, iterations=2)
+    result = co_design([crossing(mesh=rp.Mesh(dt=0.06))], {"carrier_mass": (0.9, 2.0)}, iterations=2)
     assert result.parameters == {"carrier_mass": 0.9}
     assert result.values[0] == pytest.approx(0.81 * result.before[0], rel=1e-6)
     assert result.gradient[0, 0] == pytest.approx(2.0 * result.values[0] / 0.9, rel=1e-6)

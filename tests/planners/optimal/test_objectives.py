@@ -16,12 +16,12 @@ from redundancy_pin.trajectory import reference
 CIRCLE = reference.circle(0.5, 0.2, 0.05)
 
 
-def plan_of(objective):
+def plan_of(objective, dt=0.06):
     return plan_whole_trajectory(
         VirtualWork(zoo.robot_of("2rpr")),
         CIRCLE,
         objective=Objective(objective, calm=0.0),
-        mesh=Mesh(dt=0.06, refinements=0),
+        mesh=Mesh(dt=dt, refinements=0),
         limits=Limits(effort=0.3),
     )
 
@@ -60,7 +60,7 @@ def test_sizes_are_one_number_or_one_for_each_joint(monkeypatch):
     }
     for name, formula in speeds.items():
         monkeypatch.setitem(OBJECTIVES, name, ObjectiveTerm(formula, lambda u: float(u.sd.max())))
-    plans = {name: plan_of(name) for name in speeds}
+    plans = {name: plan_of(name, dt=0.12) for name in speeds}
     limits = plans["fraction"].limits.judged_by.speed
     for name, plan in plans.items():
         assert plan.findings.optimal

@@ -101,6 +101,7 @@ def test_whole_trajectories(name: str, objective: str) -> None:
     require_optimal(plan, machine, trajectory, objective, limits)
 
 
+@pytest.mark.long_for("free")
 @pytest.mark.parametrize("end", ["free", "datum"])
 def test_least_time_of_a_line_with_carriers(end: Any) -> None:
     """Nodes in time in place of nodes on the path."""
@@ -110,10 +111,10 @@ def test_least_time_of_a_line_with_carriers(end: Any) -> None:
         Line(first, last),
         limits=rp.Limits(effort=2.0),
         end=end,
-        mesh=rp.Mesh(steps=80),
+        mesh=rp.Mesh(steps=40),
     )
     theirs = symbolic_plans.least_time(
-        symbolic_mechanisms.two_rpr(**HEAVY), first, last, 2.0, OF_TWO_RPR, end == "datum", 80
+        symbolic_mechanisms.two_rpr(**HEAVY), first, last, 2.0, OF_TWO_RPR, end == "datum", 40
     )
     assert plan.status is ResultStatus.OK
     np.testing.assert_allclose(plan.t[-1], theirs, rtol=SAME)

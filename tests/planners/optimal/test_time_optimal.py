@@ -45,7 +45,7 @@ def bare() -> VirtualWork:
 @functools.cache
 def bare_least(rate: float) -> float:
     """Least time round the corner by toppra, s."""
-    return float(least_time(bare(), CORNER, EFFORT, rate, steps=200))
+    return float(least_time(bare(), CORNER, EFFORT, rate, steps=100))
 
 
 def carrying() -> VirtualWork:
@@ -65,7 +65,7 @@ def free() -> Plan:
 
 @pytest.mark.parametrize("rate", [np.inf, 0.35])
 def test_without_carriers_the_time_is_that_of_toppra(rate: float) -> None:
-    plan = plan_time_optimal(bare(), CORNER, limits=Limits(effort=EFFORT, actuator_speed=rate), mesh=Mesh(steps=100))
+    plan = plan_time_optimal(bare(), CORNER, limits=Limits(effort=EFFORT, actuator_speed=rate), mesh=Mesh(steps=60))
     assert plan.status is ResultStatus.OK
     expected = bare_least(rate)
     assert abs(plan.t[-1] / expected - 1.0) < 5e-3
@@ -108,7 +108,7 @@ def test_a_robot_that_carries_its_weight_has_the_time_of_toppra(share: float) ->
     plan = plan_time_optimal(dynamics, path, limits=Limits(effort=effort), mesh=Mesh(steps=60))
     assert plan.status is ResultStatus.OK
     assert plan.limits.binding
-    assert abs(plan.t[-1] / least_time(dynamics, path, effort, steps=400) - 1.0) < 5e-3
+    assert abs(plan.t[-1] / least_time(dynamics, path, effort, steps=200) - 1.0) < 5e-3
 
 
 def test_more_actuators_than_freedoms_share_the_load() -> None:
@@ -118,7 +118,7 @@ def test_more_actuators_than_freedoms_share_the_load() -> None:
     plan = plan_time_optimal(RneaDynamics(driven), CORNER, limits=Limits(effort=EFFORT), mesh=Mesh(steps=60))
     assert plan.status is ResultStatus.OK
     assert plan.t[-1] < 0.97
-    assert abs(plan.t[-1] / least_time(RneaDynamics(driven), CORNER, EFFORT, steps=120) - 1.0) < 5e-3
+    assert abs(plan.t[-1] / least_time(RneaDynamics(driven), CORNER, EFFORT, steps=80) - 1.0) < 5e-3
 
 
 def test_carriers_make_the_corner_faster() -> None:
@@ -177,15 +177,15 @@ def test_carriers_that_may_begin_otherwise_and_a_lap_take_less_time() -> None:
     """At rest at the datum, at rest anywhere, anyhow; and round and round, where the platform need not stop."""
     dynamics = VirtualWork(zoo.robot_of("2rpr", end_effector_mass=0.5, cylinder_mass=0.3))
     circle = circle_path((0.25, 0.4), 0.06)
-    parked = plan_time_optimal(dynamics, circle, limits=Limits(effort=2.0), end="datum", mesh=Mesh(steps=30))
+    parked = plan_time_optimal(dynamics, circle, limits=Limits(effort=2.0), end="datum", mesh=Mesh(steps=20))
     rested = plan_time_optimal(
-        dynamics, circle, limits=Limits(effort=2.0), begin="rest", end="rest", mesh=Mesh(steps=30)
+        dynamics, circle, limits=Limits(effort=2.0), begin="rest", end="rest", mesh=Mesh(steps=20)
     )
     moving = plan_time_optimal(
-        dynamics, circle, limits=Limits(effort=2.0), begin="free", end="periodic", mesh=Mesh(steps=30)
+        dynamics, circle, limits=Limits(effort=2.0), begin="free", end="periodic", mesh=Mesh(steps=20)
     )
     lap = plan_time_optimal(
-        dynamics, circle, limits=Limits(effort=2.0), begin="free", end="periodic", lap=True, mesh=Mesh(steps=30)
+        dynamics, circle, limits=Limits(effort=2.0), begin="free", end="periodic", lap=True, mesh=Mesh(steps=20)
     )
     assert rested.t[-1] < 0.98 * parked.t[-1]
     assert lap.t[-1] < 0.9 * moving.t[-1]
@@ -224,7 +224,7 @@ def test_a_singularity_is_crossed_at_the_limit_of_the_efforts() -> None:
     """The efforts there are what W⁻¹ f tends to from both sides."""
     dynamics = VirtualWork(zoo.robot_of("2rpr", end_effector_mass=0.5))
     plan = plan_time_optimal(
-        dynamics, reference.line().path, limits=Limits(effort=1.0), end="free", mesh=Mesh(steps=30)
+        dynamics, reference.line().path, limits=Limits(effort=1.0), end="free", mesh=Mesh(steps=20)
     )
     assert plan.status is ResultStatus.OK
     (i,) = plan.diagnostics["singular_nodes"]
@@ -260,9 +260,9 @@ def test_what_is_said_to_suffice_under_gravity_suffices_at_a_sharp_turn_too() ->
     with pytest.raises(InfeasiblePlanError) as caught:
         plan_time_optimal(robot, path, limits=Limits(effort=1.0))
     enough = caught.value.details["limit"]
-    for factor in (1.02, 2.0):
+    for factor in (1.02,):
         plan = plan_time_optimal(robot, path, limits=Limits(effort=factor * enough))
         assert plan.status is ResultStatus.OK
-        dense = np.linspace(0.0, plan.t[-1], 5001)
+        dense = np.linspace(0.0, plan.t[-1], 1001)
         efforts = distribute(RneaDynamics(robot).reduce(plan.platform_at(dense))).tau
         assert np.abs(efforts).max() <= 1.001 * factor * enough

@@ -74,6 +74,7 @@ def through_a_jump(y):
     return Trajectory(path, SpeedProfile(path.length, 0.3, 0.2))
 
 
+@pytest.mark.long_for("0.0")
 @pytest.mark.parametrize("y", [0.0, 1e-12])
 def test_a_jump_on_a_singular_instant_has_two_limits(y):
     """The efforts at both nodes are what W⁻¹ f tends to on their side; ``y`` keeps both apart by less than rounding."""
@@ -145,7 +146,7 @@ def test_one_freedom_crosses_its_singularity(tmp_path):
     )
     dynamics, path = RneaDynamics(robot), Line((1.0,), (5.0,))
     trajectory = Trajectory(path, SpeedProfile(path.length, 2.0, 0.2))
-    plan = plan_whole_trajectory(dynamics, trajectory, mesh=Mesh(dt=0.04))
+    plan = plan_whole_trajectory(dynamics, trajectory, mesh=Mesh(dt=0.1))
     assert plan.status is ResultStatus.OK
     (node,) = plan.diagnostics["singular_nodes"]
     for side in (-1e-5, 1e-5):
@@ -159,7 +160,7 @@ def test_more_actuators_than_freedoms_are_judged_by_their_own_efforts(tmp_path):
     path = Line((0.25, 0.6), (0.32, 0.3))
     trajectory = Trajectory(path, SpeedProfile(path.length, 0.3, 0.2))
     dynamics = RneaDynamics(robot)
-    plan = plan_whole_trajectory(dynamics, trajectory, objective="peak", mesh=Mesh(dt=0.05))
+    plan = plan_whole_trajectory(dynamics, trajectory, objective="peak", mesh=Mesh(dt=0.1))
     assert plan.status is ResultStatus.OK
     assert plan.between.passed
     reduced = dynamics.reduce(plan.motion, plan.carriers)
@@ -167,6 +168,7 @@ def test_more_actuators_than_freedoms_are_judged_by_their_own_efforts(tmp_path):
     np.testing.assert_allclose(np.einsum("nim,nm->ni", reduced.W, plan.tau), reduced.f, atol=1e-7)
 
 
+@pytest.mark.long_for("carrier_acceleration")
 @pytest.mark.parametrize("objective", ["carrier_acceleration", "carrier_force"])
 def test_where_the_objective_leaves_the_efforts_open_they_are_the_smallest(objective):
     """Three motors for two freedoms, with limits so different that the middle of them is not the smallest effort."""
@@ -202,6 +204,7 @@ def smallest_of_least_power(loads, rate):
     return np.array(powers), np.array(efforts)
 
 
+@pytest.mark.long_for("unlimited")
 @pytest.mark.parametrize("limits", [None, Limits(effort=5.0)], ids=["unlimited", "limited"])
 def test_of_efforts_that_take_the_same_energy_the_plan_has_the_smallest(limits):
     """At rest no effort takes power; elsewhere motors that drive share it at no cost. Up to 0.9 N·m were open."""
@@ -227,7 +230,7 @@ def test_least_time_takes_the_smallest_efforts_that_have_it():
     robot = zoo.robot_of("five_bar", carriers=False)
     dynamics = RneaDynamics(replace(robot, actuated=(*robot.actuated, "elbow_1")))
     path, limits = Line((0.25, 0.6), (0.32, 0.3)), Limits(effort=[50.0, 20.0, 30.0], actuator_speed=1.0)
-    plan = plan_time_optimal(dynamics, path, limits=limits, mesh=Mesh(steps=40, refinements=0))
+    plan = plan_time_optimal(dynamics, path, limits=limits, mesh=Mesh(steps=20, refinements=0))
     loads = dynamics.reduce(plan.motion, plan.carriers)
     smallest = np.einsum("nmi,ni->nm", np.linalg.pinv(loads.W), loads.f)
     free = (np.abs(smallest) < 0.9 * np.asarray(limits.effort)).all(axis=1)

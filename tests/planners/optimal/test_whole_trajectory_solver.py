@@ -136,7 +136,7 @@ def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monke
         monkeypatch.setitem(solver.FIRST, "ipopt.max_iter", most)
         usual, other = (
             other,
-            plan_whole_trajectory(dynamics, trajectory, objective=objective, mesh=Mesh(dt=0.05, refinements=0)),
+            plan_whole_trajectory(dynamics, trajectory, objective=objective, mesh=Mesh(dt=0.1, refinements=0)),
         )
     assert other.findings.optimal
     assert other.diagnostics["cost"] == pytest.approx(usual.diagnostics["cost"], rel=SAME_COST)
@@ -191,16 +191,14 @@ def test_meshes_share_the_time_and_where_it_is_over_the_last_plan_counts(monkeyp
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle()
     coarse, fine = (
         plan_whole_trajectory(
-            dynamics, trajectory, objective="peak", mesh=Mesh(dt=0.05, refinements=often), solver=Solver(seconds=60.0)
+            dynamics, trajectory, objective="peak", mesh=Mesh(dt=0.1, refinements=often), solver=Solver(seconds=60.0)
         )
         for often in (0, 3)
     )
     assert fine.diagnostics["nodes"] > coarse.diagnostics["nodes"]
     assert not fine.diagnostics["out_of_time"]
     clock = Clock(monkeypatch, 70.0)
-    plan = plan_whole_trajectory(
-        dynamics, trajectory, objective="peak", mesh=Mesh(dt=0.05), solver=Solver(seconds=60.0)
-    )
+    plan = plan_whole_trajectory(dynamics, trajectory, objective="peak", mesh=Mesh(dt=0.1), solver=Solver(seconds=60.0))
     assert clock.left[0] == 60.0
     assert max(clock.left[1:], default=0.0) < 1.0
     assert plan.diagnostics["out_of_time"]

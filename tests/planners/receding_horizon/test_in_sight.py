@@ -73,24 +73,24 @@ def grid(start: float, end: float) -> Array:
 @pytest.mark.parametrize("begins", [-0.7113, 0.0, 2.0 + 0.3 * SPACING])
 def test_each_instant_of_a_grid_is_asked_for_once(begins: float) -> None:
     motion = Counted(AWAY)
-    preview, planner = Preview(motion, -np.inf, np.inf), RecedingHorizon(dynamics(), step=STEP, horizon=0.12)
+    preview, planner = Preview(motion, -np.inf, np.inf), RecedingHorizon(dynamics(), step=STEP, horizon=0.1)
     updates = begins + np.array([0.0, 0.02, 0.0204, 0.03, 0.03, 0.1])
     for t in updates.tolist():
         planner.update(t, preview)
-    expected = np.append(begins, grid(begins, begins + 0.1 + 0.12))
+    expected = np.append(begins, grid(begins, begins + 0.1 + 0.1))
     asked = np.sort(motion.asked)
     near = np.abs(asked[:, None] - expected).min(axis=0)
     assert near.max() < 1e-9
     assert np.diff(asked).min() > SAME
     between = asked[np.abs(asked[:, None] - expected).min(axis=1) > SAME]  # updates and their ends, off the grid
-    ends = np.concatenate([updates, updates + 0.12])
+    ends = np.concatenate([updates, updates + 0.1])
     assert np.abs(between[:, None] - ends).min(axis=1).max(initial=0.0) < SAME
 
 
 @pytest.mark.parametrize("end", [0.1, 0.1 + 0.4 * SPACING, 0.1 + 0.05 * SPACING, 0.1 + 0.5e-9])
 def test_nothing_is_asked_for_outside_a_preview_and_its_end_is(end: float) -> None:
     motion = Counted(AWAY)
-    planner, preview = RecedingHorizon(dynamics(), step=STEP, horizon=0.08), Preview(motion, 0.0, end)
+    planner, preview = RecedingHorizon(dynamics(), step=STEP, horizon=0.1), Preview(motion, 0.0, end)
     for t in (0.0, 0.03, 0.05, 0.06):
         planner.update(t, preview)
     assert motion.asked.min() == 0.0
@@ -109,17 +109,17 @@ def test_what_may_change_its_mind_is_read_anew_each_time() -> None:
 @pytest.mark.parametrize("rate", [50.0, 3000.0])
 def test_planners_that_run_without_end_keep_what_is_in_sight(rate: float) -> None:
     """Whatever is past is forgotten: many times what there is memory for, with the instants of updates off the grid."""
-    motion, count = Counted(AWAY), 3000
-    preview, planner = Preview(motion, -np.inf, np.inf), RecedingHorizon(dynamics(), step=STEP, horizon=0.12)
+    motion, count = Counted(AWAY), 800
+    preview, planner = Preview(motion, -np.inf, np.inf), RecedingHorizon(dynamics(), step=STEP, horizon=0.1)
     size = len(planner.updates._memory)
     for i in range(count):
         command = planner.update(i / rate, preview)
     assert command.status.value == "ok"
     assert len(planner.updates._memory) == size
-    fresh = RecedingHorizon(dynamics(), step=STEP, horizon=0.12)
+    fresh = RecedingHorizon(dynamics(), step=STEP, horizon=0.1)
     s, sd, _ = command.motion_at(command.t)
     assert fresh.update(command.t, preview, s, sd).status.value == "ok"
-    assert len(motion.asked) < (1 if rate == 50.0 else 6) * count + count / rate / SPACING + 100  # 48 are in sight
+    assert len(motion.asked) < (1 if rate == 50.0 else 6) * count + count / rate / SPACING + 100  # 40 are in sight
 
 
 # singular instants
@@ -145,9 +145,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize(
-    "pieces", [(0.0,), (-0.1065, -0.1, -0.0975, -0.095, 0.0), tuple(np.arange(-0.19, 0.01, 0.0025))]
-)
+@pytest.mark.parametrize("pieces", [(0.0,), (-0.1065, -0.1, -0.0975, -0.095, 0.0), tuple(np.arange(-0.19, 0.01, 0.01))])
 def test_singular_instants_are_the_zeros_of_the_height(name: str, pieces: tuple[float, ...]) -> None:
     """However they come into sight, each once."""
     motion, roots = CASES[name]
@@ -157,7 +155,7 @@ def test_singular_instants_are_the_zeros_of_the_height(name: str, pieces: tuple[
     np.testing.assert_allclose(found, roots, atol=2e-6 if "touching" in name else 1e-9)
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", [*range(12), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(12, 40))])
 def test_zeros_of_random_heights_are_all_found(seed: int) -> None:
     """Up to six between two instants of the grid and anywhere else, at least a hundredth of a step apart."""
     rng = np.random.default_rng(seed)

@@ -157,6 +157,7 @@ def miss_ticks(name, least, seed):
     raise AssertionError("no more paths")
 
 
+@pytest.mark.long_for("five_bar-2-40-20")
 @pytest.mark.parametrize(("name", "path", "count", "young"), [("2rpr", 0, 100, 30), ("five_bar", 2, 40, 20)])
 def test_plans_go_on_when_ticks_are_missed(name, path, count, young):
     """Over and over the singular line; and where the platform turns within 20 ms, and nodes are finer."""

@@ -1,5 +1,7 @@
 """On-line plans of carriers elsewhere: in space and under gravity, on the end-effector, and on arms that turn."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -43,6 +45,14 @@ CASES = {
     "arms": lambda: (arms("2rpr", **MASSES), rp.trajectory.reference.circle(speed=0.5)),
     "arms, corner": lambda: (arms("3rrr"), rp.trajectory.reference.corner()),
 }
+
+
+@cache
+def run_of(name):
+    robot, motion = CASES[name]()
+    return robot, motion, run_online(RecedingHorizon(rp.CompiledDynamics(robot)), motion)
+
+
 CROSSINGS = {"gough": 1, "delta": 1, "end-effector": 2, "arms": 2, "arms, corner": 0}
 
 
@@ -50,9 +60,7 @@ CROSSINGS = {"gough": 1, "delta": 1, "end-effector": 2, "arms": 2, "arms, corner
 @pytest.mark.parametrize("name", CASES)
 def test_every_tick_is_planned_and_the_machine_follows(name):
     """Through the crossings that ``find_crossings`` knows, within limits between the samples too, and replayed."""
-    robot, motion = CASES[name]()
-    planner = RecedingHorizon(rp.CompiledDynamics(robot))
-    run = run_online(planner, motion)
+    robot, motion, run = run_of(name)
     assert run.counts["ok"] == len(run.commands) > 20
     # at the corner f jumps, and the samples before and after it do not show how far efforts go between them
     assert run.plan.status.value == ("unresolved" if name == "arms, corner" else "ok")
@@ -81,9 +89,8 @@ def test_every_tick_is_planned_and_the_machine_follows(name):
 @pytest.mark.parametrize("name", ["gough", "delta"])
 def test_without_carriers_to_help_the_weight_cannot_be_carried_there(name):
     """Parked carriers leave most of the weight's share along the lost direction, which plans remove."""
-    robot, motion = CASES[name]()
+    robot, motion, run = run_of(name)
     (instant,) = (crossing.t for crossing in rp.find_crossings(robot, motion))
-    run = run_online(RecedingHorizon(rp.CompiledDynamics(robot)), motion)
     at = np.array([instant])
     dynamics = rp.RneaDynamics(robot)
     lost = []

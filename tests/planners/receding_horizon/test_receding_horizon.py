@@ -33,7 +33,7 @@ MISSING = 1e-4
 def machine(name="2rpr"):
     masses = {"end_effector_mass": 0.5, "cylinder_mass": 0.3} if name == "2rpr" else {}
     robot = zoo.robot_of(name, **masses)
-    return rp.CompiledDynamics(robot), (rp.VirtualWork if name == "2rpr" else rp.RneaDynamics)(robot)
+    return rp.CompiledDynamics(robot), (rp.RneaDynamics if robot.closed_form is None else rp.VirtualWork)(robot)
 
 
 def line(start, end, duration=0.8):
@@ -271,7 +271,7 @@ def missing_until_the_next_node(planner, command, trajectory, judge):
 def test_efforts_jump_where_the_acceleration_of_the_platform_jumps_between_two_nodes():
     dynamics, judge = machine("3rrr")
     corner = rp.trajectory.reference.corner(radius=0.025)
-    planner, largest = RecedingHorizon(dynamics, horizon=0.4), 0.0
+    planner, largest = RecedingHorizon(dynamics), 0.0
     for t in np.arange(0.0, corner.duration - 0.02, 0.02):
         command = planner.update(t, corner)
         missing, f = missing_until_the_next_node(planner, command, corner, judge)
@@ -285,7 +285,7 @@ def test_what_limits_cut_off_between_two_nodes_is_said():
     """Round the corner with 4 N·m: at the nodes they are enough, where the arc begins and ends they are not."""
     dynamics, judge = machine("3rrr")
     corner = rp.trajectory.reference.corner(radius=0.025)
-    planner, largest, cut = RecedingHorizon(dynamics, horizon=0.4, limits=rp.Limits(effort=4.0)), 0.0, []
+    planner, largest, cut = RecedingHorizon(dynamics, limits=rp.Limits(effort=4.0)), 0.0, []
     for t in np.arange(0.0, corner.duration - 0.02, 0.02):
         command = planner.update(t, corner)
         missing, f = missing_until_the_next_node(planner, command, corner, judge)

@@ -199,6 +199,10 @@ CASES: dict[str, tuple[str, Callable[[], Any], Array, dict[str, Any]]] = {
 }
 
 
+@pytest.mark.long_for(
+    *(f"{name}, random path" for name in ("2rpr", "3rrr", "five_bar")),
+    *("redundant motor", "narrow", "no track", "mean square", "measured, five_bar"),
+)
 @pytest.mark.parametrize("case", CASES)
 def test_plans_are_optima_of_their_programmes(case: str) -> None:
     name, motion, times, settings = CASES[case]
@@ -215,7 +219,7 @@ def test_plans_that_begin_at_a_singular_instant_are_optima() -> None:
     root = float(rp.find_crossings(dynamics.robot, ACROSS)[0].t)
     before = [root + STEP * part for part in (-4.0, -3.0, -2.0, -1.0, -0.5)]
     after = [root + STEP * part for part in (0.01, 0.3, 1.0, 2.0)]
-    for close in ([-0.2, -0.05], [-0.24, -0.1, -0.1, -0.01], [0.0, 0.0], [-0.1, 0.0]):
+    for close in ([-0.24, -0.1, -0.1, -0.01], [0.0, 0.0]):
         times = [*before, *(root + STEP * part for part in close), *after]
         begun = []
         for update in updates_of(dynamics, ACROSS, times):
@@ -260,6 +264,7 @@ def test_where_no_plan_keeps_every_limit_the_least_is_missed_of_f(case: str) -> 
 # the judge's own derivatives, by other backends
 
 
+@pytest.mark.long_for("sliding")
 @pytest.mark.parametrize("arm", [0.0, 0.2], ids=["sliding", "turning"])
 def test_the_curvature_is_that_of_second_differences_by_the_other_backend(arm: float) -> None:
     robot = rp.load_robot("2rpr", **MASSES, arm_length=arm)

@@ -75,18 +75,18 @@ def test_curved_boxes_against_slsqp(seed: int) -> None:
 
 
 def test_boxes_of_condition_1e12_have_their_minimum() -> None:
-    """Of BᵀB, as beside a singularity of the Gough platform, in 4,000 boxes; some against another method of scipy's.
+    """Of BᵀB, as beside a singularity of the Gough platform, in 400 boxes; some against another method of scipy's.
 
     With its own pivots the solver calls one of ten of them infeasible.
     """
     rng = np.random.default_rng(0)
-    for number in range(4000):
+    for number in range(400):
         left, right = (np.linalg.qr(rng.normal(size=(6, 6)))[0] for _ in range(2))
         B = left @ np.diag([4.0, 0.4, 0.4, 4e-4, 4e-4, 4e-6]) @ right.T
         c = 100.0 * rng.normal(size=6)
         u = step(c, B, 0.0 * B)
         assert (np.abs(u) <= HALF).all()
         assert downhill(c, B, 0.0 * B, u) <= 1e-9 * np.abs(c).max()
-        if number % 100 == 0:
+        if number % 20 == 0:
             expected = lsq_linear(B, -c, (-HALF, HALF), tol=1e-14).x
             assert np.linalg.norm(c + B @ u) == pytest.approx(np.linalg.norm(c + B @ expected), rel=1e-9)
