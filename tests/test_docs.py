@@ -49,8 +49,10 @@ OUTSIDE = ("pip", "make")
 
 
 @pytest.mark.long_for(
+    "docs/codegen.md",
     "docs/control.md",
     "docs/engines.md",
+    "docs/forces.md",
     "docs/forward_dynamics.md",
     "docs/guide/viewing.md",
     "docs/compiled.md",

@@ -102,7 +102,7 @@ def test_what_was_made_in_python_needs_no_files(kind: str, made: Callable[..., A
         assert controller(plan).reference.robot is plan.robot.made_of
 
 
-@pytest.mark.long_for("lengths", "payload", "limits")
+@pytest.mark.long_for("lengths", "payload", "limits", "model")
 @pytest.mark.parametrize("kind", KINDS)
 def test_read_again_it_asks_for_the_robot_and_takes_it(kind: str, made: Callable[..., Any], tmp_path: Path) -> None:
     robot, plan, run = made(kind)
