@@ -9,10 +9,7 @@ from __future__ import annotations
 import base64
 import functools
 import json
-import os
 import re
-import subprocess
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import product
@@ -24,6 +21,7 @@ import pinocchio as pin
 import pytest
 import umsgpack
 import xacro
+from command_line import call
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError
@@ -329,7 +327,7 @@ def switch_off(backend: str, name: str, threshold: float, ramp_down: float) -> A
 
 def stepwise(backend: str, motion: Motion, lam: float, active: str = "always") -> Any:
     baseline = dynamics_of(backend, motion.robot, carriers=False)
-    samples = motion.make().sample(5e-3, two_sided=True)
+    samples = motion.make().sample(1e-2, two_sided=True)
     options = {"lam": lam, "baseline": baseline, "active": active, "return_time": 0.6}
     return rp.plan_stepwise(dynamics_of(backend, motion.robot), samples, **in_groups(rp.plan_stepwise, options))
 
@@ -431,7 +429,7 @@ def test_each_backend_plans_each_case_of_the_thesis_alike(case: str) -> None:
 def test_the_stepwise_planner_refuses_to_cross(backend: str, name: str) -> None:
     """It needs the inverse of W at every step; the error says so, and when."""
     with pytest.raises(InfeasiblePlanError, match="type II singularity") as refused:
-        rp.plan_stepwise(dynamics_of(backend, "2rpr"), MOTIONS[name].make().sample(5e-3))
+        rp.plan_stepwise(dynamics_of(backend, "2rpr"), MOTIONS[name].make().sample(2e-2))
     assert "plan_whole_trajectory" in str(refused.value)
 
 
@@ -643,21 +641,9 @@ def hoist(tmp_path: Path) -> Path:
     return tmp_path / "robot.yaml"
 
 
-def command(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run the command line in a process of its own, as a user does."""
-    program = "from redundancy_pin.cli import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", program, *map(str, arguments)],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
 def test_the_validation_suite_takes_a_users_robot(hoist: Path) -> None:
-    done = command("validate", "--robot", hoist, "--samples", 10, "--seed", 1, "--json")
-    assert done.returncode == 0, done.stderr
+    done = call("validate", "--robot", hoist, "--samples", 10, "--seed", 1, "--json")
+    assert done.exit_code == 0, done.stderr
     report = json.loads(done.stdout)
     assert report["passed"]
     checks = {row["check"]: row for row in report["rows"]}

@@ -95,7 +95,7 @@ def planned_on_line(name, tick):
     return run, robot, motion, drive_of_plan(rp.RneaDynamics(robot), run.plan, motion)
 
 
-@pytest.fixture(scope="module", params=["2rpr", "3rrr"])
+@pytest.fixture(scope="module", params=[pytest.param("2rpr", marks=pytest.mark.long), "3rrr"])
 def on_line(request):
     return planned_on_line(request.param, 0.02)
 
