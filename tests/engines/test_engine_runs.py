@@ -97,7 +97,7 @@ def planned_on_line(name, tick):
 
 @pytest.fixture(scope="module", params=[pytest.param("2rpr", marks=pytest.mark.long), "3rrr"])
 def on_line(request):
-    return planned_on_line(request.param, 0.02)
+    return planned_on_line(request.param, 0.005)
 
 
 @pytest.mark.parametrize("backend", [rp.VirtualWork, rp.RneaDynamics], ids=["virtual work", "rnea"])
@@ -124,7 +124,7 @@ def test_so_do_its_commands_with_efforts_that_are_linear_over_milliseconds(engin
     assert deviation(drive, replayed).largest < COMMANDS_TOLERANCE
 
 
-@pytest.mark.long_for("0.005", "0.01")
+@pytest.mark.long_for("0.01", "0.02")
 @pytest.mark.parametrize("tick", [0.005, 0.01, 0.02])
 def test_commands_are_the_plan_next_to_a_singular_instant_too(tick):
     """A plan that begins within a quarter of a step of one, before or behind it, has its first piece from the last."""
