@@ -121,7 +121,7 @@ def require_limit_on_power(session: dict[str, Any]) -> None:
 
 def largest_power(plan: rp.Plan, robot: rp.Robot) -> float:
     """The largest |τ q̇| of the continuous motion by RNEA, W."""
-    motion = plan.platform_at(np.linspace(plan.t[0], plan.t[-1], 3001))
+    motion = plan.platform_at(np.linspace(plan.t[0], plan.t[-1], 1001))
     reduced = rp.RneaDynamics(robot).reduce(motion, plan.carriers_at(motion.t))
     rate = np.einsum("nim,ni->nm", reduced.W, motion.xd)
     return float(np.abs(rp.distribute(reduced).tau * rate).max())

@@ -338,7 +338,9 @@ def test_simulations_start_at_rest_where_two_cranks_are_in_line(angle):
     require_one_equation(robot, run, 0.0, [angle, 0.0])
 
 
-@pytest.mark.parametrize("settings", [{"rtol": 1e-9, "atol": 1e-11}, {"integrator": "RK45"}])
+@pytest.mark.parametrize(
+    "settings", [pytest.param({"rtol": 1e-9, "atol": 1e-11}, marks=pytest.mark.long, id="fine"), {"integrator": "RK45"}]
+)
 def test_simulations_go_on_with_other_rows(settings):
     """Thrown up, the cranks come to rest where two are in line, and fall past another such pose."""
     robot, below = three_cranks(1.0), -0.5
