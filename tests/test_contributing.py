@@ -89,9 +89,7 @@ def test_tests_of_a_room_enter_the_others_by_modules_that_rooms_import_or_docume
 
 def _imported(path: Path) -> set[str]:
     """Return the modules of the package, below its top, that names are imported from."""
-    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-    modules = (node.module or "" for node in nodes if isinstance(node, ast.ImportFrom))
-    return {module for module in modules if module.startswith("redundancy_pin.")}
+    return set(re.findall(r"^ *from (redundancy_pin\.[\w.]+) import", path.read_text(encoding="utf-8"), re.MULTILINE))
 
 
 def require_limit_on_power(session: dict[str, Any]) -> None:
@@ -115,14 +113,15 @@ def require_limit_on_power(session: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="'powr', which is no quantity"):
         rp.plan_whole_trajectory(robot, line, limits=rp.Limits(further={"powr": 1.0}), mesh=mesh)
     three, corner = rp.load_robot("3rrr"), rp.trajectory.reference.corner()
-    least = rp.plan_time_optimal(three, corner, limits=rp.Limits(effort=3.0, further={"power": 2.0}), end="free")
+    kept = rp.Limits(effort=3.0, further={"power": 2.0})
+    least = rp.plan_time_optimal(three, corner, limits=kept, end="free", mesh=rp.Mesh(steps=20))
     assert least.status.value == "ok"
     assert 1.99 < largest_power(least, three) <= 2.0 * 1.0011
 
 
 def largest_power(plan: rp.Plan, robot: rp.Robot) -> float:
     """The largest |τ q̇| of the continuous motion by RNEA, W."""
-    motion = plan.platform_at(np.linspace(plan.t[0], plan.t[-1], 3001))
+    motion = plan.platform_at(np.linspace(plan.t[0], plan.t[-1], 1001))
     reduced = rp.RneaDynamics(robot).reduce(motion, plan.carriers_at(motion.t))
     rate = np.einsum("nim,ni->nm", reduced.W, motion.xd)
     return float(np.abs(rp.distribute(reduced).tau * rate).max())

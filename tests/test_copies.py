@@ -83,7 +83,7 @@ def objects() -> dict[str, Any]:
         "preview": Preview.of(motion),
         "slower motion": ScaledMotion(as_motion(motion), TimeScaling.none(0.0).changed(0.1, 0.5, 0.2)),
         "on-line run": OnLineRun(
-            (stepwise := rp.plan_stepwise(dynamics, trajectory)),
+            (stepwise := rp.plan_stepwise(dynamics, trajectory, mesh=rp.Mesh(dt=0.05))),
             (Command(0.0, UpdateStatus.OK, "", *[polynomial] * 3, 0.0, 0.0, three, 0.1, 0.0),),
         ),
         "symbolic": rp.symbolic(small),
@@ -123,7 +123,7 @@ def objects() -> dict[str, Any]:
         "pose spline": rp.trajectory.from_points(poses, speed=[0.0, 0.1]),
         "table": rp.plan_stepwise(dynamics, trajectory.sample(dt=0.1)).table(robot=robot),
         "carrier state": CarrierState(0.0, *np.zeros((3, 3))),
-        "crossing plan": rp.plan_switch_off(rp.VirtualWork(small), circle, threshold=5.0),
+        "crossing plan": rp.plan_switch_off(rp.VirtualWork(small), circle, threshold=5.0, mesh=rp.Mesh(dt=0.05)),
         "stepwise plan": stepwise,
         "state": start,
         "closed state": branch.home,

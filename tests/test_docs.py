@@ -40,7 +40,7 @@ PAGES = {
     if not path.relative_to(ROOT).as_posix().startswith(GENERATED)
 }
 OTHERS = {name: ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")}
-"""Their commands are parsed; the README's Python runs in ``test_readme.py``."""
+"""Their Python is not run here: the README's Python runs in ``test_readme.py``."""
 
 PYTHON, SHELL, DATA = ("python",), ("sh", "console", ""), ("yaml", "xml")
 DIRECTIVES = re.compile(r"\{(toctree|eval-rst|image|include|literalinclude|note)\}")
@@ -49,9 +49,12 @@ OUTSIDE = ("pip", "make")
 
 
 @pytest.mark.long_for(
+    "docs/codegen.md",
     "docs/control.md",
     "docs/engines.md",
+    "docs/forces.md",
     "docs/forward_dynamics.md",
+    "docs/guide/start.md",
     "docs/guide/viewing.md",
     "docs/compiled.md",
     "docs/guide/exchange.md",
@@ -80,10 +83,12 @@ def test_page_runs_as_it_is_written(name: str, tmp_path: Path, monkeypatch: pyte
             assert DIRECTIVES.match(block.language), f"{block.where}: what is to be done with {block.language!r}?"
 
 
-@pytest.mark.parametrize("name", OTHERS)
-def test_commands_of_other_pages_parse(name: str) -> None:
-    for block in blocks_of(OTHERS[name], name):
-        if block.language in SHELL:
+def test_commands_of_all_pages_parse() -> None:
+    """Those of pages that take long to run, too, whose Python is compiled."""
+    for block in (block for name, path in (PAGES | OTHERS).items() for block in blocks_of(path, name)):
+        if block.language in PYTHON and block.page not in OTHERS:
+            compile(block.text, block.where, "exec")
+        elif block.language in SHELL and "file" not in block.marks:
             for command in block.commands:
                 require_known(block, command)
 

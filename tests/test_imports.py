@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TypeGuard
@@ -32,13 +33,11 @@ def files_of(root: Path) -> dict[str, Path]:
 
 def run_nodes(node: ast.AST) -> Iterator[ast.AST]:
     """Yield what may run: everything but the imports that type checkers alone read."""
-    yield node
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.If) and ast.unparse(child.test).endswith("TYPE_CHECKING"):
-            for other in child.orelse:
-                yield from run_nodes(other)
-        else:
-            yield from run_nodes(child)
+    to_do = [node]
+    while to_do:
+        yield (here := to_do.pop())
+        typing = isinstance(here, ast.If) and last_name(here.test) == "TYPE_CHECKING"
+        to_do += here.orelse if typing else ast.iter_child_nodes(here)
 
 
 def names_in(node: ast.AST, package: str) -> set[str]:
@@ -57,7 +56,17 @@ def names_in(node: ast.AST, package: str) -> set[str]:
 
 def is_by_name(node: ast.AST) -> TypeGuard[ast.Call]:
     """Return whether a node is a call that imports a module by its name."""
-    return isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in BY_NAME
+    return isinstance(node, ast.Call) and last_name(node.func) in BY_NAME
+
+
+def last_name(node: ast.AST) -> str:
+    """Return the last of the names that dots join in an expression; empty for any other expression."""
+    return node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else ""
+
+
+@functools.cache
+def tree_of(text: str) -> ast.Module:
+    return ast.parse(text)
 
 
 def graph_of(root: Path) -> dict[str, set[str]]:
@@ -66,7 +75,7 @@ def graph_of(root: Path) -> dict[str, set[str]]:
     for name, path in files.items():
         package = name if path.name == "__init__.py" else name.rpartition(".")[0]
         found = set()
-        for node in run_nodes(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in run_nodes(tree_of(path.read_text(encoding="utf-8"))):
             for target in names_in(node, package):
                 module = target if target in files else target.rpartition(".")[0]
                 if module in files and module != name:
@@ -102,7 +111,7 @@ def test_names_of_modules_are_computed_where_it_is_written_down() -> None:
     computing = {
         name
         for name, path in files_of(ROOT).items()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(tree_of(path.read_text(encoding="utf-8")))
         if is_by_name(node) and not isinstance(node.args[0], ast.Constant)
     }
     assert computing == set(COMPUTED)

@@ -9,10 +9,7 @@ from __future__ import annotations
 import base64
 import functools
 import json
-import os
 import re
-import subprocess
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import product
@@ -24,6 +21,7 @@ import pinocchio as pin
 import pytest
 import umsgpack
 import xacro
+from command_line import call
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError
@@ -114,7 +112,10 @@ THREE_RRR = Machine(
 )  # fmt: skip
 THREE_RRR_BARE = Machine(**{**vars(THREE_RRR), "arguments": {"carriers": False}, "mass": 6.5})
 MACHINES = {"2rpr": TWO_RPR, "2rpr bare": TWO_RPR_BARE, "3rrr": THREE_RRR, "3rrr bare": THREE_RRR_BARE}
-EVERY_MODE = [pytest.param(name, mode, id=f"{name} {mode}") for name, m in MACHINES.items() for mode in m.modes]
+EVERY_MODE = {f"{name} {mode}": (name, mode) for name, machine in MACHINES.items() for mode in machine.modes}
+each_mode = pytest.mark.parametrize(("name", "mode"), EVERY_MODE.values(), ids=EVERY_MODE)
+BARE = [each for each, (name, mode) in EVERY_MODE.items() if "bare" in name and mode[:2] != (1, -1)]
+"""Without carriers; ``make test`` takes all modes with carriers, and one or two without."""
 
 
 @dataclass(frozen=True)
@@ -250,7 +251,8 @@ def assert_backends_agree(machine: Machine, mode: Mode, states: States, reduced:
             assert (off <= PARITY * size).all(), (name, quantity, float((off / size).max()))
 
 
-@pytest.mark.parametrize(("name", "mode"), EVERY_MODE)
+@pytest.mark.long_for(*BARE)
+@each_mode
 def test_backends_and_bare_pinocchio_agree_on_random_states(name: str, mode: Mode) -> None:
     machine = MACHINES[name]
     states = regular_states(machine, mode)
@@ -260,7 +262,8 @@ def test_backends_and_bare_pinocchio_agree_on_random_states(name: str, mode: Mod
     assert min(np.abs(result.f).max() for result in reduced.values()) > 1.0  # N: masses took part
 
 
-@pytest.mark.parametrize(("name", "mode"), EVERY_MODE)
+@pytest.mark.long_for(*BARE)
+@each_mode
 def test_backends_and_bare_pinocchio_agree_at_singular_poses(name: str, mode: Mode) -> None:
     """W and f stay finite where W loses rank; there no backend returns efforts, and all say why."""
     machine = MACHINES[name]
@@ -316,12 +319,15 @@ def switch_off(backend: str, name: str, threshold: float, ramp_down: float) -> A
     """Plan a crossing; several tests look at the same plans."""
     dynamics = dynamics_of(backend, MOTIONS[name].robot)
     trajectory = MOTIONS[name].make()
-    return rp.plan_switch_off(dynamics, trajectory, threshold=threshold, ramp_down=ramp_down, return_time=0.4)
+    mesh = rp.Mesh(dt={"line 0.1": 2e-2, "line 0.2": 1e-2}.get(name, 5e-3))  # s; the lines last 12 and 6 s
+    return rp.plan_switch_off(
+        dynamics, trajectory, threshold=threshold, ramp_down=ramp_down, return_time=0.4, mesh=mesh
+    )
 
 
 def stepwise(backend: str, motion: Motion, lam: float, active: str = "always") -> Any:
     baseline = dynamics_of(backend, motion.robot, carriers=False)
-    samples = motion.make().sample(5e-3, two_sided=True)
+    samples = motion.make().sample(1e-2, two_sided=True)
     options = {"lam": lam, "baseline": baseline, "active": active, "return_time": 0.6}
     return rp.plan_stepwise(dynamics_of(backend, motion.robot), samples, **in_groups(rp.plan_stepwise, options))
 
@@ -331,11 +337,11 @@ def whole_trajectory(backend: str, motion: Motion, objective: str, dt: float) ->
     return rp.plan_whole_trajectory(dynamics, motion.make(**motion.smooth), objective=objective, mesh=rp.Mesh(dt=dt))
 
 
-def least_time(backend: str, motion: Motion, steps: int) -> Any:
+def least_time(backend: str, motion: Motion, mesh: rp.Mesh) -> Any:
     # limits of the motors, N and N·m, of the size of those that the thesis's motions need
     effort = 0.5 if motion.robot == "2rpr" else 2.0
     return rp.plan_time_optimal(
-        dynamics_of(backend, motion.robot), motion.make(), limits=rp.Limits(effort=effort), mesh=rp.Mesh(steps=steps)
+        dynamics_of(backend, motion.robot), motion.make(), limits=rp.Limits(effort=effort), mesh=mesh
     )
 
 
@@ -368,18 +374,26 @@ for _name in ("corner 0.025", "corner 0.013", "square"):
     _active = {"active": "accelerating"} if _name == "square" else {}
     for _lam in (0.0, 0.5):
         _plan = functools.partial(stepwise, motion=MOTIONS[_name], lam=_lam, **_active)
-        CASES[f"stepwise, {_name}, λ {_lam:g}"] = (_plan, STEPPED)
+        CASES[f"stepwise, {_name}, lam {_lam:g}"] = (_plan, STEPPED)
 for _name, _motion in MOTIONS.items():
-    _dt = 5e-2 if _name.startswith("line") else 2e-2  # s; the lines last 12 and 6 s
+    _dt = 1e-1 if _name.startswith("line") else 2e-2  # s
     for _objective in ("effort", "peak"):
         _plan = functools.partial(whole_trajectory, motion=_motion, objective=_objective, dt=_dt)
         CASES[f"whole trajectory, {_name}, {_objective}"] = (_plan, SEARCHED)
-    CASES[f"least time, {_name}"] = (functools.partial(least_time, motion=_motion, steps=20), SEARCHED)
-SLOW = (
-    *(f"least time, {name}" for name in MOTIONS if name not in ("line 0.2", "corner 0.025")),
-    *(f"whole trajectory, {name}, peak" for name in ("circle 0.75", "line 0.1", "corner 0.013")),
-)
-"""Other paths of the same kind are planned by ``make test``."""
+    _mesh = rp.Mesh(steps=6, refinements=0) if _name == "line 0.2" else rp.Mesh(steps=20)
+    CASES[f"least time, {_name}"] = (functools.partial(least_time, motion=_motion, mesh=_mesh), SEARCHED)
+TRIED = {
+    "switch-off, circle 0.5, CN 5",
+    "switch-off, line 0.2, CN 15",
+    "stepwise, corner 0.025, lam 0",
+    "stepwise, square, lam 0.5",
+    "whole trajectory, line 0.2, effort",
+    "whole trajectory, line 0.2, peak",
+    "whole trajectory, corner 0.025, effort",
+    "whole trajectory, corner 0.025, peak",
+    "least time, line 0.2",
+}
+"""By ``make test``: each planner, and of those that take both machines all but the slowest on each."""
 
 
 def values_of(plan: Any) -> dict[str, np.ndarray]:
@@ -389,7 +403,7 @@ def values_of(plan: Any) -> dict[str, np.ndarray]:
             "sdd": carriers.sdd, "tau": plan.tau, "carrier_force": plan.carrier_force}  # fmt: skip
 
 
-@pytest.mark.long_for(*SLOW)
+@pytest.mark.long_for(*sorted(CASES.keys() - TRIED))
 @pytest.mark.parametrize("case", CASES)
 def test_each_backend_plans_each_case_of_the_thesis_alike(case: str) -> None:
     """Same samples, same status, same phases and statuses of samples, and the same numbers to the case's tolerance."""
@@ -415,7 +429,7 @@ def test_each_backend_plans_each_case_of_the_thesis_alike(case: str) -> None:
 def test_the_stepwise_planner_refuses_to_cross(backend: str, name: str) -> None:
     """It needs the inverse of W at every step; the error says so, and when."""
     with pytest.raises(InfeasiblePlanError, match="type II singularity") as refused:
-        rp.plan_stepwise(dynamics_of(backend, "2rpr"), MOTIONS[name].make().sample(5e-3))
+        rp.plan_stepwise(dynamics_of(backend, "2rpr"), MOTIONS[name].make().sample(2e-2))
     assert "plan_whole_trajectory" in str(refused.value)
 
 
@@ -492,7 +506,7 @@ def test_corners_of_the_thesis(name: str, bare: tuple[float, ...], backend: str)
         assert (peaks[True] < 13.0).all()
 
 
-@pytest.mark.parametrize("lam", [0.0, 0.5])
+@pytest.mark.parametrize("lam", [pytest.param(0.0, marks=pytest.mark.long), 0.5])
 def test_three_of_eight_working_modes_meet_no_limit(lam: float) -> None:
     """Round the wide corner, in the thesis's steps, which see each jump of the acceleration from one side.
 
@@ -627,21 +641,9 @@ def hoist(tmp_path: Path) -> Path:
     return tmp_path / "robot.yaml"
 
 
-def command(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run the command line in a process of its own, as a user does."""
-    program = "from redundancy_pin.cli import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", program, *map(str, arguments)],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
 def test_the_validation_suite_takes_a_users_robot(hoist: Path) -> None:
-    done = command("validate", "--robot", hoist, "--samples", 40, "--seed", 1, "--json")
-    assert done.returncode == 0, done.stderr
+    done = call("validate", "--robot", hoist, "--samples", 10, "--seed", 1, "--json")
+    assert done.exit_code == 0, done.stderr
     report = json.loads(done.stdout)
     assert report["passed"]
     checks = {row["check"]: row for row in report["rows"]}

@@ -104,6 +104,7 @@ def test_it_runs(path: Path, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir()), "a notebook leaves nothing behind"
 
 
+@pytest.mark.long
 def test_a_number_that_is_off_fails_the_run(tmp_path: Path) -> None:
     wrong = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("assert 1.70 == 1.71")])
     with pytest.raises(CellExecutionError, match="AssertionError"):

@@ -184,7 +184,7 @@ def test_a_sweep_of_plans_is_what_each_plan_is(tmp_path: Path) -> None:
 
 
 def peak_of_corner(radius: float) -> dict[str, Any]:
-    plan = rp.plan_stepwise("3rrr", rp.trajectory.reference.corner(radius=radius).sample(0.02))
+    plan = rp.plan_stepwise("3rrr", rp.trajectory.reference.corner(radius=radius).sample(0.1))
     return {"peak": float(plan.peak_effort_at_samples.max()), "status": plan.status.value}
 
 
@@ -224,9 +224,16 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
         process.wait()
 
 
-@pytest.mark.long_for("lives")
-@pytest.mark.parametrize("ends", [pytest.param(False, id="lives"), pytest.param(True, id="loses and gains a worker")])
-def test_a_cluster_gives_what_one_machine_gives(cluster: Cluster, ends: bool, tmp_path: Path) -> None:
+def test_points_are_computed_where_joblib_is_told_to() -> None:
+    """Threads of this process in place of a cluster, which takes seconds to start; in no order in particular."""
+    with joblib.parallel_config("threading", n_jobs=2):
+        result = rp.sweep(where, {"number": range(5)}, jobs=None)
+    assert {record["process"] for record in result.records} == {os.getpid()}
+    assert result.values("number").tolist() == [*range(5)]
+
+
+@pytest.mark.long
+def test_a_cluster_that_loses_and_gains_a_worker_gives_what_one_machine_gives(cluster: Cluster, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     calls = tmp_path / "calls"
     calls.mkdir()
@@ -234,7 +241,7 @@ def test_a_cluster_gives_what_one_machine_gives(cluster: Cluster, ends: bool, tm
 
     def progress(done: int, total: int) -> None:
         done_of.append(done)
-        if ends and done == 5:
+        if done == 5:
             cluster.workers[0].kill()
             cluster.work()
 
@@ -242,9 +249,8 @@ def test_a_cluster_gives_what_one_machine_gives(cluster: Cluster, ends: bool, tm
         client.wait_for_workers(2, timeout=60.0)
         with joblib.parallel_config("dask", client=client):
             result = rp.sweep(slow, {"number": range(20), "folder": [str(calls)]}, progress=progress)
-        if ends:
-            client.wait_for_workers(2, timeout=60.0)  # a loaded machine takes seconds to start one
-            assert len(client.scheduler_info(n_workers=-1)["workers"]) == 2
+        client.wait_for_workers(2, timeout=60.0)  # a loaded machine takes seconds to start one
+        assert len(client.scheduler_info(n_workers=-1)["workers"]) == 2
     assert result.values("value").ravel().tolist() == [number**2 for number in range(20)]
     assert done_of == list(range(1, 21))
     assert {int(path.name.partition("-")[0]) for path in calls.iterdir()} == set(range(20))

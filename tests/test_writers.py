@@ -23,7 +23,7 @@ mujoco = pytest.importorskip("mujoco")
 MOTION_TOLERANCE = 1e-5
 """m and rad: what is asked of outside engines, without control over the whole motion."""
 
-STEP, DURATION = 5e-4, 0.4
+STEP, DURATION = 5e-4, 0.2
 MASSES = {"2rpr": {"cylinder_mass": 0.3, "piston_mass": 0.2, "end_effector_mass": 0.5}}
 """Arguments of robots that move links without mass otherwise."""
 

@@ -95,7 +95,7 @@ def test_a_stepwise_plan_is_the_same_motion_to_an_engine_as_to_the_simulation():
 def test_where_a_plan_has_its_actuators_off_an_engine_gets_no_efforts():
     robot = zoo.robot_of("2rpr")
     circle = rp.trajectory.reference.circle(speed=0.5)
-    plan = rp.plan_switch_off(rp.RneaDynamics(robot), circle, threshold=5.0, mesh=rp.Mesh(dt=0.005))
+    plan = rp.plan_switch_off(rp.RneaDynamics(robot), circle, threshold=5.0, mesh=rp.Mesh(dt=0.02))
     drive = drive_of_plan(rp.RneaDynamics(robot), plan)
     window = plan.diagnostics["windows"][0]
     inside = np.linspace(window["entry"], window["exit"], 100)[1:-1]

@@ -1,6 +1,7 @@
 """The planned efforts in Exudyn and MuJoCo: the planned motion comes out, with the order the methods promise."""
 
 import dataclasses
+import functools
 import xml.etree.ElementTree as ElementTree
 
 import engines.run
@@ -83,15 +84,20 @@ def test_a_plan_through_a_type_ii_pose_makes_the_planned_motion(engine, short):
     assert run.x[-1] == pytest.approx((0.2, -0.1), abs=MOTION_TOLERANCE)
 
 
-@pytest.fixture(scope="module", params=[SHORT, MOVING_TURN], ids=["2rpr", "3rrr"])
-def on_line(request):
+@functools.cache
+def planned_on_line(name, tick):
     """A run planned with compiled dynamics, its robot, its motion and its drive."""
-    case = request.param
+    case = {"2rpr": SHORT, "3rrr": MOVING_TURN}[name]
     robot, motion = rp.load_robot(case.robot, **case.arguments), case.trajectory(None)
-    run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot)), motion)
+    run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot)), motion, tick=tick)
     assert run.counts["ok"] == len(run.commands)
     assert len(run.plan.findings.singular_instants) == case.crossings
     return run, robot, motion, drive_of_plan(rp.RneaDynamics(robot), run.plan, motion)
+
+
+@pytest.fixture(scope="module", params=[pytest.param("2rpr", marks=pytest.mark.long), "3rrr"])
+def on_line(request):
+    return planned_on_line(request.param, 0.005)
 
 
 @pytest.mark.parametrize("backend", [rp.VirtualWork, rp.RneaDynamics], ids=["virtual work", "rnea"])
@@ -118,12 +124,11 @@ def test_so_do_its_commands_with_efforts_that_are_linear_over_milliseconds(engin
     assert deviation(drive, replayed).largest < COMMANDS_TOLERANCE
 
 
+@pytest.mark.long_for("0.01", "0.02")
 @pytest.mark.parametrize("tick", [0.005, 0.01, 0.02])
 def test_commands_are_the_plan_next_to_a_singular_instant_too(tick):
     """A plan that begins within a quarter of a step of one, before or behind it, has its first piece from the last."""
-    robot, motion = rp.load_robot("3rrr"), MOVING_TURN.trajectory(None)
-    run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot)), motion, tick=tick)
-    drive = drive_of_plan(rp.RneaDynamics(robot), run.plan, motion)
+    run, *_, drive = planned_on_line("3rrr", tick)
     (root,) = run.plan.findings.singular_instants
     t = np.linspace(root - 0.02, root + 0.02, 400)
     efforts = drive.task.efforts(t)
@@ -335,7 +340,7 @@ def remounted(robot, axis):
 class Swing:
     """The crank of a small chain swings about its reference."""
 
-    duration = 0.3
+    duration = 0.2
     breaks = np.empty(0)
 
     def __init__(self, robot):

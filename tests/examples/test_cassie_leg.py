@@ -144,7 +144,7 @@ def test_loops_that_stand_beside_a_rank_loss_take_no_digits_from_those_that_move
     for right in (0.0, 0.5):
         start = right * (np.arange(robot.n) == robot.independent_joints.index("right-tarsus-crank-joint"))
         end = start - 0.5 * (np.arange(robot.n) == robot.independent_joints.index("left-knee-op"))
-        motion = rp.trajectory.from_points([start, end], [0.0, 1.0], ends="rest").sample(0.02)
+        motion = rp.trajectory.from_points([start, end], [0.0, 1.0], ends="rest").sample(0.2)
         along = rp.RneaDynamics(robot).along(motion)
         margins.append(along.tree.serial_margin_bound.max())
         tau.append(rp.distribute(along.reduce()).tau[:, left])

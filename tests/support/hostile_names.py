@@ -97,5 +97,5 @@ def write_hostile(folder: Path, name: str) -> Path:
 
 def plan_of(robot: Robot) -> Plan:
     """Return a short plan in which no carrier moves."""
-    motion = rp.trajectory.reference.circle(speed=0.1).sample(0.05)[:4]
+    motion = rp.trajectory.reference.circle(speed=0.1).sample(0.05)[:2]
     return parked_plan(rp.RneaDynamics(robot), motion)

@@ -10,10 +10,12 @@ import ctypes
 import functools
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from examples import FACTOR
 from generated_c import COMPILERS, Code, compiled, folder_of
 from random_robots import RandomCase, random_case
 from scaled import Units, coordinate_units, effort_units, scaled_carriers, scaled_motion, scaled_robot
@@ -29,6 +31,7 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.loads import JointForces, Spring, Wrench
 from redundancy_pin.robot.scales import force_sizes, force_terms, position_unit, turning_velocities, velocity_unit
+from redundancy_pin.singularities.crossings import Crossing
 from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory
 
@@ -43,6 +46,8 @@ CHOICES = ((1e-3, 1e-9, 1.0), (1e-4, 1e-8, 1.0), (1e-6, 1e-9, 1e-3), (1e-6, 1e-1
 """Lengths, masses and times that were wrong once: forces are small in them."""
 
 CORNERS = (*CHOICES, (1e6, 1e6, 1e-6), (1e-6, 1e-6, 1e6), (1e6, 1e-6, 1.0), (1.0, 1.0, 1e6), (1.0, 1.0, 1e-6))
+TRIED = CORNERS[::3]
+"""By ``make test``, where each takes long."""
 
 
 def units_of(seed: int, *, powers_of_two: bool) -> Units:
@@ -55,7 +60,7 @@ def units_of(seed: int, *, powers_of_two: bool) -> Units:
 
 @functools.cache
 def case_of(name: str, index: int) -> RandomCase:
-    return random_case(name, 30, 11, index)
+    return random_case(name, 15, 11, index)
 
 
 def solved(backend: Callable[[Robot], Dynamics], case: RandomCase, units: Units) -> rp.Distribution:
@@ -77,20 +82,21 @@ def require_same(got: rp.Distribution, want: rp.Distribution, unit: Array, share
     assert (off[want.solved] <= (share * size)[want.solved]).all()
 
 
-@pytest.mark.long_for(*(f"{name}-CompiledDynamics" for name in ("3rrr", "four_bar", "delta", "gough")))
+@pytest.mark.property
+@pytest.mark.long_for(*(f"{name}-CompiledDynamics" for name in MACHINES[1:]))
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("name", MACHINES)
 def test_random_machines_have_the_same_efforts_in_all_units(name: str, backend: Callable[[Robot], Dynamics]) -> None:
     case = case_of(name, 0)
     want, unit = solved(backend, case, Units()), functools.partial(effort_units, case.robot)
-    for seed in range(1 if backend is rp.CompiledDynamics else 3):  # each is compiled anew
+    for seed in range(1 if backend is rp.CompiledDynamics else FACTOR):  # each is compiled anew
         units = units_of(seed, powers_of_two=True)
         require_same(solved(backend, case, units), want, unit(units), EXACT * want.condition)
         units = units_of(seed, powers_of_two=False)
         require_same(solved(backend, case, units), want, unit(units), ROUNDED * np.maximum(1.0, want.condition / 1e6))
 
 
-@pytest.mark.parametrize("choice", CORNERS[::3])
+@pytest.mark.parametrize("choice", TRIED)
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
 def test_virtual_work_has_the_same_efforts_in_all_units(name: str, choice: tuple[float, float, float]) -> None:
     """The closed forms take their lengths from the arguments of the model."""
@@ -163,7 +169,7 @@ def test_a_force_that_no_motor_balances_is_never_called_none(
 
 
 @pytest.mark.skipif("gcc" not in COMPILERS, reason="gcc is not installed")
-@pytest.mark.parametrize("choice", [(1e-3, 1e-9, 1.0), (1e6, 1e6, 1e-6)])
+@pytest.mark.parametrize("choice", [(1e-3, 1e-9, 1.0), pytest.param((1e6, 1e6, 1e-6), marks=pytest.mark.long)])
 def test_generated_c_has_the_statuses_and_efforts_of_python_in_all_units(choice: tuple[float, float, float]) -> None:
     robot, motion = straight_down(Units(*choice))
     code, want = Code(robot), rp.distribute(rp.RneaDynamics(robot).reduce(motion))
@@ -231,7 +237,7 @@ def free_rod(length: float) -> Robot:
 
 def test_free_bodies_have_lengths_too() -> None:
     """The crank goes round: the rocker, which drives, is at rest twice in a turn, whatever the metres."""
-    t = np.linspace(0.0, 1.0, 201)
+    t = np.linspace(0.0, 1.0, 101)
     found = []
     for length in (1.0, 1e-6, 1e6):
         robot = free_rod(length)
@@ -295,16 +301,21 @@ def singular_line(name: str, units: Units) -> tuple[Robot, Trajectory]:
     return scaled_robot(plain, units), Trajectory(path, SpeedProfile(path.length, 0.5 * L / T, 0.25 * T))
 
 
+@functools.cache
+def instants_of(name: str, units: Units) -> tuple[Crossing, ...]:
+    return rp.find_crossings(*singular_line(name, units))
+
+
+@pytest.mark.long_for(*(f"{choice}-{name}" for name in ("2rpr", "five_bar") for choice in set(CORNERS) - set(TRIED)))
 @pytest.mark.parametrize("name", ["2rpr", "five_bar"])
-def test_singular_instants_scale_with_the_time(name: str) -> None:
-    want = rp.find_crossings(*singular_line(name, Units()))
+@pytest.mark.parametrize("choice", CORNERS, ids=str)
+def test_singular_instants_scale_with_the_time(name: str, choice: tuple[float, float, float]) -> None:
+    units = Units(*choice)
+    want, got = (instants_of(name, each) for each in (Units(), units))
     assert want
-    for choice in CORNERS:
-        units = Units(*choice)
-        got = rp.find_crossings(*singular_line(name, units))
-        assert [each.kind for each in got] == [each.kind for each in want]
-        np.testing.assert_allclose([each.t / units.time for each in got], [each.t for each in want], rtol=1e-9)
-        np.testing.assert_allclose([each.slope for each in got], [each.slope for each in want], rtol=1e-5)
+    assert [each.kind for each in got] == [each.kind for each in want]
+    np.testing.assert_allclose([each.t / units.time for each in got], [each.t for each in want], rtol=1e-9)
+    np.testing.assert_allclose([each.slope for each in got], [each.slope for each in want], rtol=1e-5)
 
 
 @pytest.mark.parametrize("length", [2.0**-10, 1.0])
@@ -328,20 +339,28 @@ def test_a_path_is_searched_as_densely_in_all_units(length: float) -> None:
     np.testing.assert_allclose([crossing.t for crossing in crossings], want, rtol=0.0, atol=1e-3 * duration)
 
 
+@functools.cache
+def found_in(units: Units) -> tuple[Any, Any, Any, Any]:
+    """Return assembly modes, forward kinematics, workspace and singular locus of a five-bar in other units."""
+    robot = scaled_robot(rp.load_robot("five_bar", carriers=False), units)
+    u = robot.q_reference[[robot.model.joints[robot.model.getJointId(name)].idx_q for name in robot.actuated]] + 0.1
+    return (
+        rp.assembly_modes(robot, u),
+        rp.forward_kinematics(robot, [u]),
+        rp.workspace(robot, resolution=15),
+        rp.singular_locus(robot, resolution=20),
+    )
+
+
 @pytest.mark.parametrize("choice", [(1e-6, 1.0, 1.0), (1e6, 1.0, 1.0)])
 def test_poses_modes_and_workspaces_scale_with_the_length(choice: tuple[float, float, float]) -> None:
-    units, plain = Units(*choice), rp.load_robot("five_bar", carriers=False)
-    robot = scaled_robot(plain, units)
-    u = plain.q_reference[[plain.model.joints[plain.model.getJointId(name)].idx_q for name in plain.actuated]] + 0.1
-    one, other = rp.assembly_modes(plain, u), rp.assembly_modes(robot, u)
-    np.testing.assert_allclose(other.x / units.length, one.x, atol=1e-9)
-    one, other = rp.forward_kinematics(plain, [u]), rp.forward_kinematics(robot, [u])
-    np.testing.assert_array_equal(one.status, other.status)
-    np.testing.assert_allclose(other.x / units.length, one.x, atol=1e-9)
-    one, other = (rp.workspace(each, resolution=25) for each in (plain, robot))
-    np.testing.assert_array_equal(one.reachable, other.reachable)
-    one, other = (rp.singular_locus(each, resolution=40) for each in (plain, robot))
-    assert [curve.kind for curve in one.curves] == [curve.kind for curve in other.curves]
+    units = Units(*choice)
+    (modes, forward, workspace, locus), other = (found_in(each) for each in (Units(), units))
+    np.testing.assert_allclose(other[0].x / units.length, modes.x, atol=1e-9)
+    np.testing.assert_array_equal(other[1].status, forward.status)
+    np.testing.assert_allclose(other[1].x / units.length, forward.x, atol=1e-9)
+    np.testing.assert_array_equal(other[2].reachable, workspace.reachable)
+    assert [curve.kind for curve in other[3].curves] == [curve.kind for curve in locus.curves]
 
 
 @pytest.mark.parametrize("length", [1e-6, 1.0, 1e6])
