@@ -113,10 +113,10 @@ PLANS: dict[str, tuple[str, Callable[[], Plan]]] = {
     ),
     "time-optimal": (
         "plan time-optimal --robot 3rrr --working-mode +++ --set carriers=false --motion corner --effort 3 "
-        "--actuator-speed 0.5 --steps 40 --backend rnea",
+        "--actuator-speed 0.5 --steps 15 --backend rnea",
         lambda: rp.plan_time_optimal(
             rp.RneaDynamics(rp.load_robot("3rrr", carriers=False, working_mode=(1, 1, 1))), reference.corner().path,
-            limits=rp.Limits(effort=3.0, actuator_speed=0.5), mesh=rp.Mesh(steps=40),
+            limits=rp.Limits(effort=3.0, actuator_speed=0.5), mesh=rp.Mesh(steps=15),
         ),
     ),
 }  # fmt: skip
