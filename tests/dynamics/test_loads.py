@@ -104,8 +104,7 @@ def assert_alike(one: Array, other: Array, tolerance: float = PARITY) -> None:
     np.testing.assert_allclose(one, other, rtol=0.0, atol=tolerance * max(1.0, np.abs(one).max(initial=0.0)))
 
 
-@pytest.mark.long_for("CompiledDynamics-five_bar", "CompiledDynamics-four_bar", "CompiledDynamics-gough",
-                      "CompiledDynamics-3rrr")  # fmt: skip
+@pytest.mark.long_for("CompiledDynamics-five_bar", "CompiledDynamics-gough", "CompiledDynamics-3rrr")
 @pytest.mark.parametrize(
     ("backend", "name"),
     [*((CompiledDynamics, name) for name in ("2rpr", "3rrr", "five_bar", "four_bar", "gough")),
