@@ -314,7 +314,7 @@ def test_what_a_remedy_says_works(
 
 def test_what_is_said_to_suffice_suffices() -> None:
     """As it is read: every limit by that much more, not one alone; a free end is no advice where it is free."""
-    line = "plan whole-trajectory --robot 3rrr --working-mode +++ --motion corner --dt 0.02 --end"
+    line = "plan whole-trajectory --robot 3rrr --working-mode +++ --motion corner --dt 0.03 --end"
     efforts = [0.3, 0.4, 0.4]
     said = refused(*line.split(), "free", "--effort", ",".join(map(str, efforts)))
     found = re.search(r"every effort limit by (\S+) % \(most needed by base_(\d), from (\S+) to (\S+) N·m, at", said)
@@ -331,23 +331,20 @@ def test_what_is_said_to_suffice_suffices() -> None:
 
 
 def test_a_coarse_mesh_does_not_promise_a_few_per_cent() -> None:
-    """With 2 % more than what is said the plan is refused again, on the finer mesh that it takes: 13 % were needed."""
-    line = ["plan", "whole-trajectory", "--robot", "2rpr", "--motion", "circle", "--dt", "0.03", "--effort"]
-    said = refused(*line, "0.1")
-    found = re.search(r"from 0.1 to (\S+) N", said)
-    assert found is not None
-    assert re.search("of a coarse mesh: efforts between its nodes are up to [1-9.]+ times as large", said)
-    assert "by more than that (how much is found with a shorter dt)" in said
-    fine = refused(*line[:-3], "--effort", "0.1")
-    found_there = re.search(r"every effort limit .* from 0.1 to (\S+) N", fine)
-    assert found_there is not None
-    assert "by a few per cent more than that" in fine
-    assert call(*line[:-3], "--effort", str(1.03 * float(found_there[1]))).exit_code == 0
-    refused(*line, str(1.02 * float(found[1])))
-    shorter = refused(*line, "0.1", "--dt", "0.005")
-    found = re.search(r"every effort limit .* from 0.1 to (\S+) N", shorter)
-    assert found is not None
-    assert call(*line, str(1.02 * float(found[1])), "--dt", "0.005").exit_code == 0
+    """With 2 % more than what is said the plan is refused again; a mesh that is fine says what suffices."""
+    line = ["plan", "whole-trajectory", "--robot", "2rpr", "--motion", "circle:speed=1"]
+    needed = {}
+    for dt, more in (("0.03", "by more than that (how much is found with a shorter dt)"),
+                     ("0.0075", "by a few per cent more than that")):  # fmt: skip
+        said = refused(*line, "--dt", dt, "--effort", "0.3")
+        found = re.search(r"every effort limit .* from 0.3 to (\S+) N", said)
+        assert found is not None
+        assert more in said
+        coarse = re.search("of a coarse mesh: efforts between its nodes are up to [1-9.]+ times as large", said)
+        assert (coarse is not None) == (dt == "0.03")
+        needed[dt] = str(1.02 * float(found[1]))
+    refused(*line, "--dt", "0.03", "--effort", needed["0.03"])
+    assert call(*line, "--dt", "0.0075", "--effort", needed["0.0075"]).exit_code == 0
 
 
 def test_values_are_completed() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -16,6 +17,7 @@ from plan_cases import LINE
 import redundancy_pin as rp
 from redundancy_pin.errors import OutputError
 from redundancy_pin.simulation import load_simulation
+from redundancy_pin.singularities.locus import singular_locus
 
 Fails = Callable[..., None]
 
@@ -50,7 +52,7 @@ def lost_nothing(*arguments: object, code: int = 2) -> dict[str, Any]:
 def test_plan(function: str, error: Exception | None, fails: Fails, tmp_path: Path) -> None:
     out, plot = tmp_path / "plan.npz", tmp_path / "plan.png"
     fails("cli.plan", function, out, error=error)
-    facts = lost_nothing(*LINE, "--out", out, "--plot", plot)
+    facts = lost_nothing(*LINE, "--dt", "0.05", "--out", out, "--plot", plot)
     assert (facts["out"], facts["plot"]) == (str(out), None)
     np.testing.assert_allclose(facts["peak_effort"], rp.load_plan(out).peak_effort)
     assert [path.name for path in tmp_path.iterdir()] == ["plan.npz"]
@@ -84,8 +86,13 @@ def test_workspace(fails: Fails, tmp_path: Path) -> None:
     assert out.read_text().count("\n") == 26
 
 
-def test_singularities(fails: Fails, motion_file: Path, tmp_path: Path) -> None:
+def test_singularities(fails: Fails, motion_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fails("cli.singularities", "plot_workspace")
+    monkeypatch.setattr(
+        importlib.import_module("redundancy_pin.cli.singularities"),
+        "singular_locus",
+        partial(singular_locus, resolution=9),
+    )
     motion = ("--robot", "2rpr", "--motion", motion_file)
     facts = lost_nothing("singularities", *motion, "--plot", tmp_path / "locus.png")
     assert facts["robot"] == "2rpr"

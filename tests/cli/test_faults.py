@@ -41,6 +41,7 @@ def test_a_full_disk_behind_stdout(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs pipes without a reader")
+@pytest.mark.long_for("info --robot 2rpr")
 @pytest.mark.parametrize("arguments", [("info",), ("info", "--robot", "2rpr")], ids=" ".join)
 def test_a_reader_that_has_seen_enough_is_no_fault(arguments: tuple[str, ...], tmp_path: Path) -> None:
     """The tables are rich's, which would end with 1."""

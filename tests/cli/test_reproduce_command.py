@@ -22,7 +22,7 @@ def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two coarse experiments, a passing cross-check, no pictures: the job has tests of its own."""
     rows = (CheckRow("2rpr", "power balance", 10, 1e-15, 1e-10, True),)
     monkeypatch.setattr(job.crosscheck, "run", lambda *_: CrossCheckReport(rows, 0))
-    small = tuple(replace(BY_NAME[name], dt=0.02) for name in ("circle-0.5-parked", "corner-r0.025-baseline"))
+    small = tuple(replace(BY_NAME[name], dt=0.05) for name in ("circle-0.5-parked", "corner-r0.025-baseline"))
     monkeypatch.setattr(command, "FULL", replace(FULL, motions=small, chapters=()))
     monkeypatch.setattr(command, "QUICK", replace(QUICK, motions=small[1:], chapters=()))
     monkeypatch.setattr(Picture, "draw", lambda *_: None)

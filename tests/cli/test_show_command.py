@@ -20,7 +20,9 @@ from redundancy_pin.trajectory import reference
 @pytest.fixture(scope="module")
 def plan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("plan") / "plan.npz"
-    plan = rp.plan_switch_off(rp.VirtualWork(rp.load_robot("2rpr")), reference.circle(speed=0.5), threshold=7.0)
+    plan = rp.plan_switch_off(
+        rp.VirtualWork(rp.load_robot("2rpr")), reference.circle(speed=0.5), threshold=7.0, mesh=rp.Mesh(dt=0.01)
+    )
     plan.save(file)
     return file
 

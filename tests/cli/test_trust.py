@@ -36,7 +36,7 @@ COMMANDS = {
     "show": ("show", "--html", "{folder}/out.html"),
     "validate": ("validate", "--samples", "1"),
     "codegen": ("codegen", "--out", "{folder}/code"),
-    "plan": ("plan", "switch-off", "--motion", "line", "--threshold", "1000", "--dt", "0.005"),
+    "plan": ("plan", "switch-off", "--motion", "line", "--threshold", "1000", "--dt", "0.01"),
 }
 
 
@@ -58,7 +58,7 @@ def test_a_problem_file_cannot_say_it(robot: Path, tmp_path: Path) -> None:
         "planner": "switch-off",
         "robot": str(robot),
         "motion": {"name": "line"},
-        "parameters": {"threshold": 1000, "dt": 0.005},
+        "parameters": {"threshold": 1000, "dt": 0.01},
     }
     path = tmp_path / "problem.yaml"
     path.write_text(yaml.safe_dump(problem))
@@ -76,7 +76,7 @@ def test_the_robot_of_a_plan_is_trusted_by_who_loads_it(robot: Path, tmp_path: P
     loaded = rp.load_robot(robot, trust=True)
     assert loaded.n == 2
     path = tmp_path / "plan.npz"
-    line = f"plan switch-off --robot {robot} --motion line --threshold 1000 --dt 0.005 --trust"
+    line = f"plan switch-off --robot {robot} --motion line --threshold 1000 --dt 0.01 --trust"
     command = line.split()
     assert call(*command, "--out", str(path)).exit_code in (0, 3)
     plan = rp.load_plan(path)

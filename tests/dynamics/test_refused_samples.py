@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import zoo
+from examples import FACTOR
 from flat_linkages import parallelogram
 from machines import machine
 
@@ -42,7 +43,7 @@ def test_set_points_out_of_reach_have_the_answer_of_forward_kinematics(name: str
     home = np.array(robot.q_reference)
     at, away = robot.joint_positions(home), np.array(BEYOND[name])
     dynamics.joint_state(at, start=home)
-    for _ in range(20):
+    for _ in range(4 * FACTOR):
         work.clear()
         near = at + away + 1e-3 * random.normal(size=robot.m)
         got = dynamics.joint_state(near, random.normal(size=robot.m))
@@ -65,7 +66,7 @@ def test_far_set_points_are_those_that_forward_kinematics_reach(name: str, work:
     """Motors turn by rad at once, through type I singularities too; the C follows no branch through those."""
     robot, dynamics, random = machine(name), rp.CompiledDynamics(machine(name)), np.random.default_rng(7)
     home, beyond = np.array(robot.q_reference), 0
-    for _ in range(20):
+    for _ in range(6 * FACTOR):
         position = robot.joint_positions(home) + 2.0 * random.normal(size=robot.m)
         work.clear()
         got = dynamics.joint_state(position, start=home)
@@ -99,13 +100,13 @@ def test_legs_that_make_no_triangle_are_unreachable() -> None:
     robot, dynamics, random = machine("2rpr"), rp.CompiledDynamics(machine("2rpr")), np.random.default_rng(11)
     legs, home = robot.joint_positions(robot.q_reference), np.array(robot.q_reference)
     apart = 0
-    for position in legs + random.normal(size=(60, 2)) * random.uniform(0.1, 2.0, (60, 1)):
+    for position in legs + random.normal(size=(16, 2)) * random.uniform(0.1, 2.0, (16, 1)):
         got, (a, b) = dynamics.joint_state(position, start=home), np.abs(position)
         if a + b < 0.5 or abs(a - b) > 0.5:
             apart += 1
             assert got.status is SampleStatus.UNREACHABLE
             assert got.residual > 0.0
-    assert 15 < apart < 45
+    assert 4 <= apart <= 12
 
 
 def test_steps_that_newton_misses_are_halved_before_a_set_point_is_out_of_reach() -> None:

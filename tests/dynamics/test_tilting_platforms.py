@@ -291,7 +291,7 @@ def _energy(robot: Robot, tree: JointTrajectory) -> Array:
 
 OTHERS = {
     ("x", "z", "rz"): False,
-    ("x", "z", "ry"): True,
+    ("x", "z", "ry"): False,
     ("y", "z", "rx"): False,
     ("z", "rx", "rz"): False,
     ("z", "ry", "rz"): True,
@@ -371,9 +371,9 @@ def found(dynamics: Dynamics, x: Array) -> BoolArray:
 @pytest.mark.parametrize("size", [0.01, pytest.param(100.0, marks=pytest.mark.long)])
 def test_poses_out_of_reach_are_told_from_others(size: float, tmp_path: Path) -> None:
     """Of a 3-PRS, those at which a link does not span from its slide to its ball joint."""
-    x = np.array([0.6, 0.0, 0.0]) + np.random.default_rng(5).uniform(-1.0, 1.0, (40, 3)) * [1.5, 0.7, 0.7]
+    x = np.array([0.6, 0.0, 0.0]) + np.random.default_rng(5).uniform(-1.0, 1.0, (12, 3)) * [1.5, 0.7, 0.7]
     expected = np.isfinite(actuators("3prs", x, link=SHORT)).all(axis=1)
-    assert 5 < expected.sum() < 35
+    assert 3 <= expected.sum() <= 9
     dynamics = CompiledDynamics(robot_called("3prs", tmp_path, size, link=SHORT))
     np.testing.assert_array_equal(found(dynamics, x * [size, 1.0, 1.0]), expected)
 

@@ -399,7 +399,7 @@ def test_a_branch_with_a_kink_halfway_between_two_poses_is_not_taken_for_the_smo
     assert require_closed_form([loop], float(crank[0]), crank)
 
 
-@pytest.mark.parametrize("seed", [109, 164])
+@pytest.mark.parametrize("seed", [109, pytest.param(164, marks=pytest.mark.long)])
 def test_two_loops_that_are_flat_within_one_step_stay_on_their_branches(seed: int) -> None:
     """The sign of the determinant of all rows is the same behind both."""
     assert require_closed_form(*random_crank(seed))

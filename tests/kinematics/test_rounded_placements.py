@@ -266,7 +266,7 @@ CASES = [
 def test_rounded_placements(name: str, kind: str, tmp_path: Path) -> None:
     """Same degrees of freedom and efforts as the exact machine, and a note; wrong placements are an error."""
     exact = drawn(name)
-    for amount, seed in ((0.0, 0), (1e-6, 1), (1e-4, 2), (1e-4, 3)):
+    for amount, seed in ((0.0, 0), (1e-6, 1), (1e-4, 2)):
         robot = FORMATS[kind](tmp_path, off(exact, amount, np.random.default_rng(seed)))
         assert (robot.n, robot.independent_joints, robot.actuated) == (len(exact.driven), exact.driven, exact.driven)
         (note,) = (each for each in robot.notes if each.startswith("Redundant closure rows left out"))
@@ -286,7 +286,7 @@ def test_what_is_taken_turns_round(kind: str, tmp_path: Path) -> None:
     exact = drawn("four_bar")
     x, one = np.linspace(-3.0, 3.0, 13)[:, None], np.ones((13, 1))
     motion, taken, want = rp.PlatformMotion(x[:, 0], x, one, 0.0 * one), [], np.zeros(0)
-    for tilt in (0.0, 2e-4, *np.linspace(3e-4, 2e-3, 18), 1e-2):
+    for tilt in (0.0, 2e-4, *np.linspace(3e-4, 2e-3, 6), 1e-2):
         off_by = pin.SE3(pin.exp3(np.array([tilt, 0.0, 0.2])), np.zeros(3))
         bodies = [each._replace(place=each.place * off_by) if each.name == "coupler" else each for each in exact.bodies]
         try:

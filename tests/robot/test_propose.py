@@ -121,7 +121,7 @@ MOTORS = st.sampled_from(
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
-@settings(max_examples=12 * FACTOR)
+@settings(max_examples=5 * FACTOR)
 @given(
     ends=ENDS,
     motors=MOTORS,

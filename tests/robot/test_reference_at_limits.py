@@ -74,6 +74,7 @@ def verdicts(path: Path, robot: Robot) -> dict[str, bool]:
     }
 
 
+@pytest.mark.long_for("knee-1.0-upper")
 @pytest.mark.parametrize(
     ("joint", "scale", "end"),
     [

@@ -446,8 +446,8 @@ def freedoms_by_pinocchio(mechanism: Mechanism) -> int:
 @pytest.mark.parametrize(
     ("name", "freedoms"),
     [
-        *(("_reduced", 11), ("_simple", 11), ("_v2", 12), ("_wo_gearbox_spring", 13)),
-        pytest.param("", 12, marks=pytest.mark.long),
+        *(("_reduced", 11), ("_simple", 11), ("_v2", 12)),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in (("_wo_gearbox_spring", 13), ("", 12))),
     ],
 )
 def test_cassie_loads_and_moves(name, freedoms):
@@ -471,7 +471,7 @@ def test_cassie_loads_and_moves(name, freedoms):
 
 
 @pytest.mark.parametrize("wrong", [0.0, 1e-5])
-@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize("swapped", [False, pytest.param(True, marks=pytest.mark.long)])
 @pytest.mark.parametrize("kind", ["revolute", "prismatic", "screw", "universal"])
 def test_two_equal_joints_do_as_one(kind: str, swapped: bool, wrong: float, tmp_path: Path) -> None:
     """A door on two hinges, a carriage on two rails, in tilted frames: no row is independent, all are rounding."""

@@ -78,6 +78,7 @@ def same_dynamics(one: Robot, other: Robot) -> None:
         np.testing.assert_allclose(ours, theirs, rtol=ROUNDING, atol=ROUNDING * np.abs(theirs).max(initial=0.0))
 
 
+@pytest.mark.long_for("gough", "two_arms", "ankle", "walking_leg")
 @pytest.mark.parametrize("name", shipped_robots())
 def test_dynamics_stay(name: str, tmp_path: Path) -> None:
     plain = robot_of(name)

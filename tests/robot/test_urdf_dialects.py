@@ -176,6 +176,7 @@ def test_three_hinges_through_a_point_are_the_ball_of_a_rod(damped: str, tmp_pat
         assert rp.load_robot(tmp_path / "no_ball.urdf", gravity=GRAVITY).n == count
 
 
+@pytest.mark.long_for("bar-arm-2.0-CompiledDynamics")
 @pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])
 @pytest.mark.parametrize(("one", "other", "factor"), [("bar", "arm", 2.0), ("arm", "bar", 0.5)])
 def test_a_coupling_is_of_sums_of_angles(backend: type, one: str, other: str, factor: float, tmp_path: Path) -> None:

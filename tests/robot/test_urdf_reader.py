@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from redundancy_pin import load_robot
@@ -99,7 +100,7 @@ JOINT = st.tuples(
 )
 
 
-@settings(deadline=None)
+@examples(12)
 @given(st.lists(JOINT, min_size=1, max_size=8))
 def test_random_trees_are_those_of_pinocchio(joints: list[Any]) -> None:
     """By an open chain: its joints, its gravity terms at random positions, with the places of all links."""

@@ -157,7 +157,7 @@ def test_two_passive_stops_of_a_closed_chain_at_once(five_bar: Robot) -> None:
         assert run.stop_force[-1] @ moved / (2.0 * step) == pytest.approx(slope, rel=1e-6, abs=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 6))])
 def test_stops_push_and_never_pull_and_energy_never_grows(five_bar: Robot, seed: int) -> None:
     dice = np.random.default_rng(seed)
     start = closed_state(five_bar, np.add([0.25, 0.7], dice.uniform(-0.03, 0.03, 2)), dice.uniform(-2.0, 2.0, 2))
@@ -301,7 +301,7 @@ def test_a_file_keeps_forces_and_impulses(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.stop_force, run.stop_force)
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", [*range(20), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(20, 40))])
 def test_least_constraint_is_the_optimum(seed: int) -> None:
     from scipy.optimize import minimize
 
@@ -326,7 +326,7 @@ def test_least_constraint_is_the_optimum(seed: int) -> None:
         assert cost(step / unit) <= cost(best.x) + 1e-8 * max(cost(best.x), 1e-6)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))])
 def test_loose_steps_meet_the_same_stops(five_bar: Robot, seed: int) -> None:
     """Off by 1e-6 rad a joint may be farther from its stop than the slack of its range when it meets it."""
     dice = np.random.default_rng(seed)
@@ -369,7 +369,7 @@ def test_a_stop_beside_a_rank_loss_of_the_closures_holds() -> None:
     np.testing.assert_allclose(np.diff(run.energy[after]), 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", [*range(8), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(8, 25))])
 def test_a_start_at_several_stops_with_speed(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
     """Motors and elbows at limits from where they are, pushed and thrown any way."""
     dice = np.random.default_rng(seed)

@@ -36,7 +36,7 @@ def controlled() -> dict[str, Replay]:
 
 
 def test_open_loop_a_stepwise_plan_follows_the_motion_it_stands_for():
-    row = replay(corner_plan(1e-2), motion=MOTION, name="corner")
+    row = replay(corner_plan(2e-2), motion=MOTION, name="corner")
     assert (row.status, row.plan, row.drive) == ("ok", "corner", "open loop")
     assert row.largest < EXACT
     assert row.carrier_error < EXACT
@@ -66,7 +66,7 @@ def test_under_control_the_start_is_off_and_the_end_is_not():
 def test_a_massless_plan_cannot_be_replayed_as_forces_and_says_why():
     robot = rp.load_robot("2rpr")
     circle = reference.circle(speed=0.5)
-    plan = rp.plan_switch_off(rp.RneaDynamics(robot), circle, threshold=10.0, mesh=rp.Mesh(dt=1e-2))
+    plan = rp.plan_switch_off(rp.RneaDynamics(robot), circle, threshold=10.0, mesh=rp.Mesh(dt=5e-2))
     for drive in ("open loop", "LQR"):
         row = replay(plan, drive, motion=circle)
         assert row.status == "not_converged"
@@ -76,12 +76,12 @@ def test_a_massless_plan_cannot_be_replayed_as_forces_and_says_why():
 
 
 def test_samples_without_finite_efforts_are_not_made_up():
-    plan = corner_plan(1e-2)
+    plan = corner_plan(2e-2)
     tau = np.array(plan.tau)
-    tau[100] = np.nan
+    tau[40] = np.nan
     row = replay(replace(plan, tau=tau), "open loop, samples", motion=MOTION)
     assert row.status == "unbounded"
-    assert f"t = {plan.t[100]:.6g} s" in row.reason
+    assert f"t = {plan.t[40]:.6g} s" in row.reason
 
 
 def test_carriers_beyond_their_tracks_are_told():
@@ -94,4 +94,4 @@ def test_carriers_beyond_their_tracks_are_told():
 
 def test_an_unknown_drive():
     with pytest.raises(InputError, match=r"'by hand'.*carriers by motion"):
-        replay(corner_plan(1e-2), "by hand")  # type: ignore[arg-type]
+        replay(corner_plan(2e-2), "by hand")  # type: ignore[arg-type]

@@ -340,7 +340,7 @@ def test_a_plan_anew_for_the_robot_with_mass_is_what_a_massless_one_needs() -> N
 
     def controlled(**masses: float) -> Simulation:
         robot = rp.load_robot("2rpr", **masses)
-        controller = TimeVaryingLqr(rp.plan_whole_trajectory(robot, motion), motion=motion)
+        controller = TimeVaryingLqr(rp.plan_whole_trajectory(robot, motion, mesh=rp.Mesh(dt=0.04)), motion=motion)
         return rp.simulate(robot, controller, rtol=1e-7, atol=1e-8)
 
     with pytest.raises(IllPosedModelError, match=r"mass=0\.1\), or --set .*, and make plans and controllers anew"):
@@ -436,11 +436,11 @@ class From:
     [
         (np.array([1.0, np.nan]), np.zeros(2)),
         (np.zeros(2), np.array([0.0, -np.inf])),
-        (np.array([np.inf, -np.inf]), np.zeros(2)),
-        (np.zeros(3), np.zeros(2)),
+        pytest.param((np.array([np.inf, -np.inf]), np.zeros(2)), marks=pytest.mark.long),
+        pytest.param((np.zeros(3), np.zeros(2)), marks=pytest.mark.long),
         (np.zeros((2, 1)), np.zeros(2)),
         (np.zeros(2), 0.0),
-        np.zeros(4),
+        pytest.param(np.zeros(4), marks=pytest.mark.long),
         None,
         ("many", "few"),
     ],

@@ -14,8 +14,10 @@ from redundancy_pin.robot.scales import position_unit
 from redundancy_pin.simulation.state import closed_state, tree_state
 
 
-@pytest.mark.parametrize("name", ["hinge", "universal", "cylindrical", "rod"])
-@pytest.mark.parametrize("length", [1e-6, 1e2, 1e6])
+@pytest.mark.parametrize(
+    "name", [*("hinge", "universal"), *(pytest.param(n, marks=pytest.mark.long) for n in ("cylindrical", "rod"))]
+)
+@pytest.mark.parametrize("length", [1e-6, pytest.param(1e2, marks=pytest.mark.long), 1e6])
 @pytest.mark.parametrize("backend", [rp.CompiledDynamics, RneaDynamics])
 def test_closures_of_lengths_and_angles_keep_their_rank_in_every_unit_of_length(name, length, backend) -> None:
     robots = chain_of(name), scaled_robot(chain_of(name), Units(length=length))
@@ -30,7 +32,16 @@ def test_closures_of_lengths_and_angles_keep_their_rank_in_every_unit_of_length(
     np.testing.assert_allclose(other, own, atol=1e-8)
 
 
-@pytest.mark.parametrize("units", [Units(length=1e6), Units(length=1e-6), Units(time=1e-6), Units(time=1e6)], ids=repr)
+@pytest.mark.parametrize(
+    "units",
+    [
+        pytest.param(Units(length=1e6), marks=pytest.mark.long),
+        Units(length=1e-6),
+        pytest.param(Units(time=1e-6), marks=pytest.mark.long),
+        Units(time=1e6),
+    ],
+    ids=repr,
+)
 @pytest.mark.parametrize("backend", [rp.CompiledDynamics, RneaDynamics])
 def test_a_crank_turns_through_the_flat_pose_of_a_four_bar_in_every_unit(units, backend, tmp_path) -> None:
     own = folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5))

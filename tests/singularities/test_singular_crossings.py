@@ -159,7 +159,9 @@ def test_leaving_the_workspace_names_the_time() -> None:
     assert caught.value.details["time"] == pytest.approx(time_at_arc(trajectory, 0.5), abs=1e-8)
 
 
-@pytest.mark.parametrize("angle", [40.0, 50.0, 60.0])
+@pytest.mark.parametrize(
+    "angle", [pytest.param(40.0, marks=pytest.mark.long), 50.0, pytest.param(60.0, marks=pytest.mark.long)]
+)
 def test_a_smooth_motion_may_start_with_a_leg_stretched(angle: float) -> None:
     """Leg 1 is 1 m long at full stretch; the first samples of a rest-to-rest law are 1e-10 m from there."""
     stretched = [np.cos(np.radians(angle)), np.sin(np.radians(angle))]
@@ -274,7 +276,7 @@ def test_a_regular_motion_has_none(shipped) -> None:
 
 
 @pytest.mark.parametrize(("leg", "hinge", "angle"), [(1, 0.0, 50.0), (2, 0.5, 130.0)])
-@pytest.mark.parametrize("inside", [1e-12, 1e-13, 0.0])
+@pytest.mark.parametrize("inside", [1e-12, pytest.param(1e-13, marks=pytest.mark.long), 0.0])
 def test_a_touch_from_rounding_inside_is_no_way_out(leg: int, hinge: float, angle: float, inside: float) -> None:
     """Quintics through rounded samples leave it by 1e-12 m next to the touch, a tenth of the closure tolerance."""
     t, step = np.linspace(0.0, 1.0, 201), 1e-5

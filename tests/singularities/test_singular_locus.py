@@ -44,7 +44,10 @@ def points_of(locus: SingularLocus, kind: SingularityKind) -> tuple[Array, Array
     return np.concatenate([c.points for c in curves]), np.concatenate([c.q for c in curves])
 
 
-@pytest.mark.parametrize(("resolution", "turn"), [(10, np.inf), (15, np.inf), (25, np.inf), (15, 0.2)])
+@pytest.mark.parametrize(
+    ("resolution", "turn"),
+    [*(pytest.param(n, np.inf, marks=pytest.mark.long) for n in (10, 25)), (15, np.inf), (15, 0.2)],
+)
 def test_the_border_of_the_five_bar_is_one_closed_curve_on_two_circles(resolution: int, turn: float) -> None:
     """The middle column of 15 and of 25 nodes meets the border in its corners, where two singular values vanish.
 

@@ -113,7 +113,7 @@ def test_the_default_grid_goes_on_where_a_horn_is_narrow() -> None:
         working_modes={"joints": [f"elbow_{leg}" for leg in range(3)], "signs": [1, 1, 1], "default": modes},
     )
     space = rp.workspace(robot, resolution=24)
-    fine = np.stack(np.meshgrid(*2 * [np.linspace(-1.5, 1.5, 600)], indexing="ij"), axis=-1)
+    fine = np.stack(np.meshgrid(*2 * [np.linspace(-1.5, 1.5, 300)], indexing="ij"), axis=-1)
     rho = np.linalg.norm(fine[:, :, None] + offsets, axis=-1)
     inside = fine[((rho > np.abs(lengths[:, 0] - lengths[:, 1])) & (rho < lengths.sum(axis=1))).all(axis=-1)]
     for axis, least, most in zip(space.axes, inside.min(axis=0), inside.max(axis=0), strict=True):
@@ -194,11 +194,11 @@ def test_a_part_that_is_not_connected_is_found(modes: bool) -> None:
     assert (np.concatenate([path.vertices for path in outline.get_paths()])[:, 1] < 0.0).all()  # about the part below
 
 
-@pytest.mark.parametrize("free", [("x", "z"), ("x", "y", "z")])
+@pytest.mark.parametrize("free", [("x", "z"), pytest.param(("x", "y", "z"), marks=pytest.mark.long)])
 def test_gough_is_in_range_where_its_legs_are(free: tuple[str, ...]) -> None:
     robot = rp.with_limits(zoo.robot_of("gough"), {f"slide_{i}": {"lower": 0.5, "upper": 0.9} for i in range(1, 7)})
     bounds = [*[(-0.45, 0.45)] * (len(free) - 1), (0.2, 0.9)]
-    space = rp.workspace(robot, free, bounds=bounds, resolution=12 if len(free) == 2 else 6)
+    space = rp.workspace(robot, free, bounds=bounds, resolution=8 if len(free) == 2 else 6)
     lengths = np.array([zoo.leg_lengths(robot, pose) for pose in space.x])
     within = ((lengths >= 0.5) & (lengths <= 0.9)).all(axis=1).reshape(space.in_range.shape[1:])
     assert within.any()

@@ -20,7 +20,7 @@ def crossing() -> MotionReference:
     """A whole-trajectory plan of the circle at 0.5 m/s, on tracks 4 cm shorter than those of ``two_rpr()``."""
     robot = two_rpr(track_half_length=0.16)
     circle = trajectories.circle(speed=0.5)
-    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), circle, mesh=rp.Mesh(dt=0.01))
+    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), circle, mesh=rp.Mesh(dt=0.02))
     return plan_reference(plan, robot=robot, motion=circle)
 
 

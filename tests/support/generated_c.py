@@ -62,7 +62,7 @@ class Code:
         folder = folder_of(robot)
         library = folder.parent / "unit.so"
         if not library.exists():
-            compiled([folder / "unit.c"], library, "-O1", "-shared", "-fPIC")
+            compiled([folder / "unit.c"], library, "-O0", "-shared", "-fPIC")
         self._library = ctypes.CDLL(str(library))
         n, m, k, nq, nv = robot.n, robot.m, robot.k, robot.model.nq, robot.model.nv
         r = sum(len(closure.axes) for closure in robot.closures)

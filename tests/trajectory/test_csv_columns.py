@@ -269,13 +269,13 @@ def test_what_inverse_dynamics_writes_it_reads(name: str, tmp_path: Path) -> Non
 def test_exported_plans_and_simulations_are_motions(tmp_path: Path) -> None:
     """Carriers that move, a turning platform, jumps of the acceleration: efforts are those that the files say."""
     robot = rp.load_robot("3rrr", working_mode=(1, 1, 1))
-    motion = reference.corner().sample(0.01)
+    motion = reference.corner().sample(0.02)
     plan = rp.plan_stepwise(rp.RneaDynamics(robot), motion)
     plan.save(tmp_path / "plan.npz")
-    for name, flags in (("samples.csv", ()), ("rate.csv", ("--rate", "500", "--two-sided"))):
+    for name, flags in (("samples.csv", ()), ("rate.csv", ("--rate", "100", "--two-sided"))):
         done = call("export", tmp_path / "plan.npz", "--to", tmp_path / name, *flags)
         assert done.exit_code == 0, done.stderr
-    run = ["simulate", "--plan", tmp_path / "plan.npz", "--duration", "0.3", "--dt", "0.01", "--stop-at", "never"]
+    run = ["simulate", "--plan", tmp_path / "plan.npz", "--duration", "0.1", "--dt", "0.01", "--stop-at", "never"]
     done = call(*run, "--out", tmp_path / "run.csv")
     assert done.exit_code == 0, done.stderr
     for name in ("samples.csv", "rate.csv", "run.csv"):

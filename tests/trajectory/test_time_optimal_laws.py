@@ -64,7 +64,7 @@ def toppra_duration(path: Path, speed: np.ndarray, acceleration: np.ndarray) -> 
         toppra.constraint.JointVelocityConstraint(np.stack([-speed, speed], axis=1)),
         toppra.constraint.JointAccelerationConstraint(np.stack([-acceleration, acceleration], axis=1)),
     ]
-    p = segment_places(path, 400)
+    p = segment_places(path, 120)
     rate = TOPPRA(limits, _Plain(path), gridpoints=p).compute_parameterization(0.0, 0.0)[1]
     return float((2.0 * np.diff(p) / (rate[1:] + rate[:-1])).sum())
 
@@ -72,8 +72,8 @@ def toppra_duration(path: Path, speed: np.ndarray, acceleration: np.ndarray) -> 
 def largest_use(path: Path, law: TimingLaw, speed: Any, acceleration: Any) -> float:
     """Largest |ẋ| and |ẍ| over their limits, by even times and by places; of one number that of the norm."""
     motion = Trajectory(path, law)
-    even = np.linspace(0.0, law.duration, 30_001)
-    beside = np.interp(segment_places(path, 2000), np.maximum.accumulate(law.evaluate(even).p), even)
+    even = np.linspace(0.0, law.duration, 10_001)
+    beside = np.interp(segment_places(path, 1000), np.maximum.accumulate(law.evaluate(even).p), even)
     times, used = np.concatenate([even, beside, motion.breaks]), 0.0
     for side in ("left", "right"):
         point = motion.evaluate(times, side)
@@ -91,7 +91,7 @@ def require_continuous(law: TimingLaw) -> None:
     np.testing.assert_allclose([*ends.pd, *ends.pdd], 0.0, atol=1e-12 * largest)
 
 
-@examples(12)
+@examples(4)
 @given(
     seed=st.integers(0, 10**6),
     radius=st.sampled_from([None, 1e-4, 1e-3, 1e-2, 0.1]),
@@ -110,7 +110,7 @@ def test_laws_keep_limits_of_each_coordinate_and_take_nearly_the_least_time(seed
     require_continuous(law)
 
 
-@pytest.mark.parametrize("radius", [0.1, 0.2])
+@pytest.mark.parametrize("radius", [pytest.param(0.1, marks=pytest.mark.long), 0.2])
 def test_limits_are_tightened_where_the_speed_alone_takes_nearly_all_acceleration(radius: float) -> None:
     """Hardly any tangential acceleration was left there, no optimum existed, and laws took 1.18 and 1.23."""
     path = rounded_polygon([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.3, 0.7]], radius)
@@ -132,7 +132,7 @@ def test_under_unlike_limits_intervals_are_not_tightened_at_once_by_all_they_exc
     assert law.duration < 16.0  # 16.37 where pieces are not evaluated at their ends, on the left of a break
 
 
-@pytest.mark.parametrize(("points", "noise"), [(100, 1e-4), (50, 1e-2)])
+@pytest.mark.parametrize(("points", "noise"), [(100, 1e-4), pytest.param(50, 1e-2, marks=pytest.mark.long)])
 def test_limits_hold_between_samples_on_splines_with_many_bends(points: int, noise: float) -> None:
     """Peaks of the curvature between two samples exceeded them by up to 0.3 %."""
     dice = np.random.default_rng(5)
@@ -167,7 +167,7 @@ def test_a_pose_turns_as_fast_however_short_the_way_of_its_origin() -> None:
     assert motion.duration < SLOWEST * motion.timing.least_duration
 
 
-@pytest.mark.parametrize("radius", [1e-4, 0.03])
+@pytest.mark.parametrize("radius", [1e-4, pytest.param(0.03, marks=pytest.mark.long)])
 def test_sharp_corners_of_a_square_cost_a_fraction_of_their_own_time(radius: float) -> None:
     """With corners of 0.1 mm the law took five times the least time: it blended over 2 % of the duration."""
     path = rounded_polygon([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], radius)
@@ -284,7 +284,7 @@ def test_of_poses_one_limit_is_met_all_the_time(turning, speed, acceleration):
     assert np.quantile(used, 0.2) >= 0.975
 
 
-@pytest.mark.parametrize("mirror", [(-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)])
+@pytest.mark.parametrize("mirror", [(-1.0, 1.0), (1.0, -1.0)])
 @pytest.mark.parametrize(("speed", "acceleration"), [((9.0, 9.0), (2.0, 3.0)), ((0.4, 0.5), (3.0, 2.0))])
 def test_mirrored_paths_take_the_same_time(mirror, speed, acceleration):
     """Limits are the same in both directions of a coordinate; on the same path, mirrored, only rounding differs."""
@@ -292,7 +292,7 @@ def test_mirrored_paths_take_the_same_time(mirror, speed, acceleration):
     assert there == pytest.approx(least_duration(through_points(BENT), speed, acceleration), rel=1e-9)
 
 
-@pytest.mark.parametrize("angle", [0.3, 1.2, 2.9])
+@pytest.mark.parametrize("angle", [1.2])
 def test_turned_paths_take_the_same_time_under_a_limit_of_the_norm(angle):
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     there = least_duration(through_points(BENT @ turn.T), 0.5, 2.0)
@@ -304,7 +304,7 @@ def test_a_line_between_equal_poses_has_no_least_time() -> None:
         fastest_law(PoseLine(np.eye(4), np.eye(4)), [1.0, 1.0], [1.0, 1.0])
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_law_uses_its_limits_but_for_the_reserve(seed: int) -> None:
     """1e-4 of the speed, by 100,000 samples: the largest use between the nodes is found, not estimated from above."""
     points = np.cumsum(np.random.default_rng(seed).uniform(-0.5, 1.0, (6, 2)), axis=0)

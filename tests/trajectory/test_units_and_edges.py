@@ -61,13 +61,16 @@ MOTIONS: dict[str, Callable[[float, float], Trajectory]] = {
     ),
     "a spline with ramps": lambda L, T: from_points(L * POINTS, speed=0.2 * L / T, ramp_time=0.3 * T),
     "the fastest": lambda L, T: from_points(
-        L * POINTS[:4], "time-optimal", max_speed=0.5 * L / T, max_acceleration=2.0 * L / T**2
+        L * POINTS[:3], "time-optimal", max_speed=0.5 * L / T, max_acceleration=2.0 * L / T**2
     ),
     "the fastest of each coordinate": lambda L, T: from_points(
-        L * CUSP, "time-optimal", max_speed=np.array([0.5, 0.3]) * L / T, max_acceleration=np.array([2, 1]) * L / T**2
+        L * CUSP[:3],
+        "time-optimal",
+        max_speed=np.array([0.5, 0.3]) * L / T,
+        max_acceleration=np.array([2, 1]) * L / T**2,
     ),
     "the fastest pose": lambda L, T: from_points(
-        poses(L), "time-optimal", max_speed=[0.3 * L / T, 1.0 / T], max_acceleration=[1.0 * L / T**2, 3.0 / T**2]
+        poses(L)[:3], "time-optimal", max_speed=[0.3 * L / T, 1.0 / T], max_acceleration=[1.0 * L / T**2, 3.0 / T**2]
     ),
     "poses by speed": lambda L, T: from_points(poses(L), speed=0.1 * L / T, ramp_time=0.3 * T),
     "poses by times": lambda L, T: from_points(poses(L), T * np.array([0.0, 0.5, 1.2, 2.0])),
