@@ -95,8 +95,8 @@ def compiled_libraries(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pat
     """A cache of compiled robots of this run's own, shared by its workers: nobody's home is written to or read.
 
     Their compiler optimises nothing, which takes a third of the time and rounds as ever: its last option counts. The
-    on-line planner, the one that is compiled for this machine alone, works longer than it is compiled: a little there. ``LEVEL`` in the
-    environment is another option.
+    on-line planner, the one that is compiled for this machine alone, works longer than it is compiled: a little there.
+    ``LEVEL`` in the environment is another option.
     """
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "compiled"
