@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from redundancy_pin.dynamics.reactions import joint_reactions
     from redundancy_pin.dynamics.rnea import RneaDynamics
     from redundancy_pin.dynamics.virtual_work import VirtualWork
+    from redundancy_pin.identification.fit import identify
     from redundancy_pin.kinematics.assembly_modes import assembly_modes
     from redundancy_pin.kinematics.forward_kinematics import forward_kinematics
     from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
@@ -60,6 +61,7 @@ _PLACES = {
         "dynamics.reactions": "joint_reactions",
         "dynamics.rnea": "RneaDynamics",
         "dynamics.virtual_work": "VirtualWork",
+        "identification.fit": "identify",
         "kinematics.assembly_modes": "assembly_modes",
         "kinematics.forward_kinematics": "forward_kinematics",
         "kinematics.inverse_kinematics": "inverse_kinematics",
@@ -118,6 +120,7 @@ __all__ = [
     "distribute",
     "find_crossings",
     "forward_kinematics",
+    "identify",
     "inverse_dynamics",
     "inverse_kinematics",
     "joint_reactions",
