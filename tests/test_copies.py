@@ -136,7 +136,7 @@ def objects() -> dict[str, Any]:
         "inverse derivatives": inverse_derivatives(robot, start.q, start.v, np.zeros(robot.model.nv)),
         "report": run(["2rpr"], samples=1),
         "records": (records := Records(np.arange(2.0), np.ones((2, 3)), platform=np.ones((2, 3)))),
-        "smooth motion": SmoothMotion(motion, carriers, slice(1, 3), *[three] * 3, (three,) * 3, three),
+        "smooth motion": SmoothMotion(motion, carriers, slice(1, 3), *[three] * 5, (three,) * 3, three),
         "base parameters": (base := BaseParameters((), np.arange(0), np.ones((0, 0)), ("mass",))),
         "fit": Fit(
             ResultStatus.OK,
@@ -148,9 +148,7 @@ def objects() -> dict[str, Any]:
             three,
             records.t,
             *[records.effort] * 3,
-            three,
-            three,
-            three,
+            *[three] * 4,
         ),
     }
 

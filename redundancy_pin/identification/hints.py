@@ -1,7 +1,8 @@
-"""Hints that efforts have wrong signs, another order or other times: what would explain them better.
+"""Hints that efforts have wrong signs, another order or other times, each verified by a fit of the efforts put right.
 
-The equations are solved again for changed efforts with equal weights, which costs one product each with the basis of
-the regressor. A hint refuses nothing: a force that the model lacks may look like a shift in time.
+Candidates are found with the equations as measured, weighted by the noise of the efforts about their splines, so that
+one product with a basis of the regressor tells what is left. A candidate counts where a whole fit leaves that noise
+and no more. A hint refuses nothing.
 """
 
 from __future__ import annotations
@@ -10,102 +11,160 @@ from collections.abc import Callable, Sequence
 from itertools import combinations
 
 import numpy as np
-from scipy.interpolate import make_lsq_spline
+from scipy.optimize import minimize_scalar
 
-from redundancy_pin.arrays import Array
-from redundancy_pin.identification.equations import Rows, first_noise
-from redundancy_pin.identification.records import DEGREE, Records
+from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.identification.equations import Noise, Rows, Solution
+from redundancy_pin.identification.records import Records
 from redundancy_pin.robot import Robot
 
 _HELPS = 0.7
-"""Part of the residual mean square that another sign or order leaves, below which it is reported."""
+"""Part of the residual mean square that another sign, order or time leaves, below which it is a candidate."""
 
-_SHIFTED = 0.9
-"""The same of a shift in time."""
+_EXPLAINED = 1.25
+"""Residual mean square over that of the noise of the efforts, below which a fit explains them."""
 
-_LONGEST, _LAGS = 1.0, 401
+_NOTICED = 0.05
+"""Decrease of the residual mean square of a record, over that of the noise, that makes a shift a candidate."""
+
+_LEAST_NOISE = 1e-3
+"""Noise of efforts relative to their size, at least: splines do not follow forces more exactly."""
+
+_LONGEST, _LAGS = 1.0, 201
 """Longest shift, s, at most a quarter of the record, and how many shifts are tried."""
 
 
-def hints_of_order(robot: Robot, rows: Sequence[Rows]) -> list[str]:
-    """Report signs and an order of columns that leave far less; one change after the other, as long as each helps.
+def hints(
+    robot: Robot,
+    records: Sequence[Records],
+    rows: Sequence[Rows],
+    solution: Solution,
+    refit: Callable[[Sequence[Records]], Solution],
+) -> list[str]:
+    """Report other signs, another order, or shifts in time of the efforts that explain the records.
 
-    The robot as declared says the sign of all efforts together. ``rows`` are the equations as measured.
+    Args:
+        robot: the given robot; it says the sign of all efforts together.
+        records: the records.
+        rows: the equations as measured.
+        solution: their solution.
+        refit: returns the solution of other records.
     """
-    drives = [*robot.actuated, *robot.carriers][: rows[0].E.shape[2]]
-    left, every = _misfit(rows), np.arange(len(drives))
-    signs, order = np.ones(len(drives)), every
-    best = left([one.effort for one in rows])
-    for _ in range(2 * len(drives)):
-        flips = [(np.where(every == k, -signs, signs), order) for k in every[1:]]
-        swaps = [
-            (signs, np.where(every == j, order[k], np.where(every == k, order[j], order)))
-            for j, k in combinations(every, 2)
-        ]
-        candidates = [*flips, *swaps]
-        found = [left([s * one.effort[:, o] for one in rows]) for s, o in candidates]
-        if not found or min(found) > _HELPS * best:
-            break
-        best, (signs, order) = min(found), candidates[int(np.argmin(found))]
-    driven = np.concatenate([np.einsum("Nrd,Nd->Nr", one.E, signs * one.effort[:, order]) for one in rows])
-    prior = np.concatenate([one.prior for one in rows])
-    if (driven * prior).sum() < -0.5 * np.linalg.norm(driven) * np.linalg.norm(prior):
-        signs = -signs
-    if (signs > 0.0).all() and (order == every).all():
+    size = np.sqrt(np.mean(np.concatenate([one.record.reading for one in rows]) ** 2, axis=0))
+    if not size.any():
         return []
-    columns = ", ".join(f"{'-' if sign < 0.0 else ''}{drives[int(k)]}" for sign, k in zip(signs, order, strict=True))
-    return [f"Columns of the efforts seem to be those of {columns}."]
-
-
-def hints_of_time(records: Sequence[Records], rows: Sequence[Rows]) -> list[str]:
-    """Report a shift in time that leaves less.
-
-    ``rows`` are the equations about rates without the estimated noise of positions, which would hide small shifts.
-    """
-    left = _misfit(rows)
-    reach = min(_LONGEST, *(0.25 * (one.t[-1] - one.t[0]) for one in records))
-    lags = np.linspace(-reach, reach, _LAGS)
-    moved = [_shifted(one, part) for one, part in zip(records, rows, strict=True)]
-    found = np.array([left([part(lag) for part in moved]) for lag in lags])
-    best, now = int(np.argmin(found)), found[_LAGS // 2]
-    if not (0 < best < _LAGS - 1 and found[best] < _SHIFTED * now):
-        return []
-    before, here, after = found[best - 1 : best + 2]
-    lag = lags[best] + 0.5 * (lags[1] - lags[0]) * (before - after) / (before - 2.0 * here + after)
-    return [
-        f"Efforts {abs(lag):.3g} s {'later' if lag > 0.0 else 'earlier'} than the positions would leave "
-        f"{here / now:.0%} of the residual mean square: their times differ, or friction or a spring is missing."
-    ]
-
-
-def _misfit(rows: Sequence[Rows]) -> Callable[[list[Array]], float]:
-    """Return the function of efforts (N, d) of each record that is the square sum which no parameters explain."""
-    noise = first_noise(rows)
-    L = [noise.whitening(one.E) for one in rows]
-    A = np.concatenate(
-        [(part @ one.Y).reshape(one.prior.size, one.Y.shape[2]) for part, one in zip(L, rows, strict=True)]
-    )
-    basis = np.linalg.qr(A)[0]
-
-    def left(effort: list[Array]) -> float:
-        b = np.concatenate(
-            [
-                (part @ ((one.E @ u[:, :, None])[..., 0] - one.prior)[..., None]).ravel()
-                for part, one, u in zip(L, rows, effort, strict=True)
+    about_splines = np.max([one.record.smooth.effort_noise[: len(size)] for one in rows], axis=0)
+    least = _LEAST_NOISE * size.max()
+    noise = Noise(np.maximum(about_splines, least), np.full(rows[0].right.shape[1], 1e-3 * least))
+    now = _mean_square(solution, noise)
+    signs, order, suspected = _other_columns(rows, noise)
+    others = [one.changed(efforts=signs * one.efforts[:, order]) for one in records]
+    changed = (signs < 0.0).any() or (np.diff(order) < 0).any()
+    if changed and _mean_square(refit(others), noise) < _EXPLAINED:
+        drives = [*robot.actuated, *robot.carriers]
+        names = [f"{'-' if s < 0.0 else ''}{drives[k]}" for s, k in zip(signs, order.tolist(), strict=True)]
+        return [f"Columns of the efforts seem to be those of {', '.join(names)}."]
+    lags = [_other_time(one, noise) for one in rows]
+    if any(lags):
+        others = [_shifted(record, by, lag) for record, by, lag in zip(records, rows, lags, strict=True)]
+        then, suspected = _mean_square(refit(others), noise), True
+        if then < min(now, _EXPLAINED):
+            return [
+                f"Efforts {abs(lag):.3g} s {'later' if lag > 0.0 else 'earlier'} than the positions"
+                f"{f' in records[{k}]' if len(records) > 1 else ''} would leave {then / now:.0%} of the residual mean "
+                "square: their times differ, or friction or a spring is missing."
+                for k, lag in enumerate(lags)
+                if lag
             ]
-        )
-        return float(b @ b - ((b @ basis) ** 2).sum())
+    if suspected and now > _EXPLAINED:
+        return [
+            "Residuals follow the rates: friction or a spring is missing, or times of efforts and positions differ, or "
+            "the order of columns. Check time stamps and column order."
+        ]
+    return []
+
+
+def _mean_square(solution: Solution, noise: Noise) -> float:
+    """Return the mean square of the residuals of a solution, over that of some noise of the readings."""
+    white = [np.einsum("Nrs,Ns->Nr", noise.whitening(part.rows.E), part.rest).ravel() for part in solution.parts]
+    return float(np.mean(np.concatenate(white) ** 2))
+
+
+def _misfit(rows: Sequence[Rows], noise: Noise, edge: float = 0.0) -> Callable[[Sequence[Array]], float]:
+    """Return the function of efforts (N, d) of each record that is the square sum which no parameters explain.
+
+    Samples within ``edge``, s, of the ends do not count.
+    """
+    parts = []
+    for one in rows:
+        t, E = one.record.along.motion.t, one.record.E
+        inner = (t >= t[0] + edge) & (t <= t[-1] - edge)
+        L = noise.whitening(E)[inner]
+        prior = np.einsum("Nrd,Nd->Nr", E, one.record.reading) - one.right
+        parts.append((inner, L @ E[inner], np.einsum("Nrs,Ns->Nr", L, prior[inner]), L @ one.Y[inner]))
+    basis = np.linalg.qr(np.concatenate([A.reshape(-1, A.shape[2]) for *_, A in parts]))[0]
+
+    def left(efforts: Sequence[Array]) -> float:
+        weighted = [
+            (np.einsum("Nrd,Nd->Nr", E, u[inner]) - prior).ravel()
+            for (inner, E, prior, _), u in zip(parts, efforts, strict=True)
+        ]
+        y = np.concatenate(weighted)
+        return float(y @ y - ((y @ basis) ** 2).sum())
 
     return left
 
 
-def _shifted(record: Records, rows: Rows) -> Callable[[float], Array]:
-    """Return the function of a lag, s, that is the efforts (N, d) of a record so much later, with the noise of now.
+def _other_columns(rows: Sequence[Rows], noise: Noise) -> tuple[Array, IntArray, bool]:
+    """Return signs and order of columns that leave far less, and if they do; one change after the other that helps.
 
-    Efforts interpolated between samples would have less noise than at them.
+    Signs of all at once leave the same: the given robot says them.
     """
-    both = np.concatenate([record.effort, record.carrier_force], axis=1)[:, : rows.E.shape[2]]
-    spline = make_lsq_spline(record.t, both, rows.smooth.knots, DEGREE)
-    first, last, here = record.t[0], record.t[-1], record.t[rows.smooth.kept]
-    rest = rows.effort - spline(here)
-    return lambda lag: np.asarray(rest + spline(np.clip(here + lag, first, last)))
+    readings, left = [one.record.reading for one in rows], _misfit(rows, noise)
+    every = np.arange(readings[0].shape[1], dtype=np.intp)
+    signs, order, suspected = np.ones(len(every)), every, False
+    best = left(readings)
+    for _ in range(2 * len(every)):
+        candidates = [(np.where(every == k, -signs, signs), order) for k in every[1:]]
+        for j, k in combinations(every, 2):
+            candidates.append((signs, np.where(every == j, order[k], np.where(every == k, order[j], order))))
+        found = [left([own_signs * u[:, own_order] for u in readings]) for own_signs, own_order in candidates]
+        if not found or min(found) > _HELPS * best:
+            break
+        suspected, best, (signs, order) = True, min(found), candidates[int(np.argmin(found))]
+    driven = np.concatenate(
+        [np.einsum("Nrd,Nd->Nr", one.record.E, signs * one.record.reading[:, order]) for one in rows]
+    )
+    prior = np.concatenate([np.einsum("Nrd,Nd->Nr", one.record.E, one.record.reading) - one.right for one in rows])
+    if (driven * prior).sum() < -0.5 * np.linalg.norm(driven) * np.linalg.norm(prior):
+        signs = -signs
+    return signs, order, suspected
+
+
+def _other_time(rows: Rows, noise: Noise) -> float:
+    """Return by how much later efforts of a record would leave less, s; zero where none would."""
+    t, u, spline = rows.record.along.motion.t, rows.record.reading, rows.record.smooth.efforts
+    reach = min(_LONGEST, 0.25 * float(t[-1] - t[0]))
+    misfit = _misfit([rows], noise, edge=reach)
+    rest = u - spline(t)[:, : u.shape[1]]
+
+    def left(lag: float) -> float:
+        return misfit([rest + spline(np.clip(t + lag, t[0], t[-1]))[:, : u.shape[1]]])
+
+    lags = np.linspace(-reach, reach, _LAGS)
+    found = [left(lag) for lag in lags]
+    best = int(np.argmin(found))
+    if not 0 < best < _LAGS - 1:
+        return 0.0
+    finer = minimize_scalar(
+        left, bounds=(lags[best - 1], lags[best + 1]), method="bounded", options={"xatol": 1e-5 * reach}
+    )
+    return float(finer.x) if left(0.0) - finer.fun > _NOTICED * rows.right.size else 0.0
+
+
+def _shifted(record: Records, rows: Rows, lag: float) -> Records:
+    """Return a record with positions so much later, s, and their noise of now; efforts stay as they were measured."""
+    spline, t = rows.record.smooth.positions, record.t
+    known = (t - lag >= t[0]) & (t - lag <= t[-1])
+    moved = record.positions - spline(t) + spline(np.clip(t - lag, t[0], t[-1]))
+    return record.changed(known, positions=moved) if lag else record

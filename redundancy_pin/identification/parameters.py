@@ -43,8 +43,11 @@ _LENGTHS = (0, 1, 1, 1, 2, 2, 2, 2, 2, 2)
 IN_JOINT = ("damping", "friction", "stiffness", "preload", "rotor inertia")
 """Those of a joint; the preload of a spring is its effort at position zero, −stiffness · rest."""
 
-OF_SENSORS = ("offset", "factor")
-"""Those of a measured effort u: its joint has factor · (u − offset)."""
+OF_SENSORS = ("factor", "offset")
+"""Those of a reading u of an effort: its joint has the effort factor · u − offset."""
+
+TILTS = ("tilt x", "tilt y", "tilt z")
+"""Rotation vector, world frame, from the declared gravity to that of a machine whose base is not level."""
 
 NOT_NEGATIVE = ("mass", "damping", "friction", "stiffness", "rotor inertia")
 
@@ -60,9 +63,9 @@ class Parameter:
     """A dynamic parameter.
 
     Attributes:
-        kind: one of ``INERTIAL``, ``IN_JOINT`` or ``OF_SENSORS``.
-        of: name of the body, or of the joint.
-        joint: index of the joint in the Pinocchio model.
+        kind: one of ``INERTIAL``, ``IN_JOINT``, ``OF_SENSORS`` or ``TILTS``.
+        of: name of the body, or of the joint; ``"gravity"``.
+        joint: index of the joint in the Pinocchio model; 0 of gravity.
         unit: its unit.
         value: its value in the robot.
         size: the scale that its value and interval are compared with, from the mass M of the robot, its
@@ -124,22 +127,20 @@ def parameters_of(robot: Robot, patterns: Sequence[str] | None = None) -> tuple[
 
 
 def sensors_of(robot: Robot, patterns: Sequence[str], drives: Sequence[str]) -> tuple[Parameter, ...]:
-    """Return the parameters of the effort sensors of some drives that match any of some patterns.
+    """Return the parameters of the measurement that match any of some patterns.
 
-    Of each drive: its ``"offset of ..."``, the measured effort at none, and its ``"factor of ..."``, the effort per
-    measured one: of a current times a nominal torque constant, the true constant over that.
+    Of each drive with reading u: its ``"factor of ..."`` and ``"offset of ..."``, N or N·m; its joint has the effort
+    factor · u − offset. Of a current times a nominal torque constant the factor is the true constant over that one.
+    Of the base: ``"tilt x of gravity"``, y and z, see ``TILTS``.
 
     Raises:
         InputError: a pattern that matches none.
     """
-    everything = []
-    for p in _of_joints(robot):
-        if p.of in drives and p.kind == "friction":
-            everything += [
-                replace(p, kind="offset", value=0.0),
-                replace(p, kind="factor", unit="1", value=1.0, size=1.0),
-            ]
-    return _matching(robot, everything, patterns)
+    frictions = [p for p in _of_joints(robot) if p.of in drives and p.kind == "friction"]
+    factors = [replace(p, kind="factor", unit="1", value=1.0, size=1.0) for p in frictions]
+    offsets = [replace(p, kind="offset", value=0.0) for p in frictions]
+    tilts = [Parameter(kind, "gravity", 0, "rad", 0.0, 1.0) for kind in TILTS]
+    return _matching(robot, [*factors, *offsets, *tilts], patterns)
 
 
 def _matching(robot: Robot, everything: Sequence[Parameter], patterns: Sequence[str]) -> tuple[Parameter, ...]:
@@ -210,23 +211,41 @@ def joint_forces(robot: Robot, joint: str) -> JointForces:
     return declared[0] if declared else JointForces(joint)
 
 
+def with_inertias(robot: Robot, parameters: Sequence[Parameter], values: Array) -> pin.Model:
+    """Return the model of a robot whose bodies have other values (p,); they need not be those of real bodies."""
+    model = robot.model.copy()
+    tens = {p.joint: model.inertias[p.joint].toDynamicParameters() for p in parameters if p.kind in INERTIAL}
+    for parameter, value in zip(parameters, values.tolist(), strict=True):
+        if parameter.kind in INERTIAL:
+            tens[parameter.joint][INERTIAL.index(parameter.kind)] = value
+    for index, ten in tens.items():
+        if ten.any():
+            ten[0] = ten[0] or _LEAST_MASS * _mass(robot)
+            model.inertias[index] = pin.Inertia.FromDynamicParameters(ten)
+    return model
+
+
+def tilted(robot: Robot, tilt: Array) -> Robot:
+    """Return a robot whose gravity is turned by a rotation vector (3,), rad, in the world frame."""
+    if not tilt.any():
+        return robot
+    model = robot.model.copy()
+    model.gravity.linear = pin.exp3(tilt) @ robot.gravity
+    return replace(robot, model=model, closed_form=None)
+
+
 def with_values(robot: Robot, parameters: Sequence[Parameter], values: Array) -> Robot:
     """Return a robot whose parameters have other values (p,); the others stay.
 
     Raises:
         InputError: a negative damping, friction, stiffness or rotor inertia; a preload without stiffness.
     """
-    model, loads, of_joints = robot.model.copy(), list(robot.loads), dict[str, dict[str, Any]]()
-    inertias = {p.joint: model.inertias[p.joint].toDynamicParameters() for p in parameters if p.kind in INERTIAL}
+    loads, of_joints, tilt = list(robot.loads), dict[str, dict[str, Any]](), np.zeros(3)
     for parameter, value in zip(parameters, values.tolist(), strict=True):
-        if parameter.kind in INERTIAL:
-            inertias[parameter.joint][INERTIAL.index(parameter.kind)] = value
-        elif parameter.kind in IN_JOINT:
+        if parameter.kind in IN_JOINT:
             of_joints.setdefault(parameter.of, {})[parameter.kind.replace(" ", "_")] = value
-    for index, ten in inertias.items():
-        if ten.any():
-            ten[0] = ten[0] or _LEAST_MASS * _mass(robot)
-            model.inertias[index] = pin.Inertia.FromDynamicParameters(ten)
+        elif parameter.kind in TILTS:
+            tilt[TILTS.index(parameter.kind)] = value
     for name, changes in of_joints.items():
         load = joint_forces(robot, name)
         stiffness = changes.get("stiffness", load.stiffness)
@@ -239,7 +258,8 @@ def with_values(robot: Robot, parameters: Sequence[Parameter], values: Array) ->
             )
         loads = [other for other in loads if other is not load]
         loads.append(replace(load, **changes, rest=-preload / stiffness if stiffness else 0.0))
-    return replace(robot, model=model, loads=tuple(loads), closed_form=None)
+    model = with_inertias(robot, parameters, values)
+    return tilted(replace(robot, model=model, loads=tuple(loads), closed_form=None), tilt)
 
 
 def unit_load(robot: Robot, parameter: Parameter, value: float = 1.0) -> JointForces:

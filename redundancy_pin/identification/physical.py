@@ -3,171 +3,169 @@
 A body has a positive density where its pseudo-inertia J is positive definite (Wensing, Kim and Slotine 2018, "Linear
 matrix inequalities for physically consistent inertial parameter identification"). J is linear in the parameters, so
 that the nearest real bodies are the one minimum of a convex problem, found by a barrier −log det J and Newton's method.
+In log-Cholesky coordinates scipy's least squares do not settle at thin bodies.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
-from redundancy_pin.arrays import Array, IntArray, read_only
+from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.errors import InputError
 from redundancy_pin.identification.base import BaseParameters
-from redundancy_pin.identification.parameters import INERTIAL, NOT_NEGATIVE, Parameter, parameters_of
+from redundancy_pin.identification.parameters import INERTIAL, NOT_NEGATIVE, Parameter, parameters_of, with_inertias
 from redundancy_pin.robot import Robot
 
 _NEAR = 1e-3
 """Weight of the distance from the given robot, in relative sizes: it decides what the motions leave open."""
 
+_SOLID = np.diag([1e-6, 1e-6, 1e-6, 1e-4])
+"""Pseudo-inertia of a small solid, in masses and lengths of the robot, that a thin or massless body starts with."""
+
 _THIN = 1e-4
-"""Least eigenvalue of a scaled pseudo-inertia to start from, relative to its largest."""
+"""Least mass, friction, stiffness and rotor to start from, in scales of the robot."""
 
 _BARRIERS = np.logspace(0.0, -12.0, 25)
 """Weights of the barrier, relative to squared standard deviations; the last is small against ``_NEAR``²."""
+
+_GAP = 1e-3
+"""Duality gap of the nearest real bodies, squared standard deviations."""
 
 _STEPS = 60
 _DONE = 1e-9
 """Newton decrement, relative to the barrier's weight, of a minimum."""
 
-_ROUGHLY = 1e-3
-"""The same, where rounding hides a further descent."""
-
 _SHORTEST = 1e-9
 """Part of a Newton step below which rounding hides a descent."""
 
+_UNITS = np.array([pin.PseudoInertia.FromDynamicParameters(unit).toMatrix() for unit in np.eye(10)])
+"""(10, 4, 4) J per parameter, in which it is linear."""
 
-def _unit_pseudo_inertias() -> Array:
-    """Return (10, 4, 4) pseudo-inertias of the ten parameters: (½ tr I − I, m c; m cᵀ, m)."""
-    J = np.zeros((10, 4, 4))
-    J[0, 3, 3] = 1.0
-    for i in range(3):
-        J[1 + i, i, 3] = J[1 + i, 3, i] = 1.0
-    for k, (i, j) in zip(range(4, 10), ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)), strict=True):
-        J[k, :3, :3] = 0.5 * np.eye(3) * (i == j)
-        J[k, i, j] -= 1.0
-        J[k, j, i] = J[k, i, j]
-    return read_only(J)
+_ROUNDING = 1e-9
+"""Eigenvalue of a pseudo-inertia, relative to its largest, that is rounding."""
 
 
-_UNITS = _unit_pseudo_inertias()
-
-
-@dataclass(frozen=True, eq=False)
-class _Body:
-    """A body with sought parameters, in units of the robot's mass and length.
-
-    Attributes:
-        where: (s,) which of the parameters are its.
-        units: (s, 4, 4) derivatives of its pseudo-inertia J by them.
-        held: (4, 4) what the others make of J.
-    """
-
-    where: IntArray
-    units: Array
-    held: Array
-
-    def pseudo_inertia(self, scaled: Array) -> Array:
-        """Return J (4, 4) for scaled parameters (p,)."""
-        result: Array = self.held + np.tensordot(scaled[self.where], self.units, 1)
-        return result
-
-    def is_positive(self, scaled: Array) -> bool:
-        """Return whether J is positive definite."""
-        return bool(np.linalg.eigvalsh(self.pseudo_inertia(scaled))[0] > 0.0)
-
-
-def _bodies(robot: Robot, parameters: Sequence[Parameter]) -> list[_Body]:
-    listed, everything = [], [p for p in parameters_of(robot, ["*"]) if p.kind in INERTIAL]
-    for joint in dict.fromkeys(p.joint for p in parameters if p.kind in INERTIAL):
-        where = np.array([k for k, p in enumerate(parameters) if p.kind in INERTIAL and p.joint == joint])
-        sought = [INERTIAL.index(parameters[k].kind) for k in where]
-        ten = np.array([p.value / p.size for p in everything if p.joint == joint])
-        ten[sought] = 0.0
-        listed.append(_Body(where, _UNITS[sought], np.tensordot(ten, _UNITS, 1)))
-    return listed
+def require_whole_bodies(robot: Robot, parameters: Sequence[Parameter]) -> None:
+    """Raise InputError where some of the ten of a body are sought, except its mass alone."""
+    for body, kinds in _sought(parameters).items():
+        missing = [p.name for p in _ten(robot, body) if p.kind not in kinds]
+        if missing and kinds != ["mass"]:
+            raise InputError(
+                f"physical=True seeks real bodies, and {body} is sought in part: {', '.join(kinds)}.",
+                remedy=f"Add {', '.join(missing)}, or seek its mass alone.",
+                body=body,
+            )
 
 
 def unphysical(robot: Robot, base: BaseParameters, values: Array) -> tuple[str, ...]:
     """Return the names of parameters (p,) and bodies that no real robot has.
 
-    A body that is none in the given robot, such as a thin one of a flat model, is judged by its mass alone.
+    A body that is none in the given robot, such as a thin one of a flat model, is compared with the given one.
     """
     bad = [p.name for p, value in zip(base.parameters, values, strict=True) if p.kind in NOT_NEGATIVE and value < 0.0]
-    for body in _bodies(robot, base.parameters):
-        if body.is_positive(base.standard / base.sizes) and not body.is_positive(values / base.sizes):
-            bad.append(f"pseudo-inertia of {base.parameters[body.where[0]].of}")
+    after, parts = with_inertias(robot, base.parameters, values), _sought(base.parameters)
+    for body, kinds in parts.items():
+        index = _ten(robot, body)[0].joint
+        given, found = (_least_eigenvalue(model.inertias[index]) for model in (robot.model, after))
+        whole = len(kinds) == len(INERTIAL)
+        if found <= 0.0 < given or (not whole and found < min(given, 0.0) - _ROUNDING):
+            bad.append(f"pseudo-inertia of {body}")
     return tuple(bad)
 
 
-def nearest_physical(robot: Robot, base: BaseParameters, values: Array, information: Array) -> tuple[Array, bool]:
+def nearest_physical(base: BaseParameters, values: Array, weight: Array) -> tuple[Array, bool]:
     """Return (p,) parameters of real bodies whose base parameters explain the records best, and whether they are found.
 
-    Minimises (β − values)ᵀ information (β − values), β = combination · parameters, plus a little of the distance from
-    the given robot, with J of every body positive definite, and masses, friction, springs and rotors positive. A body
-    whose held parameters allow no positive J keeps a positive mass.
+    Minimises |F (β − values)|², β = combination · parameters, plus a little of the distance from the given robot, over
+    bodies with positive definite J, and masses, friction, springs and rotors that are positive.
 
     Args:
-        robot: the given robot.
-        base: the base parameters.
+        base: the base parameters; bodies are whole, or their mass alone is sought.
         values: (b,) base parameters of the linear fit.
-        information: (b, b) inverse of their covariance.
+        weight: (b, b) F, with covariance (Fᵀ F)⁻¹.
     """
-    factor = np.linalg.cholesky(information).T
-    by_scaled, target, given = factor @ (base.combination * base.sizes), factor @ values, base.standard / base.sizes
-    start, held = given.copy(), []
-    positive = np.array([p.kind in NOT_NEGATIVE for p in base.parameters], dtype=bool)
-    start[positive] = np.maximum(start[positive], _THIN)
-    for body in _bodies(robot, base.parameters):
-        if len(body.where) == len(INERTIAL):
-            start[body.where] = _thickened(body.pseudo_inertia(given))
-        if body.is_positive(start):
-            held.append(body)
-    rows = np.concatenate([by_scaled, _NEAR * np.eye(len(given))])
-    aim, found = np.concatenate([target, _NEAR * given]), True
-    for weight in _BARRIERS:
-        start, found = _newton(start, rows, aim, float(weight), held, np.flatnonzero(positive))
-    return base.sizes * start, found
+    given = base.standard / base.sizes
+    rows = np.concatenate([weight @ (base.combination * base.sizes), _NEAR * np.eye(len(given))])
+    aim = np.concatenate([weight @ values, _NEAR * given])
+    positive = np.flatnonzero([p.kind in NOT_NEGATIVE for p in base.parameters])
+    y, bodies, gap = given.copy(), [], np.inf
+    y[positive] = np.maximum(y[positive], _THIN)
+    for body, kinds in _sought(base.parameters).items():
+        if len(kinds) == len(INERTIAL):
+            own = np.flatnonzero([p.of == body and p.kind in INERTIAL for p in base.parameters])
+            bodies.append(own)
+            y[own] = _inside(given[own])
+    for barrier in _BARRIERS.tolist():
+        y, found = _newton(y, rows, aim, barrier, bodies, positive)
+        if not found:  # rounding, or no minimum
+            break
+        gap = barrier * (4 * len(bodies) + len(positive))
+    return base.sizes * y, gap <= _GAP
 
 
 def _newton(
-    start: Array, rows: Array, aim: Array, weight: float, bodies: Sequence[_Body], positive: IntArray
+    y: Array, rows: Array, aim: Array, barrier: float, bodies: Sequence[IntArray], positive: IntArray
 ) -> tuple[Array, bool]:
-    """Return the minimum of ½|rows y − aim|² − weight (Σ log det J + Σ log y of positive ones), and if it is found."""
+    """Return the minimum of ½|rows y − aim|² − barrier (Σ log det J + Σ log y of positive ones), and if it is found."""
 
     def cost(y: Array) -> float:
-        if (y[positive] <= 0.0).any() or not all(body.is_positive(y) for body in bodies):
+        spectra = np.array([np.linalg.eigvalsh(np.tensordot(y[own], _UNITS, 1)) for own in bodies])
+        if (y[positive] <= 0.0).any() or (spectra <= 0.0).any():
             return np.inf
-        logs = np.log(y[positive]).sum() + sum(np.linalg.slogdet(body.pseudo_inertia(y))[1] for body in bodies)
-        return float(0.5 * ((rows @ y - aim) ** 2).sum() - weight * logs)
+        logs = np.log(y[positive]).sum() + np.log(spectra).sum()
+        return float(0.5 * ((rows @ y - aim) ** 2).sum() - barrier * logs)
 
-    y, now = start, cost(start)
+    now = cost(y)
     for _ in range(_STEPS):
         # with J = L Lᵀ and U_k = L⁻¹ J_k L⁻ᵀ the barrier has the gradient −Uᵀ vec 1 and the Hessian Uᵀ U
         U = [np.zeros((len(positive), len(y)))]
         U[0][np.arange(len(positive)), positive] = 1.0 / y[positive]
-        for body in bodies:
-            inverse = np.linalg.inv(np.linalg.cholesky(body.pseudo_inertia(y)))
+        for own in bodies:
+            inverse = np.linalg.inv(np.linalg.cholesky(np.tensordot(y[own], _UNITS, 1)))
             U.append(np.zeros((16, len(y))))
-            U[-1][:, body.where] = (inverse @ body.units @ inverse.T).reshape(-1, 16).T
+            U[-1][:, own] = (inverse @ _UNITS @ inverse.T).reshape(-1, 16).T
         ones = np.concatenate([np.ones(len(positive)), np.tile(np.eye(4).ravel(), len(bodies))])
-        A = np.concatenate([rows, np.sqrt(weight) * np.concatenate(U)])
-        step = np.linalg.lstsq(A, np.concatenate([aim - rows @ y, np.sqrt(weight) * ones]), rcond=None)[0]
+        A = np.concatenate([rows, np.sqrt(barrier) * np.concatenate(U)])
+        step = np.linalg.lstsq(A, np.concatenate([aim - rows @ y, np.sqrt(barrier) * ones]), rcond=None)[0]
         decrement = float(((A @ step) ** 2).sum())
-        if decrement <= _DONE * weight:
+        if decrement <= _DONE * barrier:
             return y, True
         length = 1.0
         while cost(y + length * step) > now - 0.1 * length * decrement and length > _SHORTEST:
             length *= 0.5
         if length <= _SHORTEST:
-            return y, decrement <= _ROUGHLY * weight
+            return y, False
         y, now = y + length * step, cost(y + length * step)
     return y, False
 
 
-def _thickened(J: Array) -> Array:
-    """Return (10,) parameters of the body with pseudo-inertia J (4, 4), its eigenvalues raised to positive ones."""
-    values, vectors = np.linalg.eigh(J)
-    J = (vectors * np.maximum(values, _THIN * max(values[-1], _THIN))) @ vectors.T
-    inertia = np.trace(J[:3, :3]) * np.eye(3) - J[:3, :3]
-    return np.concatenate([[J[3, 3]], J[:3, 3], inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+def _sought(parameters: Sequence[Parameter]) -> dict[str, list[str]]:
+    """Return which of the ten are sought of each body."""
+    result: dict[str, list[str]] = {}
+    for p in parameters:
+        if p.kind in INERTIAL:
+            result.setdefault(p.of, []).append(p.kind)
+    return result
+
+
+def _ten(robot: Robot, body: str) -> list[Parameter]:
+    return [p for p in parameters_of(robot, ["*"]) if p.of == body and p.kind in INERTIAL]
+
+
+def _least_eigenvalue(inertia: pin.Inertia) -> float:
+    """Return the least eigenvalue of a pseudo-inertia relative to the largest."""
+    values = np.linalg.eigvalsh(pin.PseudoInertia.FromInertia(inertia).toMatrix())
+    return float(values[0] / max(abs(values[0]), values[-1], 1e-300))
+
+
+def _inside(ten: Array) -> Array:
+    """Return (10,) parameters of a body, a small solid added where it is none of positive density."""
+    values, vectors = np.linalg.eigh(np.tensordot(ten, _UNITS, 1))
+    if values[0] > _ROUNDING * abs(values[-1]):
+        return ten
+    J = (vectors * np.maximum(values, 0.0)) @ vectors.T + _SOLID
+    result: Array = pin.PseudoInertia.FromMatrix(J).toDynamicParameters()
+    return result

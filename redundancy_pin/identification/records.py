@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,7 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.checks import is_pose
 
-DEGREE = 5
+_DEGREE = 5
 """Of the splines: accelerations are cubic, without jumps in the jerk."""
 
 
@@ -83,6 +84,28 @@ class Records(Frozen):
         }
         assign(self, t=time, **arrays)
 
+    @property
+    def efforts(self) -> Array:
+        """(N, m) or (N, m + k) efforts of main actuators, and carrier forces where they were measured."""
+        return np.concatenate([self.effort, self.carrier_force], axis=1)
+
+    @property
+    def positions(self) -> Array:
+        """(N, c) measured columns: motors or platform coordinates, and carriers."""
+        return np.concatenate([self.position, self.platform, self.carriers], axis=1)
+
+    def changed(
+        self, which: Any = slice(None), efforts: Array | None = None, positions: Array | None = None
+    ) -> Records:
+        """Return some of the samples, with other efforts or positions."""
+        forces = np.split((self.efforts if efforts is None else efforts)[which], [self.effort.shape[1]], axis=1)
+        columns = np.cumsum([self.position.shape[1], self.platform.shape[1]])
+        places = np.split((self.positions if positions is None else positions)[which], columns, axis=1)
+        result = copy(self)
+        assign(result, t=self.t[which], effort=forces[0], carrier_force=forces[1])
+        assign(result, position=places[0], platform=places[1], carriers=places[2])
+        return result
+
     def __len__(self) -> int:
         """Return the number of samples."""
         return len(self.t)
@@ -104,9 +127,11 @@ class SmoothMotion(Frozen):
         kept: which samples of the records they are.
         jacobian: (N, n, c − k) ẋ per measured rate.
         noise: (c,) standard deviation of what was measured about the splines, m and rad.
-        knots: of the splines, s.
+        positions: the splines.
+        efforts: those through all efforts, with the same knots.
+        effort_noise: (d,) standard deviation of the efforts about them, N or N·m.
         basis: (N, K) splines, their first and second derivatives, sparse.
-        gram: (K, K) sum over all samples of products of the splines, sparse.
+        everywhere: (T, K) splines at all samples of the records, sparse.
     """
 
     motion: PlatformMotion
@@ -114,9 +139,16 @@ class SmoothMotion(Frozen):
     kept: slice
     jacobian: Array
     noise: Array
-    knots: Array
+    positions: BSpline
+    efforts: BSpline
+    effort_noise: Array
     basis: tuple[Any, Any, Any]
-    gram: Any
+    everywhere: Any
+
+    @property
+    def gram(self) -> Any:
+        """(K, K) sum over all samples of products of the splines: inverse covariance of their coefficients, sparse."""
+        return self.everywhere.T @ self.everywhere
 
 
 def require_matching(robot: Robot, records: Records) -> None:
@@ -158,7 +190,7 @@ def smooth_motion(robot: Robot, records: Records, cut_off: float) -> SmoothMotio
     h = 0.5 / cut_off
     t, edge = records.t, 3.0 * h
     intervals = round((t[-1] - t[0]) / h)
-    if intervals < 8 or len(t) < 2 * (intervals + DEGREE):
+    if intervals < 8 or len(t) < 2 * (intervals + _DEGREE):
         raise InputError(
             f"{len(t)} samples in {t[-1] - t[0]:g} s do not determine a spline with cut-off {cut_off:g} Hz.",
             remedy="Record at least 4 periods of the cut-off with 4 samples each, or change cut_off.",
@@ -166,12 +198,15 @@ def smooth_motion(robot: Robot, records: Records, cut_off: float) -> SmoothMotio
         )
     inner = np.linspace(t[0], t[-1], intervals + 1)
     _require_no_gap(t, inner)
-    knots = np.concatenate([[t[0]] * DEGREE, inner, [t[-1]] * DEGREE])
+    knots = np.concatenate([[t[0]] * _DEGREE, inner, [t[-1]] * _DEGREE])
     through_platform = bool(records.platform.shape[1])
     measured = records.platform if through_platform else records.position
     columns = np.concatenate([measured, records.carriers], axis=1)
-    spline = make_lsq_spline(t, columns, knots, DEGREE)
-    noise = np.sqrt(((columns - spline(t)) ** 2).sum(axis=0) / (len(t) - intervals - DEGREE))
+    spline, efforts = (make_lsq_spline(t, part, knots, _DEGREE) for part in (columns, records.efforts))
+    noise, effort_noise = (
+        np.sqrt(((part - fitted(t)) ** 2).sum(axis=0) / (len(t) - intervals - _DEGREE))
+        for part, fitted in ((columns, spline), (records.efforts, efforts))
+    )
     inside = np.flatnonzero((t >= t[0] + edge) & (t <= t[-1] - edge))
     kept = slice(int(inside[0]), int(inside[-1]) + 1)
     smooth = [spline(t[kept], order) for order in range(3)]
@@ -193,11 +228,10 @@ def smooth_motion(robot: Robot, records: Records, cut_off: float) -> SmoothMotio
     motion = PlatformMotion(t[kept], x, xd, xdd, check_rates=False)
     parked = CarrierMotion.parked(len(motion), robot.k)
     carriers = CarrierMotion(*(part[:, -held:] for part in smooth), check_rates=False) if held else parked
-    basis, first, second = (_basis(t[kept], knots, order) for order in range(3))
-    everywhere = _basis(t, knots, 0)
     noise = np.concatenate([noise, np.zeros(robot.k - held)])
+    basis = _basis(t[kept], knots, 0), _basis(t[kept], knots, 1), _basis(t[kept], knots, 2)
     return SmoothMotion(
-        motion, carriers, kept, jacobian, noise, knots, (basis, first, second), everywhere.T @ everywhere
+        motion, carriers, kept, jacobian, noise, spline, efforts, effort_noise, basis, _basis(t, knots, 0)
     )
 
 
@@ -216,9 +250,9 @@ def _require_no_gap(t: Array, inner: Array) -> None:
 def _basis(t: Array, knots: Array, order: int) -> Any:
     """Return (N, K) the derivatives of the B-splines of degree 5 at times t, sparse (de Boor 1978, ch. X)."""
     end = len(knots) - order
-    result = BSpline.design_matrix(t, knots[order:end], DEGREE - order)
-    for degree in range(DEGREE - order + 1, DEGREE + 1):
-        start = DEGREE - degree
+    result = BSpline.design_matrix(t, knots[order:end], _DEGREE - order)
+    for degree in range(_DEGREE - order + 1, _DEGREE + 1):
+        start = _DEGREE - degree
         own = knots[start : len(knots) - start]
         factor = degree / (own[degree + 1 : -1] - own[1 : -degree - 1])
         result = result @ diags_array([-factor, factor], offsets=[0, 1], shape=(len(factor), len(factor) + 1))

@@ -77,6 +77,14 @@ def chain_projection(robot: Robot, gamma: Array) -> Array:
     return np.concatenate([gamma, carriers], axis=2)
 
 
+def gravity_effort(model: pin.Model, q: Array, gravity: Array) -> Array:
+    """Return (N, nv) the efforts that hold a tree at q (N, nq) against an acceleration of gravity (3,), N and N·m."""
+    other = model.copy()
+    other.gravity.linear = gravity
+    data = other.createData()
+    return np.array([pin.computeGeneralizedGravity(other, data, one) for one in q])
+
+
 def _of_loads(along: RneaAlongMotion, loads: tuple[JointForces, ...], carriers: CarrierMotion | None) -> Array:
     """Return (N, n + k) f and carrier forces of the robot with other loads."""
     other = RneaAlongMotion(replace(along.tree, robot=replace(along.robot, loads=loads)))
