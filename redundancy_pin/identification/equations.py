@@ -168,7 +168,9 @@ class Solution:
     @property
     def deviation(self) -> Array:
         """(b,) standard deviations of the estimates where noise is white."""
-        return np.sqrt(np.diagonal(np.linalg.inv(self.information)))
+        scale = np.sqrt(np.diagonal(self.information))
+        scaled = np.linalg.inv(self.information / np.outer(scale, scale))
+        return np.sqrt(np.abs(np.diagonal(scaled))) / scale
 
     @property
     def whiteness(self) -> Array:
@@ -251,7 +253,9 @@ def linearise(
     robot, smooth, tree = record.along.robot, record.smooth, record.along.tree
     drives = [*robot.actuated, *robot.carriers]
     coefficients = np.zeros(len(smooth.noise) * smooth.gram.shape[0]) if before is None else before.coefficients
-    clean = record.reading if before is None else before.clean
+    # splines through readings have less noise than they: a start from which factors are found
+    smoothed = smooth.efforts(record.along.motion.t)[:, : record.E.shape[2]]
+    clean = smoothed if before is None else before.clean
     noise = coefficients.reshape(len(smooth.noise), -1).T * smooth.noise
     rate, acceleration = (part @ noise for part in smooth.basis[1:])
     v, a = (was + np.einsum("Nvc,Nc->Nv", record.per_rate, by) for was, by in ((tree.v, rate), (tree.a, acceleration)))
@@ -340,14 +344,16 @@ def solve(base: BaseParameters, records: Sequence[Measured]) -> Solution:
     factors = [k for k in lead if base.parameters[k].kind == "factor"]
     rows = [linearise(one, base.parameters, base.standard, lead) for one in records]
     start = first_noise(rows)
+    about_splines = np.max([one.smooth.effort_noise[: one.E.shape[2]] for one in records], axis=0)
+    about_splines = np.maximum(about_splines, 1e-2 * start.effort)
     found, settled = _least_squares(rows, start), False
     for _ in range(_ITERATIONS):
         before, values = found, base.standard_values(found.change)
         if factors and np.abs(values[factors]).max() < COLLAPSED:
             return found
         noise = _likelier(found, start)
-        if factors:  # how much of a reading is noise would otherwise be known too little to say its factor
-            noise = replace(noise, model=start.model)
+        if factors:  # residuals tell factors only where the noise of the readings is known without them
+            noise = Noise(about_splines, start.model)
         try:
             rows = [linearise(p.rows.record, base.parameters, values, lead, p.rows) for p in found.parts]
             found = _least_squares(rows, noise)

@@ -233,7 +233,7 @@ def test_a_model_that_lacks_something_is_a_problem_and_no_refusal(arguments: Any
 
 
 @pytest.mark.parametrize("every", [1, 2])
-@pytest.mark.parametrize("shift", [0.004, 0.02, 0.1, -0.05, 0.35, -0.5, 0.8])
+@pytest.mark.parametrize("shift", [0.004, 0.02, 0.1, -0.05, 0.35, -0.5, 0.7])
 def test_shifts_in_time_are_named_in_seconds(shift: float, every: int) -> None:
     _, records = of_five_bar()
     problems = fit_of(late_by(shift, records, every)).problems
@@ -436,8 +436,10 @@ def test_intervals_of_factors_and_offsets_hold_at_any_factor(draws: int, within:
             sensors=["factor of *", "offset of *"],
         )
         assert fit.status is ResultStatus.OK
-        damping_and_friction = true_values(fit, true)[:4]
-        truth = np.concatenate([damping_and_friction, 2 * [factors[i]], offset])
+        own = {p.name: p.value for p in parameters_of(true, ["damping of b*", "friction of b*"])}
+        own |= {f"factor of {joint}": factors[i] for joint in true.actuated}
+        own |= {f"offset of {joint}": o for joint, o in zip(true.actuated, offset, strict=True)}
+        truth = np.array([own[name] for name in fit.base.names])
         off[i, j] = (fit.values - truth) / fit.standard_deviation
     assert np.abs(off - off[1]).max() < 0.1
     assert abs((np.abs(off[1]) < Z95).mean() - 0.95) < within
@@ -456,17 +458,15 @@ def test_a_factor_beside_all_masses_has_no_bias() -> None:
 
 
 def test_a_base_that_is_not_level_is_found() -> None:
-    given = declared("delta")
-    tilt = np.array([0.05, -0.03, 0.0])
-    true = tilted(built(given), tilt)
+    machine, tilt = built(declared("delta")), np.array([0.05, -0.03, 0.0])
+    true = tilted(machine, tilt)
     records = noisy(measured(rp.RneaDynamics(true), seconds=4.0), seed=1)
-    fit = identify(given, records, cut_off=CUT_OFF, sensors=["tilt * of gravity"])
-    assert "tilt z of gravity" in fit.base.unseen
-    found = [k for k, name in enumerate(fit.base.names) if name.startswith("tilt")]
-    assert len(found) == 2
-    assert (np.abs(fit.values[found] - tilt[:2]) < 4.0 * fit.standard_deviation[found]).all()
-    assert (fit.standard_deviation[found] < 0.01).all()
-    assert np.linalg.norm(fit.robot.gravity - true.gravity) < 0.1
+    sought = ["mass of platform", "damping of m*", "friction of m*"]
+    fit = identify(machine, records, cut_off=CUT_OFF, parameters=sought, sensors=["tilt * of gravity"])
+    assert fit.base.unseen == ("tilt z of gravity",)
+    assert (np.abs(fit.values[-2:] - tilt[:2]) < 4.0 * fit.standard_deviation[-2:]).all()
+    assert (fit.standard_deviation[-2:] < 0.002).all()
+    assert np.linalg.norm(fit.robot.gravity - true.gravity) < 0.05
     assert prediction(fit, true, seed=9) < 0.02
 
 
