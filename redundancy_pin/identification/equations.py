@@ -351,13 +351,13 @@ def solve(base: BaseParameters, records: Sequence[Measured]) -> Solution:
         before, values = found, base.standard_values(found.change)
         if factors and np.abs(values[factors]).max() < COLLAPSED:
             return found
-        noise = _likelier(found, start)
-        if factors:  # residuals tell factors only where the noise of the readings is known without them
-            noise = Noise(about_splines, start.model)
         try:
-            rows = [linearise(p.rows.record, base.parameters, values, lead, p.rows) for p in found.parts]
-            found = _least_squares(rows, noise)
-        except (RuntimeError, np.linalg.LinAlgError):  # of splu, where numbers have become infinite
+            with np.errstate(all="raise", under="ignore"):
+                # residuals tell factors only where the noise of the readings is known without them
+                noise = Noise(about_splines, start.model) if factors else _likelier(found, start)
+                rows = [linearise(p.rows.record, base.parameters, values, lead, p.rows) for p in found.parts]
+                found = _least_squares(rows, noise)
+        except (RuntimeError, ArithmeticError, np.linalg.LinAlgError):  # of numbers that have become infinite
             return before
         if not np.isfinite(found.change).all():
             return before

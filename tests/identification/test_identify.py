@@ -419,11 +419,15 @@ def test_intervals_allow_for_noise_that_is_not_white(filter: list[float]) -> Non
     assert 0.8 < np.sqrt(np.mean(np.square(off))) < 1.25
 
 
-@pytest.mark.parametrize(("draws", "within"), [(12, 0.15), pytest.param(200, 0.02, marks=pytest.mark.long)])
+def frictionless(true: Robot) -> Robot:
+    return replace(true, loads=declared_without_carriers().loads)
+
+
+@pytest.mark.parametrize(("draws", "within"), [(12, 0.06), pytest.param(200, 0.02, marks=pytest.mark.long)])
 def test_intervals_of_factors_and_offsets_hold_at_any_factor(draws: int, within: float) -> None:
     """effort = factor · reading − offset: the same intervals in whatever unit readings are, and they hold."""
     true, _ = of_five_bar()
-    exact, given = measured(rp.RneaDynamics(true), seconds=2.0, rate=150.0), replace(true, loads=FIVE_BAR.loads)
+    exact, given = measured(rp.RneaDynamics(true), seconds=2.0, rate=150.0), frictionless(true)
     offset, factors, off = np.array([0.3, -0.2]), [0.5, 1.0, 2.0], np.empty((3, draws, 8))
     for i, j in np.ndindex(3, draws):
         effort = noisy(exact, seed=j, counts=2.0**20).effort
@@ -509,12 +513,12 @@ def test_the_nearest_real_bodies_are_the_nearest(name: str) -> None:
         half = np.zeros((4, 4))  # the gradient is the trace of G with the pseudo-inertia of a change
         half[upper] = np.linalg.solve(units[:, upper[0], upper[1]], gradient[own])
         G = 0.5 * (half + half.T)
-        assert np.linalg.eigvalsh(G)[0] > -1e-3
-        assert abs((G * np.tensordot(scaled[own], units, 1)).sum()) < 1e-3
+        assert np.linalg.eigvalsh(G)[0] > -1e-2
+        assert abs((G * np.tensordot(scaled[own], units, 1)).sum()) < 1e-2
     for k, p in enumerate(base.parameters):
         if p.kind in ("damping", "friction"):
-            assert gradient[k] > -1e-3
-            assert abs(gradient[k] * scaled[k]) < 1e-3
+            assert gradient[k] > -1e-2
+            assert abs(gradient[k] * scaled[k]) < 1e-2
 
 
 @pytest.mark.parametrize(
@@ -531,8 +535,8 @@ def test_bodies_in_part_are_no_real_ones(parameters: list[str], missing: str) ->
 
 
 def test_bodies_that_are_not_real_are_named() -> None:
-    given = declared("delta")
-    records = noisy(measured(rp.RneaDynamics(built(given)), seconds=2.0), seed=1, effort=0.5)
+    given = declared("gough")
+    records = noisy(measured(rp.RneaDynamics(built(given)), seconds=2.0), seed=1)
     fit = identify(given, records, cut_off=CUT_OFF)
     values = {p.name: v for p, v in zip(fit.base.parameters, fit.parameters_after, strict=True)}
     sought = {p.of for p in fit.base.parameters if p.kind in INERTIAL}
