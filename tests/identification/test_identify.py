@@ -118,6 +118,13 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     assert each.max() < 0.98
 
 
+@pytest.mark.long
+def test_intervals_of_many_parameters_hold_the_truth_as_often_as_they_say() -> None:
+    """Of a Gough platform; intervals of one draw are correlated, the standard error of 60 draws is 0.5 %."""
+    _, pooled = coverage(60, "gough", seconds=6.0)
+    assert abs(pooled - 0.95) < 0.02
+
+
 def test_noise_of_rates_reaches_f_as_its_derivative() -> None:
     """Coriolis forces, friction and masses: the noise that intervals allow for, by finite differences of RNEA."""
     robot = built(declared("3rrr"))
