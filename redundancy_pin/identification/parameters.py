@@ -43,9 +43,6 @@ _LENGTHS = (0, 1, 1, 1, 2, 2, 2, 2, 2, 2)
 IN_JOINT = ("damping", "friction", "stiffness", "preload", "rotor inertia")
 """Those of a joint; the preload of a spring is its effort at position zero, −stiffness · rest."""
 
-OF_SENSORS = ("factor", "offset")
-"""Those of a reading u of an effort: its joint has the effort factor · u − offset."""
-
 TILTS = ("tilt x", "tilt y", "tilt z")
 """Rotation vector, world frame, from the declared gravity to that of a machine whose base is not level."""
 
@@ -63,7 +60,7 @@ class Parameter:
     """A dynamic parameter.
 
     Attributes:
-        kind: one of ``INERTIAL``, ``IN_JOINT``, ``OF_SENSORS`` or ``TILTS``.
+        kind: one of ``INERTIAL``, ``IN_JOINT`` or ``TILTS``, ``factor`` or ``offset`` of a reading.
         of: name of the body, or of the joint; ``"gravity"``.
         joint: index of the joint in the Pinocchio model; 0 of gravity.
         unit: its unit.
