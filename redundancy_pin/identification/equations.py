@@ -170,7 +170,8 @@ class Solution:
         """(b,) standard deviations of the estimates where noise is white."""
         scale = np.sqrt(np.diagonal(self.information))
         scaled = np.linalg.inv(self.information / np.outer(scale, scale))
-        return np.sqrt(np.abs(np.diagonal(scaled))) / scale
+        result: Array = np.sqrt(np.abs(np.diagonal(scaled))) / scale
+        return result
 
     @property
     def whiteness(self) -> Array:
