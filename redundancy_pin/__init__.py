@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from redundancy_pin.dynamics.reactions import joint_reactions
     from redundancy_pin.dynamics.rnea import RneaDynamics
     from redundancy_pin.dynamics.virtual_work import VirtualWork
+    from redundancy_pin.identification.exciting import exciting_motion
     from redundancy_pin.identification.fit import identify
     from redundancy_pin.kinematics.assembly_modes import assembly_modes
     from redundancy_pin.kinematics.forward_kinematics import forward_kinematics
@@ -61,6 +62,7 @@ _PLACES = {
         "dynamics.reactions": "joint_reactions",
         "dynamics.rnea": "RneaDynamics",
         "dynamics.virtual_work": "VirtualWork",
+        "identification.exciting": "exciting_motion",
         "identification.fit": "identify",
         "kinematics.assembly_modes": "assembly_modes",
         "kinematics.forward_kinematics": "forward_kinematics",
@@ -118,6 +120,7 @@ __all__ = [
     "classify_motion",
     "co_design",
     "distribute",
+    "exciting_motion",
     "find_crossings",
     "forward_kinematics",
     "identify",
