@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import click
@@ -24,7 +25,7 @@ def _records(path: str, robot: Robot) -> Records:
     """Return the records of a file: columns by the names of the joints."""
     columns = read_measured(path)
 
-    def of(prefix: str, joints: tuple[str, ...], needed: bool = True) -> Array | None:
+    def of(prefix: str, joints: Sequence[str], needed: bool) -> Array | None:
         names = [f"{prefix}{joint}" for joint in joints]
         absent = [name for name in names if name not in columns]
         if absent and (needed or len(absent) < len(names)):
@@ -34,8 +35,8 @@ def _records(path: str, robot: Robot) -> Records:
 
     axes = robot.platform.axes if robot.platform else ()
     position = of("q:", robot.actuated, needed=False)
-    platform = of("", axes) if position is None else None
-    effort = of("tau:", robot.actuated)
+    platform = of("", axes, needed=True) if position is None else None
+    effort = np.asarray(of("tau:", robot.actuated, needed=True))
     carriers, force = (of(prefix, robot.carriers, needed=False) for prefix in ("s:", "tau:"))
     return Records(columns["t"], effort, position, platform=platform, carriers=carriers, carrier_force=force)
 

@@ -254,7 +254,7 @@ class _Search:
 
     def evaluate(self, w: Array) -> tuple[Array, Array]:
         """Return the weighted regressor (N, r, b) per parameter's size, and used fractions of limits (N, c)."""
-        robot, limits, chosen = self.robot, self.limits, [self.parameters[k] for k in self.independent]
+        robot, limits, chosen = self.robot, self.limits, [self.parameters[int(k)] for k in self.independent]
         carriers, along = _carriers(robot, w), self.dynamics.along(_platform(robot, self.t, w), unreachable="mark")
         reduced = along.reduce(carriers)
         efforts = np.concatenate([distribute(reduced).tau, reduced.carrier_force], axis=1)
