@@ -61,7 +61,7 @@ def identify(
     as_json: bool,
     **given: Any,
 ) -> int:
-    r"""Find masses, inertias and friction from measured motions.
+    r"""Find masses and friction from measured motions.
 
     Records have a row of names, with units or in SI: t; q:JOINT and tau:JOINT of each motor, as `export` and
     `simulate --out run.csv` write them; s:JOINT, and tau:JOINT where measured, of each carrier. Without q columns,

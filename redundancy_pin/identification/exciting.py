@@ -163,15 +163,24 @@ def exciting_motion(
         >>> motion.sample_at(np.arange(0.0, 5.0, 0.004))
     """
     robot = as_robot(robot)
-    if not (0.0 < duration < np.inf and harmonics >= 2 and 0.0 < margin < 1.0):
+    if not (0.0 < duration < np.inf and harmonics == max(int(harmonics), 2) and 0.0 < margin < 1.0):
         raise InputError(
             f"duration is {duration:g} s, harmonics {harmonics:g}, margin {margin:g}.",
-            remedy="Pass a positive duration, at least 2 harmonics, and a margin between 0 and 1.",
+            remedy="Pass a positive duration, a whole number of at least 2 harmonics, and a margin between 0 and 1.",
         )
     resolved = (Limits() if limits is None else limits).resolved(robot)
-    search = _Search(robot, parameters_of(robot, parameters), resolved, (float(duration), harmonics), margin)
+    search = _Search(robot, parameters_of(robot, parameters), resolved, (float(duration), int(harmonics)), margin)
     start = np.random.default_rng(seed).standard_normal(search.size)
     start *= 0.9 * _largest(lambda factor: bool(np.abs(search.evaluate(search.motion(factor * start))[1]).max() < 1.0))
+    if not start.any():
+        used = np.abs(search.evaluate(search.motion(start))[1]).max()
+        raise InfeasiblePlanError(
+            f"No motion of {robot.name} about home keeps the limits: at rest there it uses {used:.3g} of one.",
+            remedy="Allow larger efforts, or declare a reference configuration that is farther from limits.",
+            constraint="home",
+            time=0.0,
+            amount=float(used),
+        )
     search.choose_base(start)
     values: list[float] = []
 
@@ -193,18 +202,16 @@ def exciting_motion(
         callback=settled,
     )
     status = ResultStatus.OK if len(values) < iterations else ResultStatus.NOT_CONVERGED
-    factor = _largest(lambda factor: search.checked(factor * found.x, status) is not None)
-    result = search.checked(factor * found.x, status)
-    if not factor or result is None:
-        used = np.abs(search.evaluate(search.motion(0.0 * start))[1]).max()
-        raise InfeasiblePlanError(
-            f"No motion of {robot.name} about home keeps the limits: at rest there it uses {used:.3g} of one.",
-            remedy="Allow larger efforts, or declare a reference configuration that is farther from limits.",
-            constraint="home",
-            time=0.0,
-            amount=float(used),
-        )
-    return result
+    for theta in (found.x, start):
+        if (result := search.scaled(theta)) is not None:
+            return replace(result, status=status)
+        status = ResultStatus.NOT_CONVERGED
+    raise InfeasiblePlanError(
+        f"No motion of {robot.name} about home was found whose limits hold between its samples.",
+        remedy="Pass another seed, or larger limits.",
+        constraint="motion",
+        time=0.0,
+    )
 
 
 class _Search:
@@ -311,13 +318,24 @@ class _Search:
         self.known = theta.copy(), (value, gradients[0], left, gradients[1])
         return self.known[1]
 
-    def checked(self, theta: Array, status: ResultStatus) -> ExcitingMotion | None:
+    def scaled(self, theta: Array) -> ExcitingMotion | None:
+        """Return the largest multiple of a motion that keeps all limits between its samples; None if none does."""
+        return self.checked(_largest(lambda factor: self.checked(factor * theta) is not None) * theta)
+
+    def checked(self, theta: Array) -> ExcitingMotion | None:
         """Return the motion if it keeps all limits and margins at the samples and between them."""
         robot, limits = self.robot, self.limits
         rows = self.evaluate(self.motion(theta))[0]
         information = np.einsum("Nrb,Nrc->bc", rows, rows) / len(rows)
         moving = ExcitingMotion(
-            robot, self.span[0], read_only(self.series(theta)), status, (), 0.0, self.base, read_only(information)
+            robot,
+            self.span[0],
+            read_only(self.series(theta)),
+            ResultStatus.OK,
+            (),
+            0.0,
+            self.base,
+            read_only(information),
         )
         t = np.linspace(0.0, self.span[0], 4 * len(self.t) + 1)
         position = PiecewisePolynomial.constant(np.zeros(0), 0.0, self.span[0])
