@@ -119,6 +119,21 @@ def test_the_condition_number_is_that_of_regressors_by_differences() -> None:
     assert motion.condition == pytest.approx(np.sqrt(np.linalg.cond(found)), rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("limits", "quantity"), [(rp.Limits(actuator_speed=0.3), "speed"), (rp.Limits(effort=0.4), "effort")]
+)
+def test_each_limit_binds_and_holds_between_the_samples(limits: rp.Limits, quantity: str) -> None:
+    motion = exciting_motion(ROBOT, None, limits, 2.0, harmonics=2, iterations=2)
+    along = rp.RneaDynamics(ROBOT).along(motion.sample_at(np.linspace(0.0, 2.0, 401)))
+    reduced = along.reduce()
+    largest = {
+        "speed": np.abs(along.tree.v[:, ROBOT.actuated_velocity]).max() / 0.3,
+        "effort": np.abs(np.linalg.solve(reduced.W, reduced.f[..., None])).max() / 0.4,
+    }[quantity]
+    assert 0.998 < largest < 1.001
+    assert {event.quantity for event in motion.binding} == {quantity}
+
+
 def test_the_same_seed_gives_the_same_motion_and_another_one_another() -> None:
     series = [
         exciting_motion(ROBOT, ["mass*"], LIMITS, 2.0, harmonics=2, iterations=3, seed=s).series for s in (1, 1, 2)
