@@ -41,7 +41,7 @@ def row(name, engine, draws, seconds):
         narrow = 1.96 * fit.standard_deviation < 0.01 * np.abs(true)
         known.append(int(narrow.sum()))
         off.append((np.abs(fit.values - true)[narrow] / np.abs(true)[narrow]).max(initial=0.0))
-        error = efforts_of(fit.robot) - efforts_of(measured.true)
+        error = efforts_of(measured.given, fit) - efforts_of(measured.true)
         noise = 0.05 * measured.exact.effort.std(axis=0)
         prediction.append((np.sqrt((error**2).mean(axis=0)) / noise).max())
     spent = (time.process_time() - start) / draws

