@@ -429,6 +429,8 @@ def test_a_simulation_has_its_end_in_the_title_and_is_drawn_without_its_robot_as
         rp.show(gone)
     assert rp.show(gone, robot=robot).scene.duration == pytest.approx(0.4)
     other = replace(followed, robot=replace(followed.robot, name="2rpr", actuated=("a", "b", "c")))
+    with pytest.raises(InputError, match="The plan of a simulation"):
+        rp.plot.overview(simulated, simulated)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="plan is for 2rpr, the simulation of 3rrr"):
         rp.plot.overview(simulated, other)
     with pytest.raises(InputError, match=r"plan runs from 0 to .* s, the simulation from 9 to 9.4 s"):

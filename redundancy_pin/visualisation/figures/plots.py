@@ -164,6 +164,7 @@ def overview(
         >>> figure = rp.plot.overview(rp.simulate(rp.load_robot("3rrr"), plan, duration=0.1), plan)
     """
     require_type(subject, (Plan, Simulation), "A plan or a simulation", "Pass load_plan(...) or load_simulation(...).")
+    require_type(plan, (Plan, type(None)), "The plan of a simulation, or one to compare with", "Pass load_plan(...).")
     drawn, events = curves_of(subject, robot), subject.limits.violated if isinstance(subject, Plan) else ()
     left, right = effort_panels(drawn, events), carrier_panels(drawn, events) if drawn.carrier_names else []
     if plan is not None:
