@@ -44,8 +44,8 @@ _NVRTC = (
 
 
 _APART = "#ifdef __CUDACC__\n#define APART static __noinline__\n#else\n#define APART static\n#endif"
-"""How large functions are declared: NVRTC writes a call of a static function out, which takes ten times as long to
-compile, a minute for a Gough platform, and more registers than there are."""
+"""How large functions are declared: written out at every call they take NVRTC three to eight times as long (a Gough
+platform a minute), and more registers than there are."""
 
 
 @dataclass(frozen=True, eq=False)
