@@ -83,7 +83,7 @@ def report(
     a line on stderr. ``failed``, of a picture, is raised when all is printed.
     """
     summary = facts if isinstance(facts, Summary) else Summary(facts)
-    written = dict((files or {}).items())
+    written = dict(files or {})
     known = {**summary, **more, **{key: path for key, (_, path) in written.items()}}
     if as_json:
         print_json(known)

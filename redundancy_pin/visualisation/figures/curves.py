@@ -97,7 +97,7 @@ def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -
         subject,
         (Plan, Simulation),
         "A plan, a simulation or curves",
-        "Pass load_plan(...), load_simulation(...) or rp.plot.curves(robot, reduced, efforts).",
+        "Pass rp.load_plan(...), rp.simulation.load_simulation(...) or rp.plot.curves(robot, reduced, efforts).",
     )
     if isinstance(subject, Plan):
         limits, parameters, t = subject.limits.judged_by, subject.parameters, subject.t

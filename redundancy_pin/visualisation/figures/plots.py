@@ -163,7 +163,8 @@ def overview(
         >>> figure = rp.plot.overview(plan)
         >>> figure = rp.plot.overview(rp.simulate(rp.load_robot("3rrr"), plan, duration=0.1), plan)
     """
-    require_type(subject, (Plan, Simulation), "A plan or a simulation", "Pass load_plan(...) or load_simulation(...).")
+    remedy = "Pass rp.load_plan(...) or rp.simulation.load_simulation(...)."
+    require_type(subject, (Plan, Simulation), "A plan or a simulation", remedy)
     require_type(plan, (Plan, type(None)), "The plan of a simulation, or one to compare with", "Pass load_plan(...).")
     drawn, events = curves_of(subject, robot), subject.limits.violated if isinstance(subject, Plan) else ()
     left, right = effort_panels(drawn, events), carrier_panels(drawn, events) if drawn.carrier_names else []
