@@ -56,7 +56,7 @@ reproduce: $(STAMP) ## run the experiments of the thesis into OUT (default: resu
 validate: $(STAMP) ## long cross-check of the two backends on SAMPLES random states
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/redundancy-pin validate --samples $(SAMPLES) --jobs $(JOBS)
 
-long: $(STAMP) ## long lists of random cases, ten times as many examples, counts into docs/trust.md (RESUME=1: go on)
+long: $(STAMP) ## long lists of random cases, ten times as many examples, counts into docs/tables/counts.md (RESUME=1: go on)
 	$(if $(RESUME),,rm -f build/promises.jsonl)
 	@status=0; $(COMPILED) EXAMPLES=10 RESUME="$(RESUME)" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
 	  $(BIN)/python -m pytest -n auto -m "long or property" || status=$$?; \
@@ -65,7 +65,7 @@ long: $(STAMP) ## long lists of random cases, ten times as many examples, counts
 mutants: $(STAMP) ## change ROOMS at random places, by SEED, and print the changes that no test notices
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/mutation.py $(ROOMS) --seed $(SEED)
 
-bench: $(STAMP) ## time it beside Pinocchio, MuJoCo and Exudyn into docs/compiled.md; published problems, stack of C into their pages
+bench: $(STAMP) ## time it beside Pinocchio, MuJoCo and Exudyn into docs/tables/speed.md; published problems, stack of C into their pages
 	mkdir -p build
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest benchmarks --benchmark-json=build/benchmarks.json
 	$(BIN)/python benchmarks/table.py build/benchmarks.json
@@ -75,7 +75,7 @@ bench: $(STAMP) ## time it beside Pinocchio, MuJoCo and Exudyn into docs/compile
 pictures: $(STAMP) ## draw the pictures of the README into docs/pictures
 	$(BIN)/python docs/pictures/draw.py
 
-engines: $(STAMP) ## planned efforts in Exudyn and MuJoCo: every motion to 1e-5 m, and the tables of docs/engines.md
+engines: $(STAMP) ## planned efforts in Exudyn and MuJoCo: every motion to 1e-5 m, and the tables of docs/tables/engines.md
 	@$(BIN)/python -c 'import exudyn, mujoco' 2>/dev/null || \
 	  $(BIN)/python -m pip install --quiet --no-input --disable-pip-version-check --editable '.[dev,engines]'
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m engines -n auto tests/engines

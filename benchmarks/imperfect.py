@@ -1,4 +1,4 @@
-"""Machines that are not quite as planned: the bounds and the draws of docs/robustness.md, for benchmarks and tests."""
+"""Machines that are not quite as planned: the bounds and the draws of docs/validation.md, for benchmarks and tests."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

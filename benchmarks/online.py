@@ -9,7 +9,7 @@ first paths and for those that are not planned at every tick. Times are those of
     python benchmarks/online.py preview [paths]             which preview the 2-RPR needs, by masses and acceleration
     python benchmarks/online.py ticks [paths] [period]      how long a tick takes
     python benchmarks/online.py endless [ticks]             one planner along a path without end: statuses and memory
-    python benchmarks/online.py loop [machines] [times]     in closed loop, imperfections of docs/robustness.md by times
+    python benchmarks/online.py loop [machines] [times]     in closed loop, imperfections of docs/validation.md by times
 
 print tables of docs/online.md.
 """

@@ -1,4 +1,4 @@
-"""Stack of generated C, measured, into docs/codegen.md (``make bench`` does it too).
+"""Stack of generated C, measured, into docs/tables/stack.md (``make bench`` does it too).
 
 python benchmarks/stack.py
 """
@@ -14,7 +14,7 @@ from redundancy_pin.codegen.stack import stack_bytes
 from redundancy_pin.robot.shipped import shipped_robots
 
 PROGRAM = Path(__file__).with_name("stack.c")
-PAGE = Path(__file__).parents[1] / "docs" / "codegen.md"
+PAGE = Path(__file__).parents[1] / "docs" / "tables" / "stack.md"
 BEGIN, END = "<!-- table: `python benchmarks/stack.py` writes it -->\n", "<!-- end of table -->"
 LEVELS = ("-O0", "-O1", "-O2", "-O3", "-Os")
 LOOPS = 40

@@ -1,4 +1,4 @@
-"""The table of docs/compiled.md from what pytest-benchmark has written: ``make bench``.
+"""The table of docs/tables/speed.md from what pytest-benchmark has written: ``make bench``.
 
 python benchmarks/table.py build/benchmarks.json
 """
@@ -7,7 +7,7 @@ import json
 import sys
 from pathlib import Path
 
-PAGE = Path(__file__).parents[1] / "docs" / "compiled.md"
+PAGE = Path(__file__).parents[1] / "docs" / "tables" / "speed.md"
 BEGIN, END = "<!-- benchmarks: `make bench` writes them -->\n", "<!-- end of benchmarks -->"
 HEAD = "| work | by | time | of the first |\n| --- | --- | ---: | ---: |\n"
 

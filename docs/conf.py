@@ -1,6 +1,6 @@
 """Sphinx configuration: `make docs` builds the pages into build/docs, warnings are errors, nothing is fetched.
 
-Pages beside this file are picked up by the table of contents of index.md without being named there; so are notebooks.
+Pages are named in the table of contents of index.md; notebooks are picked up.
 """
 
 from __future__ import annotations
@@ -92,33 +92,9 @@ offer_kernel(HERE.parent / "build" / "jupyter")
 write_pages(HERE / "reference" / "api" / "modules")
 collect_notebooks(HERE.parent / "notebooks", HERE / "tutorials" / "notebooks")
 
-TOPICS = (
-    "theory",
-    "models",
-    "forces",
-    "whole_trajectory",
-    "time_optimal",
-    "feasibility_map",
-    "forward_dynamics",
-    "control",
-    "codegen",
-    "robustness",
-    "engines",
-    "published_problems",
-)
-"""Order of the pages beside this file; others follow."""
-
-
-def topics() -> list[str]:
-    """Return the names of the pages beside this file."""
-    pages = sorted(path.stem for path in HERE.glob("*.md") if path.stem != "index")
-    return sorted(pages, key=lambda name: TOPICS.index(name) if name in TOPICS else len(TOPICS))
-
-
 def fill_in_contents(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Put the pages that are there in place of ``@topics@`` and ``@notebooks@``."""
+    """Put the notebooks that are there in place of ``@notebooks@``."""
     notebooks = sorted(path.stem for path in (HERE / "tutorials" / "notebooks").glob("*.ipynb"))
-    source[0] = source[0].replace("@topics@", "\n".join(topics()))
     source[0] = source[0].replace("@notebooks@", "\n".join(f"notebooks/{name}" for name in notebooks))
 
 

@@ -49,23 +49,18 @@ OUTSIDE = ("pip", "make")
 
 
 @pytest.mark.long_for(
-    "docs/codegen.md",
-    "docs/control.md",
-    "docs/engines.md",
+    "docs/compiled.md",
+    "docs/design.md",
     "docs/forces.md",
-    "docs/forward_dynamics.md",
+    "docs/gallery.md",  # each block by itself: test_gallery.py
+    "docs/guide/exchange.md",
     "docs/guide/start.md",
     "docs/guide/viewing.md",
-    "docs/compiled.md",
-    "docs/guide/exchange.md",
-    "docs/whole_trajectory.md",
-    "docs/time_optimal.md",
-    "docs/co_design.md",
-    "docs/feasibility_map.md",
-    "docs/gallery.md",  # each block by itself: test_gallery.py
     "docs/online.md",
+    "docs/planning.md",
     "docs/questions.md",
-    "docs/where_carriers_sit.md",
+    "docs/simulation.md",
+    "docs/validation.md",
 )
 @pytest.mark.parametrize("name", [name for name, path in PAGES.items() if "```" in path.read_text(encoding="utf-8")])
 def test_page_runs_as_it_is_written(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -146,6 +146,39 @@ def delta_crossing() -> Figure:
         return drawn
 
 
+def singular_poses() -> Figure:
+    """A five-bar in a regular pose and at singularities of type I and II, each with the direction that is lost."""
+    robot = rp.load_robot("five_bar")
+    down = rp.trajectory.from_points([[0.25, 0.7], [0.25, 0.2]], [0.0, 1.0], ends="rest")
+    (second,) = (each for each in rp.find_crossings(robot, down) if each.kind.label == "type_ii")
+    outward = np.array([np.cos(1.15), np.sin(1.15)])  # along the first arm, stretched
+    reach = 0.99999 * (robot.parameters["proximal_length"] + robot.parameters["distal_length"])
+    out = rp.trajectory.from_points([[0.25, 0.7], reach * outward], [0.0, 1.0], ends="rest")
+    poses = {
+        "regular": (down, 0.0, None),
+        "type I: an arm is stretched": (out, 1.0, outward),
+        "type II: the distal links are in line": (down, second.t, second.uncontrolled_twist),
+    }
+    model, data = robot.model, robot.model.createData()
+    with figure(8.4, 2.9) as drawn:
+        for axes, (title, (motion, end, lost)) in zip(drawn.subplots(1, 3), poses.items(), strict=True):
+            q = rp.inverse_kinematics(robot, motion.sample_at(np.linspace(0.0, end, 200) if end else [0.0])).q[-1]
+            pin.framesForwardKinematics(model, data, np.array(q))
+            tip, *bases = (data.oMf[model.getFrameId(name)].translation[:2] for name in ("end_effector", *robot.actuated))
+            for leg, base in enumerate(bases, 1):
+                elbow = data.oMi[model.getJointId(f"elbow_{leg}")].translation[:2]
+                axes.plot(*np.transpose([base, elbow, tip]), color="#4477aa", linewidth=2.5, marker="o", mfc="white")
+                axes.plot(*base, color="#222222", marker="o", markersize=9)
+            if lost is not None:
+                for way in (0.22, -0.22):
+                    arrow = {"arrowstyle": "->", "color": "#cc3311", "linewidth": 1.8}
+                    axes.annotate("", xy=tip + way * lost, xytext=tip, arrowprops=arrow)
+            axes.set(aspect="equal", xlim=(-0.55, 1.05), ylim=(-0.12, 1.3))
+            axes.set_title(title, fontsize=9)
+            axes.set_axis_off()
+        return drawn
+
+
 def on_line() -> Figure:
     """The 2-RPR of the thesis over its singular line three times: planned at once, switched off, and on the way."""
     angle, radius = np.radians([100, 30, -40, -110, -180, -250, -320, -400]), [15, 18, 12, 17, 10, 16, 19, 13]
@@ -224,6 +257,7 @@ def main() -> None:
         ("gallery.svg", gallery()),
         ("delta_crossing.svg", delta_crossing()),
         ("on_line.svg", on_line()),
+        ("singular_poses.svg", singular_poses()),
         *([("cassie_leg.svg", cassie_leg())] if with_cassie else []),
     ):
         with replacing_file(FOLDER / name) as temporary:

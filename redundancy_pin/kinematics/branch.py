@@ -91,7 +91,7 @@ class BranchEnd(Frozen):
 class Follower(LoopSolver):
     """Follows branches of a robot; a workspace that holds Pinocchio data, see ``follower``.
 
-    docs/guide/own_simulator.md has a simulator that is made of it.
+    docs/simulation.md has a simulator that is made of it.
 
     Args:
         robot: the robot.

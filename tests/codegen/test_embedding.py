@@ -312,7 +312,7 @@ def test_numbers_that_overflow_on_the_way_get_a_status_and_nothing_is_written(na
 # --- stack -----------------------------------------------------------------------------------------------------------
 
 SYSTEM = 16384
-"""Bytes that glibc takes of a thread's stack at most, PTHREAD_STACK_MIN: the header and docs/codegen.md say so."""
+"""Bytes that glibc takes of a thread's stack at most, PTHREAD_STACK_MIN: the header and docs/compiled.md say so."""
 
 
 def promised_of(folder: Path) -> int:

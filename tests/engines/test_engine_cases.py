@@ -35,7 +35,7 @@ def test_the_planned_efforts_make_the_planned_motion(engine, case):
 
 
 def test_the_example_of_the_page_runs_as_written(capsys):
-    page = Path(__file__).resolve().parents[2] / "docs" / "engines.md"
+    page = Path(__file__).resolve().parents[2] / "docs" / "validation.md"
     example = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)[0]
     exec(compile(example, page.name, "exec"), {})
     status, *errors = capsys.readouterr().out.split()

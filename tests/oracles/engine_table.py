@@ -1,6 +1,6 @@
 """Outside engines: errors of every motion, ``make engines``. Wall times are those of the integration alone.
 
-python tests/oracles/engine_table.py                 the tables of docs/engines.md, as markdown
+python tests/oracles/engine_table.py                 the tables of docs/tables/engines.md, as markdown
 python tests/oracles/engine_table.py --json FILE     the same numbers as JSON too
 """
 

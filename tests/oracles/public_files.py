@@ -1,4 +1,4 @@
-"""Public model files: what is read, and how far efforts are from an independent computation: docs/public_files.md.
+"""Public model files: what is read, and how far efforts are from an independent computation: docs/tables/public_files.md.
 
 python tests/oracles/public_files.py FOLDER [WORD ...]
 
@@ -27,7 +27,7 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.loading import propose_robot
 
-PAGE = Path(__file__).parents[2] / "docs" / "public_files.md"
+PAGE = Path(__file__).parents[2] / "docs" / "tables" / "public_files.md"
 BEGIN, END = "<!-- table: tests/oracles/public_files.py writes it -->\n", "<!-- end of table -->"
 SECONDS = 60
 CLOSED = 1e-9

@@ -1,4 +1,4 @@
-"""Published problems: digits and processor times, into docs/published_problems.md (``make bench`` does it too).
+"""Published problems: digits and processor times, into docs/tables/published_problems.md (``make bench`` does it too).
 
 python tests/oracles/published_table.py
 """
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import published
 
-PAGE = Path(__file__).parents[2] / "docs" / "published_problems.md"
+PAGE = Path(__file__).parents[2] / "docs" / "tables" / "published_problems.md"
 BEGIN, END = "<!-- table: `make bench` writes it -->\n", "<!-- end of table -->"
 
 

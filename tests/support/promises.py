@@ -2,7 +2,7 @@
 
 ``build/promises.jsonl`` keeps the counts of each test, a line when it ends, of which the last one counts: the long
 lists may be run in pieces, at once or in turn, and a piece again. ``python tests/support/promises.py`` prints their
-sums and writes them into the table of ``docs/trust.md``, whose rows name them in comments: ``count: files`` and
+sums and writes them into the table of ``docs/tables/counts.md``, whose rows name them in comments: ``count: files`` and
 ``failed: files``.
 """
 
@@ -21,13 +21,13 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 COUNTS = ROOT / "build" / "promises.jsonl"
-PAGE = ROOT / "docs" / "trust.md"
+PAGE = ROOT / "docs" / "tables" / "counts.md"
 
 KEY = "promise"
 """Of a report's ``user_properties``, which reach the process that prints from those that test."""
 
 Keep = Callable[[str, str, Mapping[str, int], Mapping[str, int]], None]
-"""From a promise as ``docs/trust.md`` names it, the kind of cases, counts of how they ended ("right", "refused",
+"""From a promise as ``docs/tables/counts.md`` names it, the kind of cases, counts of how they ended ("right", "refused",
 "wrong"), and of the classes of what was wrong."""
 
 Kept = dict[str, list[dict[str, Any]]]

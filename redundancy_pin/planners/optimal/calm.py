@@ -1,7 +1,7 @@
 """Calm plans: of all motions of nearly least cost, the one whose efforts reverse least.
 
 s̈ is linear in a step, and near a singularity W⁻¹ magnifies what that leaves: the efforts of an optimum zigzag from node
-to node (docs/whole_trajectory.md, *Calm plans*). So the programme is solved once more. The nodes are denser by the
+to node (docs/planning.md, *Calm plans*). So the programme is solved once more. The nodes are denser by the
 square root of the distance to the singularity, the carriers' jerk may jump at all of them but the singular ones, the
 ripple is the objective, and the objective of the task at the nodes is bounded by (1 + calm) times the least cost there.
 """

@@ -56,7 +56,7 @@ PERIOD = 0.5
 LINEAR_SYSTEM: Options = {"ipopt.mumps_permuting_scaling": 0, "ipopt.mumps_scaling": 0, "ipopt.mumps_pivot_order": 2}
 """Leaves the linear system as it is, for the programme is scaled already, and orders it by approximate minimum fill.
 The search for a permutation takes a time that grows with the square of the nodes, and METIS, which long problems get by
-themselves, takes longer (docs/whole_trajectory.md, *One solver*)."""
+themselves, takes longer (docs/planning.md, *Solver*)."""
 
 BARRIER = 1e-10
 """Barrier parameter at which the solver ends. At a parameter that stays Newton's steps converge to rounding, also on

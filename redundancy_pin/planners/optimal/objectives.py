@@ -157,7 +157,7 @@ RIPPLE = 1e-2
 
 CARRIER_RIPPLE = 0.1
 """Weight of the ripple of s̈ beside that of τ. Without it s̈ zigzags from node to node, and W⁻¹ magnifies that between
-the nodes; with weight 1 the efforts keep more reversals (docs/whole_trajectory.md, *Calm plans*)."""
+the nodes; with weight 1 the efforts keep more reversals (docs/planning.md, *Calm plans*)."""
 
 
 def _ripple(q: Quantities) -> Expression:

@@ -89,7 +89,7 @@ def plan_whole_trajectory(
             Where an effort of the least-cost plan reverses more than 10 times (``Plan.reversals``), the plan is the one
             with the least ripple that costs at most 1 + ``calm`` times as much at the nodes; 0 for the least-cost plan.
             Between them no bound holds: measured, the whole motion costs 1.0 to 3.4 % more than the least cost at the
-            nodes, and 3.2 % less to 3.1 % more than the least-cost plan as a whole (docs/whole_trajectory.md, *Calm
+            nodes, and 3.2 % less to 3.1 % more than the least-cost plan as a whole (docs/planning.md, *Calm
             plans*). ``plan.least_cost`` is the least cost at the nodes, ``diagnostics["calm"]`` says whether a calmer
             plan was kept.
         limits: in place of the robot's own. ``actuator_speed`` is judged: the motion is given.

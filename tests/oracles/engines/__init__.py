@@ -2,7 +2,7 @@
 
 A plan claims that certain efforts make a certain motion. An engine that shares no code with this package is given the
 efforts and an exact initial state; nothing controls it. What it computes has to be the planned motion, through
-singular poses as well (docs/engines.md). Needs the extra ``engines``.
+singular poses as well (docs/validation.md). Needs the extra ``engines``.
 """
 
 from engines.drive import Drive, commanded, drive_of_motion, drive_of_plan

@@ -29,9 +29,9 @@ SLIDER_MASS, ROD_DENSITY, GRAVITY = 2.0, 6.0, 9.81
 
 @pytest.fixture(scope="module")
 def crank_and_rod(tmp_path_factory: pytest.TempPathFactory) -> rp.Robot:
-    """Return the slider-crank of docs/co_design.md."""
+    """Return the slider-crank of docs/design.md."""
     folder = tmp_path_factory.mktemp("page")
-    for block in blocks_of(ROOT / "docs" / "co_design.md", "docs/co_design.md"):
+    for block in blocks_of(ROOT / "docs" / "design.md", "docs/design.md"):
         if "file" in block.marks:
             path = folder / block.marks["file"]
             path.parent.mkdir(exist_ok=True)
