@@ -14,7 +14,7 @@ ROOMS   ?= kinematics singularities dynamics
 SEED    ?= 0
 JOBS    ?= $(shell getconf _NPROCESSORS_ONLN)
 
-CANDIDATES := $(or $(PYTHON),python3.13 python3.12 python3.11 python3.10 python3)
+CANDIDATES := $(or $(PYTHON),python3.14 python3.13 python3.12 python3.11 python3.10 python3)
 BIN        := $(VENV)/bin
 PIP        := $(BIN)/python -m pip install --quiet --no-input --disable-pip-version-check --no-compile
 # uv resolves and unpacks in a fifth of the time; where it cannot be had, or does not find what pip is set up to find, pip does it all
@@ -27,7 +27,7 @@ DOCS_STAMP := $(VENV)/.installed-docs
 COMPILED := PYTHONDONTWRITEBYTECODE=
 
 # exit status 0 where a Python suits the package
-SUITS    := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] < (3, 14))
+SUITS    := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] < (3, 15))
 # ... and where it can make a virtual environment
 HAS_VENV := import ensurepip, venv
 # ... and where the stubs of its newest numpy keep dtypes through arithmetic (numpy 2.2 is the last one for Python 3.10)
@@ -105,7 +105,7 @@ $(STAMP): pyproject.toml
 	    echo "Install them (Debian, Ubuntu: apt install python3-venv), or name another: make PYTHON=/path/to/python3" >&2; \
 	    exit 1; \
 	  elif [ -z "$$chosen" ]; then \
-	    echo "error: no Python >= 3.10 and < 3.14 among: $(CANDIDATES)." >&2; \
+	    echo "error: no Python >= 3.10 and < 3.15 among: $(CANDIDATES)." >&2; \
 	    for candidate in $(CANDIDATES); do \
 	      version=$$("$$candidate" --version 2>/dev/null) && echo "  $$candidate is $$version" >&2 || true; \
 	    done; \

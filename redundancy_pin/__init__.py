@@ -19,7 +19,7 @@ _PLACES = {
 """Module and name there of each public name."""
 
 __all__ = sorted(_PLACES)
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 
 def __getattr__(name: str) -> Any:
