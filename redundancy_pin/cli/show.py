@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import click
 
-from redundancy_pin.cli.options import MotionOptions, RobotOptions, json_option, motion_options, robot_options
+from redundancy_pin.cli.options import MotionOptions, RobotOptions, json_option, motion_options, robot_options, robots
 from redundancy_pin.cli.output import progress, report
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.files import require_writable
@@ -20,6 +21,7 @@ VIDEO = "Write a video, drawn without a display; an MP4 needs ffmpeg or the extr
 
 
 @click.command()
+@click.argument("model", default="", metavar="[MODEL]", shell_complete=robots())
 @robot_options(required=False)
 @click.option("--plan", "plan_path", metavar="NPZ", help="Plan to show, as `plan --out` writes it.")
 @click.option("--run", "run_path", metavar="NPZ", help="Simulation to show, as `simulate --out` writes it.")
@@ -33,6 +35,8 @@ VIDEO = "Write a video, drawn without a display; an MP4 needs ffmpeg or the extr
 def show(out: str | None, video: str | None, open_browser: bool, as_json: bool, **given: Any) -> None:
     r"""Show a robot in motion.
 
+    MODEL is another way to give --robot.
+
     Links, joints, tracks, carriers, the path of the platform, efforts as arrows; platform and path have the colour of
     the margin to a singularity. Without --plan, --run and --motion: its motion in the thesis, or a small swing.
 
@@ -41,6 +45,7 @@ def show(out: str | None, video: str | None, open_browser: bool, as_json: bool, 
 
     \b
     Examples:
+      redundancy-pin show model.xml
       redundancy-pin show --robot 3rrr --html 3rrr.html
       redundancy-pin show --plan plan.npz --open
       redundancy-pin show --run run.npz --video run.gif
@@ -79,8 +84,12 @@ def show(out: str | None, video: str | None, open_browser: bool, as_json: bool, 
 
 
 def _view(
-    robot: RobotOptions, plan_path: str | None, run_path: str | None, motion: MotionOptions, **settings: Any
+    model: str, robot: RobotOptions, plan_path: str | None, run_path: str | None, motion: MotionOptions, **settings: Any
 ) -> View:
+    if model and robot.source:
+        message = f"The robot is given twice, {model} and --robot {robot.source}."
+        raise InputError(message, remedy="Give it once.")
+    robot = replace(robot, source=model or robot.source)
     named = [flag for flag, path in (("--plan", plan_path), ("--run", run_path), ("a motion", motion.given)) if path]
     if len(named) > 1:
         message = f"{' and '.join(named)} are both given."
@@ -89,7 +98,7 @@ def _view(
         subject = load_plan(plan_path) if plan_path else load_simulation(run_path or "")
         return view(subject, robot=robot.recorded(subject), **settings)
     if not robot.source:
-        raise InputError("There is nothing to show.", remedy="Add --robot NAME or --plan NPZ.")
+        raise InputError("There is nothing to show.", remedy="Name a robot or its file, or add --plan NPZ.")
     loaded = robot.load()
     if not motion.given:
         still: View = view(loaded, **settings)

@@ -207,6 +207,7 @@ simulate --robot 2rpr --motion circle --park 0,0,0 => The place of parked carrie
 simulate --robot 2rpr --motion circle => The motion has no finite efforts at t = 0.519414238 s
 simulate --robot gough --motion circle => The motion has 2 coordinates
 show --html x.html => There is nothing to show
+show four_bar --robot 3rrr --html x.html => The robot is given twice
 show --plan plan.npz --motion in.csv --html x.html => --plan and a motion are both given
 show --plan plan.npz --working-mode ++ --html x.html => --set
 show --plan plan.npz --robot 2rpr --html x.html => is not the one the plan was made for

@@ -28,7 +28,7 @@ def plan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_robot_is_written_to_one_file(tmp_path: Path) -> None:
-    done = call("show", "--robot", "3rrr", "--html", tmp_path / "out.html", "--json")
+    done = call("show", "3rrr", "--html", tmp_path / "out.html", "--json")  # MODEL, or --robot
     assert done.exit_code == 0
     facts = json.loads(done.stdout)
     assert facts["title"] == "3rrr"
