@@ -72,8 +72,9 @@ bench: $(STAMP) ## time it beside Pinocchio, MuJoCo and Exudyn into docs/tables/
 	$(BIN)/python tests/oracles/published_table.py
 	$(BIN)/python benchmarks/stack.py
 
-pictures: $(STAMP) ## draw the pictures of the README into docs/pictures
+pictures: $(STAMP) ## draw the pictures of the pages into docs/pictures; those of the gallery by Chromium
 	$(BIN)/python docs/pictures/draw.py
+	$(BIN)/python docs/pictures/gallery.py
 
 engines: $(STAMP) ## planned efforts in Exudyn and MuJoCo: every motion to 1e-5 m, and the tables of docs/tables/engines.md
 	@$(BIN)/python -c 'import exudyn, mujoco' 2>/dev/null || \

@@ -112,23 +112,6 @@ def cassie_leg() -> Figure:
         return drawn
 
 
-GALLERY = {
-    "delta": (20, -60), "ankle": (15, -60), "excavator": (70, -90), "walking_leg": (90, -90), "two_arms": (25, -20),
-}  # fmt: skip
-"""Elevation and azimuth they are looked at from, degrees."""
-
-
-def gallery() -> Figure:
-    """The machines of the gallery at their references."""
-    with figure(9.0, 2.6) as drawn:
-        for panel, (name, view) in enumerate(GALLERY.items(), 1):
-            robot = rp.load_robot(name)
-            axes: Any = drawn.add_subplot(1, len(GALLERY), panel, projection="3d", proj_type="ortho")
-            draw_machine(axes, robot, [np.array(robot.q_reference)], view)
-            axes.set_title(name, fontsize=9)
-        return drawn
-
-
 def delta_crossing() -> Figure:
     """The delta before, in and after the plane of its elbows, its carriers as in the plan of least peak."""
     robot = rp.load_robot("delta", rod_length=0.35, rod_carriers=True)
@@ -164,7 +147,9 @@ def singular_poses() -> Figure:
         for axes, (title, (motion, end, lost)) in zip(drawn.subplots(1, 3), poses.items(), strict=True):
             q = rp.inverse_kinematics(robot, motion.sample_at(np.linspace(0.0, end, 200) if end else [0.0])).q[-1]
             pin.framesForwardKinematics(model, data, np.array(q))
-            tip, *bases = (data.oMf[model.getFrameId(name)].translation[:2] for name in ("end_effector", *robot.actuated))
+            tip, *bases = (
+                data.oMf[model.getFrameId(name)].translation[:2] for name in ("end_effector", *robot.actuated)
+            )
             for leg, base in enumerate(bases, 1):
                 elbow = data.oMi[model.getJointId(f"elbow_{leg}")].translation[:2]
                 axes.plot(*np.transpose([base, elbow, tip]), color="#4477aa", linewidth=2.5, marker="o", mfc="white")
@@ -254,7 +239,6 @@ def main() -> None:
     for name, drawn in (
         ("corner.svg", rp.plot.snapshots(rp.show(plan), 3, title="3-RRR around a corner")),
         ("corner_carriers.svg", rp.plot.carriers(plan)),
-        ("gallery.svg", gallery()),
         ("delta_crossing.svg", delta_crossing()),
         ("on_line.svg", on_line()),
         ("singular_poses.svg", singular_poses()),
