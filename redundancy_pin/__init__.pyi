@@ -15,6 +15,8 @@ from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics as inverse
 from redundancy_pin.dynamics.reactions import joint_reactions as joint_reactions
 from redundancy_pin.dynamics.rnea import RneaDynamics as RneaDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork as VirtualWork
+from redundancy_pin.identification.exciting import exciting_motion as exciting_motion
+from redundancy_pin.identification.fit import identify as identify
 from redundancy_pin.kinematics.assembly_modes import assembly_modes as assembly_modes
 from redundancy_pin.kinematics.forward_kinematics import forward_kinematics as forward_kinematics
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics as inverse_kinematics

@@ -23,6 +23,9 @@ from redundancy_pin.dynamics.compiled import design_of
 from redundancy_pin.dynamics.compiled.parameters import layout_of, numbers_of, topology_of
 from redundancy_pin.dynamics.contacts import closure_forces
 from redundancy_pin.dynamics.virtual_work import three_rrr, two_rpr
+from redundancy_pin.identification import BaseParameters, Fit, Records
+from redundancy_pin.identification.exciting import ExcitingMotion
+from redundancy_pin.identification.records import SmoothMotion
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.optimal.co_design import CoDesign, DesignTask
@@ -32,7 +35,7 @@ from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.planners.receding_horizon.run import OnLineRun
 from redundancy_pin.planners.singular_instant import SingularInstant
 from redundancy_pin.simulation import ForwardDynamics, closed_state, inverse_derivatives, linearise
-from redundancy_pin.status import UpdateStatus
+from redundancy_pin.status import ResultStatus, UpdateStatus
 from redundancy_pin.trajectory.continuous_motion import as_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.time_scaling import ScaledMotion, TimeScaling
@@ -133,6 +136,22 @@ def objects() -> dict[str, Any]:
         "linearised": linearise(robot, start, three),
         "inverse derivatives": inverse_derivatives(robot, start.q, start.v, np.zeros(robot.model.nv)),
         "report": run(["2rpr"], samples=1),
+        "records": (records := Records(np.arange(2.0), np.ones((2, 3)), platform=np.ones((2, 3)))),
+        "smooth motion": SmoothMotion(motion, carriers, slice(1, 3), *[three] * 5, (three,) * 3, three),
+        "base parameters": (base := BaseParameters((), np.arange(0), np.ones((0, 0)), ("mass",))),
+        "exciting motion": ExcitingMotion(small, 1.0, np.zeros((5, 2)), ResultStatus.OK, (), 1.0, base, np.eye(2)),
+        "fit": Fit(
+            ResultStatus.OK,
+            (),
+            robot,
+            base,
+            three,
+            np.eye(3),
+            three,
+            records.t,
+            *[records.effort] * 3,
+            *[three] * 4,
+        ),
     }
 
 

@@ -20,6 +20,7 @@ COMMANDS: Mapping[str, str] = {
     "check": "Re-validate a saved plan.",
     "codegen": "Write C for a controller.",
     "export": "Write a plan for other programs.",
+    "identify": "Find masses and friction from measured motions.",
     "info": "Show a robot, or which there are.",
     "inverse-dynamics": "Compute the efforts along a motion.",
     "new": "Write a robot.yaml for a model file.",

@@ -368,6 +368,54 @@ def read_table(path: str | os.PathLike[str]) -> MotionTable:
     return MotionTable(place, header.coordinates, header.rates, header.carriers, columns, header.measures)
 
 
+_OF_JOINT = {"q": (LENGTH, ANGLE), "s": (LENGTH, ANGLE), "tau": ()}
+"""What measured columns of joints measure; efforts are in N or N·m."""
+
+
+def read_measured(path: str | os.PathLike[str]) -> dict[str, Array]:
+    """Read a CSV file of measurements: t, q:JOINT, s:JOINT, tau:JOINT and platform coordinates; others are ignored.
+
+    Returns:
+        Values (N,) in SI, by column name.
+
+    Raises:
+        InputError: as ``from_csv``.
+
+    Example:
+        >>> read_measured("run.csv")["tau:base_1"]
+    """
+    place = os.fspath(path)
+    rows = _rows(place)
+    first = next(rows, (0, []))[1]
+    given = [_name_and_unit(unescape_formula(cell.strip())) for cell in first]
+    names = [name for name, _ in given]
+    factors: dict[str, float] = {}
+    for name, unit in given:
+        stem = name.partition(":")[0] if ":" in name else name
+        if (kinds := {"t": (TIME,), **_OF_JOINT, **dict.fromkeys(AXES, (LENGTH, ANGLE))}.get(stem)) is None:
+            continue
+        known = _unit(unit or "")
+        if unit in ("N", "N*m", "N·m") and not kinds:
+            known = "", 0, 1.0
+        if known is None or known[1] or (unit and known[0] not in (*kinds, "")) or name in factors:
+            message = f", column {name!r}: {shown(unit)} is no unit of it, or it is there twice."
+            raise _bad(place, message, "Give units such as [rad], [mm] or [N*m], or none for SI.", column=name)
+        factors[name] = known[2]
+    body = list(rows)
+    if "t" not in factors or not body:
+        raise _bad(place, " has no column 't', or no rows of numbers.", "Give a row of names: t,q:JOINT,...,tau:JOINT.")
+    values = _numbers(_Columns(names, list(factors)), body, place)
+    return {name: column * factors[name] for name, column in zip(factors, values.T, strict=True)}
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Names of all columns of a file, and of those that are read."""
+
+    names: list[str]
+    read: list[str]
+
+
 def has_rates(path: str | os.PathLike[str]) -> bool:
     """Return whether a CSV file is a sampled motion, by its first row; raises as ``read_table``."""
     return bool(_header_and_rows(os.fspath(path))[0].rates)
@@ -546,7 +594,7 @@ def _require_names(names: Sequence[str], first: Sequence[str], path: str) -> Non
             raise _bad(path, message, "Put commas between the columns, and points into the numbers.")
 
 
-def _numbers(header: _Header, rows: Sequence[tuple[int, list[str]]], path: str) -> Array:
+def _numbers(header: _Header | _Columns, rows: Sequence[tuple[int, list[str]]], path: str) -> Array:
     """Return (N, c) the numbers of the columns that are read."""
     names = header.names
     for line, row in rows:

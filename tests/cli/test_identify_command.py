@@ -1,0 +1,106 @@
+"""``redundancy-pin identify``: files in, a robot, a report and exit codes out."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import call, refused
+from measured import built, measured, noisy
+
+import redundancy_pin as rp
+from redundancy_pin.errors import OutputError
+from redundancy_pin.identification import Records
+from redundancy_pin.identification.robot_file import write_robot
+
+
+def columns_of(records: Records) -> dict[str, np.ndarray]:
+    joints = ("base_1", "base_2")
+    return {
+        "t [s]": records.t,
+        **{f"q:{joint} [deg]": np.degrees(column) for joint, column in zip(joints, records.position.T, strict=True)},
+        **{f"tau:{joint} [N*m]": column for joint, column in zip(joints, records.effort.T, strict=True)},
+        "note": np.zeros(len(records)),
+    }
+
+
+def write(path: Path, columns: dict[str, np.ndarray]) -> Path:
+    rows = np.stack(list(columns.values()), axis=1)
+    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.12g")
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Records]:
+    """A five-bar without carriers, other masses and friction than declared, in the columns of its motors."""
+    given = rp.load_robot("five_bar").loaded(*(rp.JointForces(j, friction_speed=0.01) for j in ("base_1", "base_2")))
+    records = noisy(measured(rp.RneaDynamics(built(given)), seconds=3.0), seed=1)
+    folder = tmp_path_factory.mktemp("run")
+    return write(folder / "run.csv", columns_of(records)), records
+
+
+def test_a_machine_is_identified_and_its_file_loads_as_what_was_found(
+    run: tuple[Path, Records], tmp_path: Path
+) -> None:
+    path, records = run
+    out, page = tmp_path / "found.yaml", tmp_path / "fit.html"
+    given = ("--robot", "five_bar", "--records", path, "--cut-off", "12")
+    result = call("identify", *given, "--out", out, "--report", page, "--json")
+    assert (result.exit_code, result.stderr) == (0, "")
+    facts = json.loads(result.stdout)
+    fit = rp.identify("five_bar", records, cut_off=12.0, physical=True)
+    assert facts["names"] == list(fit.base.names)
+    assert np.allclose(facts["values"], fit.values, rtol=1e-6)
+    assert np.allclose(facts["half_intervals"], 1.959964 * fit.standard_deviation, rtol=1e-5)
+    write_robot(fit.robot, tmp_path / "again.yaml")
+    for file, rounding in ((out, 1e-5), (tmp_path / "again.yaml", 1e-12)):  # records have twelve digits
+        loaded = rp.load_robot(file)
+        assert loaded.loads[0].damping == pytest.approx(fit.robot.loads[0].damping, rel=1e-3)
+        for one, other in zip(loaded.model.inertias, fit.robot.model.inertias, strict=True):
+            assert np.allclose(one.toDynamicParameters(), other.toDynamicParameters(), atol=rounding)
+    html = page.read_text(encoding="utf-8")
+    assert html.count("data:image/png;base64,") == 3
+    assert not re.search(r"<script|https?://", html)
+    assert all(f"{value:.5g}" in html for value in fit.values)
+    table = call("identify", *given).stdout
+    assert all(f"{value:.5g}" in table for value in fit.values)
+
+
+def test_what_is_doubtful_is_a_line_each_and_exit_code_1(run: tuple[Path, Records], tmp_path: Path) -> None:
+    _, records = run
+    swapped = Records(records.t, records.effort[:, ::-1], records.position)
+    path = write(tmp_path / "run.csv", columns_of(swapped))
+    result = call("identify", "--robot", "five_bar", "--records", path, "--cut-off", "12")
+    assert result.exit_code == 1
+    assert any(line.startswith("warning: ") and "base_2, base_1" in line for line in result.stderr.splitlines())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c.pop("tau:base_1 [N*m]"), "no column 'tau:base_1'"),
+        (lambda c: c.pop("q:base_2 [deg]"), "no column 'q:base_2'"),
+        (lambda c: c.pop("t [s]"), "no column 't'"),
+        (lambda c: c.update({"q:base_1 [deg/s]": c.pop("q:base_1 [deg]")}), "deg/s"),
+        (lambda c: c.update({"t [s]": c["t [s]"][::-1]}), "does not increase"),
+    ],
+)
+def test_bad_records_are_one_line(run: tuple[Path, Records], tmp_path: Path, change, message: str) -> None:
+    columns = columns_of(run[1])
+    change(columns)
+    path = write(tmp_path / "run.csv", columns)
+    assert message in refused("identify", "--robot", "five_bar", "--records", path, "--cut-off", "12")
+
+
+def test_bad_outputs_are_refused_before_the_work(run: tuple[Path, Records], tmp_path: Path) -> None:
+    given = ("identify", "--robot", "five_bar", "--records", run[0], "--cut-off", "12")
+    assert "--out" in refused(*given, "--out", tmp_path / "found.urdf")
+    assert "--report" in refused(*given, "--report", tmp_path / "fit.txt")
+    assert "mas of" in refused(*given, "--parameters", "mas of *")
+    light = rp.identify("five_bar", run[1], cut_off=12.0).robot
+    with pytest.raises(OutputError, match=r"No body can have the inertia of .*physical=True"):
+        write_robot(light, tmp_path / "light.yaml")
+    assert not list(tmp_path.iterdir())
