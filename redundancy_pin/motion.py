@@ -40,6 +40,11 @@ class PlatformMotion(Frozen):
 
     Raises:
         InputError: wrong shapes, values that are not finite, time that does not increase.
+
+    Example:
+        >>> motion = rp.PlatformMotion([0.0, 1.0], [[0.2, 0.4], [0.3, 0.4]], [[0.1, 0.0]] * 2, [[0.0, 0.0]] * 2)
+        >>> motion.x.shape
+        (2, 2)
     """
 
     t: Array
@@ -100,6 +105,10 @@ class CarrierMotion(Frozen):
 
     Raises:
         InputError: wrong shapes or values that are not finite.
+
+    Example:
+        >>> rp.CarrierMotion.parked(5, 3).s.shape
+        (5, 3)
     """
 
     s: Array

@@ -119,7 +119,7 @@ def sweep(
         ...     except rp.errors.InfeasiblePlanError:
         ...         return {"status": "infeasible", "peak": float("nan")}
         ...     return {"status": plan.status.value, "peak": plan.peak_effort.max()}
-        >>> result = rp.sweep(peak, {"speed": [0.1, 0.2], "radius": [0.02, 0.03]}, jobs=2, cache="peaks")
+        >>> result = rp.sweep(peak, {"speed": [0.1, 0.2], "radius": [0.02, 0.03]}, jobs=1)
         >>> result.values("peak").shape
         (2, 2)
     """

@@ -83,7 +83,8 @@ def write_mjcf(robot: RobotLike, path: str | Path, *, step: float = 1e-3, reflec
         OutputError: the file cannot be written.
 
     Example:
-        >>> write_mjcf("four_bar", "four_bar.xml")
+        >>> rp.write_mjcf("four_bar", "four_bar.xml").name
+        'four_bar.xml'
     """
     robot, step = as_robot(robot), positive(step, "step", "s")
     target = require_writable(path)

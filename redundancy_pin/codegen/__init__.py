@@ -87,6 +87,10 @@ def write_c(
             actuators.
         OutputError: the folder cannot be written, or holds other files.
         UnsupportedRobotError: a joint of a type that is not covered; wrenches on the robot.
+
+    Example:
+        >>> rp.write_c("four_bar", "controller").prefix
+        'four_bar'
     """
     robot = as_robot(robot)
     require_replaceable(folder)

@@ -175,6 +175,11 @@ def distribute(
     Raises:
         InputError: shapes do not fit; weights that are not positive or too far apart; lower above upper, NaN bounds;
             a tolerance that is negative or not finite, or a rank tolerance below 1e-14.
+
+    Example:
+        >>> reduced = rp.RneaDynamics("3rrr").reduce(rp.trajectory.reference.corner().sample(0.01))
+        >>> set(rp.distribute(reduced).status_labels.tolist())
+        {'ok'}
     """
     if not isinstance(reduced, ReducedDynamics):
         raise InputError(

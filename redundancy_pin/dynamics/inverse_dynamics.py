@@ -281,9 +281,9 @@ def inverse_dynamics(
             ``Dynamics.reduce``.
 
     Example:
-        >>> result = rp.inverse_dynamics("2rpr", reference.circle(speed=0.5).sample(0.01))
+        >>> result = rp.inverse_dynamics("2rpr", rp.trajectory.reference.circle(speed=0.5).sample(0.01))
         >>> result.efforts.tau.shape, result.status.value
-        ((269, 2), 'unbounded')
+        ((270, 2), 'unbounded')
     """
     dynamics = as_dynamics(dynamics)
     dynamics = dynamics.with_external(*external) if external else dynamics

@@ -106,7 +106,7 @@ def joint_reactions(along: RneaAlongMotion, tau: ArrayLike, carriers: CarrierMot
         InputError: ``tau`` has the wrong shape.
 
     Example:
-        >>> along = rp.RneaDynamics("3rrr").along(motion)
+        >>> along = rp.RneaDynamics("3rrr").along(rp.trajectory.reference.corner().sample(0.1))
         >>> reactions = rp.joint_reactions(along, rp.distribute(along.reduce()).tau)
     """
     require_type(along, RneaAlongMotion, "RNEA dynamics along a motion", "Pass RneaDynamics(robot).along(motion).")

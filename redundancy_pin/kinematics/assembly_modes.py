@@ -75,6 +75,10 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
         InputError: wrong shape.
         UnsupportedRobotError: fewer motors than freedoms.
         UnreachablePoseError: no start closes the chains.
+
+    Example:
+        >>> len(rp.assembly_modes("2rpr", [0.4, 0.5]))
+        2
     """
     robot, most_starts = as_robot(robot), int(positive(most_starts, "most_starts", ""))
     u = np.array(checked(actuated, "actuated", (robot.m,)))

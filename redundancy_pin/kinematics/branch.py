@@ -62,7 +62,7 @@ class BranchEnd(Frozen):
         reason: why the way there is not followed at all, for ``UNREACHABLE``; otherwise empty.
 
     Example:
-        >>> import redundancy_pin as rp
+        >>> from redundancy_pin.kinematics.branch import ClosedState, follower
         >>> branch = follower(rp.load_robot("five_bar"))
         >>> end = branch.advance(branch.home, branch.home.x + 2.0)
         >>> isinstance(end, ClosedState), end.status.label
@@ -405,5 +405,12 @@ def _follower(robot: Robot, thread: int) -> Follower:
 
 
 def follower(robot: Robot) -> Follower:
-    """Return the follower of a robot in this thread, made once: it is a workspace, which no two threads share."""
+    """Return the follower of a robot in this thread, made once: it is a workspace, which no two threads share.
+
+    Example:
+        >>> from redundancy_pin.kinematics.branch import follower
+        >>> branch = follower(rp.load_robot("five_bar"))
+        >>> branch.advance(branch.home, branch.home.x + 0.01).W.shape
+        (2, 2)
+    """
     return _follower(robot, threading.get_ident())

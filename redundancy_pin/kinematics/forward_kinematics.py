@@ -129,6 +129,10 @@ def forward_kinematics(
             turns of several motors between samples.
         UnsupportedRobotError: fewer motors than freedoms.
         SingularPoseError: the start is a type II singularity, where branches meet.
+
+    Example:
+        >>> rp.forward_kinematics("2rpr", [0.4, 0.5]).x.round(3)
+        array([[0.16 , 0.367]])
     """
     robot = as_robot(robot)
     u = rows_of(actuated, "actuated", ("N", robot.m))

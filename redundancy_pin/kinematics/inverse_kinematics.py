@@ -133,6 +133,11 @@ def inverse_kinematics(
         UnreachablePoseError: no configuration closes the chains; carries sample and residual.
         SingularPoseError: a sample is a type I singularity.
         WorkingModeError: the motion leaves the working mode, or cannot be followed continuously.
+
+    Example:
+        >>> motion = rp.trajectory.reference.corner().sample(0.01)
+        >>> rp.inverse_kinematics("3rrr", motion).q.shape[1]
+        10
     """
     robot = as_robot(robot)
     require_matching(robot, motion)

@@ -63,7 +63,7 @@ def with_parameters(
         DeclarationError: the chains do not close at the declared reference any more.
 
     Example:
-        >>> heavier = with_parameters(load_robot("four_bar"), masses={"rocker_link": 2.5})
+        >>> heavier = rp.with_parameters("four_bar", masses={"rocker_link": 2.5})
     """
     robot = as_robot(robot)
     masses, lengths = {} if masses is None else masses, {} if lengths is None else lengths
@@ -308,7 +308,7 @@ def with_limits(
         InputError: unknown names, tracks that end before they begin, or limits that are not positive.
 
     Example:
-        >>> slow = with_limits(load_robot("3rrr"), {"elbow_1": {"upper": 2.5}}, speed=0.5)
+        >>> slow = rp.with_limits("3rrr", {"elbow_1": {"upper": 2.5}}, speed=0.5)
     """
     robot = as_robot(robot)
     each = {"lower": lower, "upper": upper, "speed": speed, "acceleration": acceleration, "force": force}

@@ -37,6 +37,7 @@ def as_robot(robot: RobotLike) -> Robot:
         RedundancyPinError: what ``load_robot`` raises.
 
     Example:
+        >>> from redundancy_pin.loading import as_robot
         >>> as_robot("3rrr").n
         3
     """
@@ -77,6 +78,10 @@ def load_robot(
         InputError: an unknown xacro argument, a gravity or working mode of the wrong form.
         DeclarationError: a declaration that contradicts the URDF or itself: unknown names, joints in two roles, over-
             or under-constrained chains, a reference that does not close.
+
+    Example:
+        >>> rp.load_robot("3rrr", carrier_mass=2.0).carriers
+        ('carrier_1', 'carrier_2', 'carrier_3')
     """
     robot = load_with(source, arguments, gravity=gravity, working_mode=working_mode, trust=trust, untrusted=untrusted)
     for note in filter(None, (idle_gravity(robot, gravity), too_few_motors(robot))):

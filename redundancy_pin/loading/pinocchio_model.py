@@ -72,7 +72,9 @@ def robot_from_model(
         UnsupportedRobotError: a joint of a type that closed chains do not cover.
 
     Example:
-        >>> robot_from_model(load_robot("four_bar").model, actuated=["crank"], closures=load_robot("four_bar").closures)
+        >>> bar = rp.load_robot("four_bar")
+        >>> rp.robot_from_model(bar.model, actuated=["crank"], closures=bar.closures).n
+        1
     """
     given, (model, at) = model, rebuilt(model)
     roles = {"actuated": actuated, "closures": closures, "carriers": carriers, "couplings": couplings}

@@ -61,7 +61,7 @@ def propose_robot(
         RedundancyPinError: files that cannot be read, unknown names.
 
     Example:
-        >>> proposal, robot = propose_robot(Path("five_bar.urdf"), close=["ltip,rtip"], actuate=["a", "c"])
+        >>> propose_robot(Path("five_bar.urdf"), close=["ltip,rtip"], actuate=["a", "c"])  # doctest: +SKIP
     """
     parameters, read = open_model(path, arguments, trust=trust, untrusted=untrusted)
     named = (*actuate, *carriers, *independent)

@@ -185,6 +185,11 @@ def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
     Raises:
         InputError: neither a robot nor a backend, or of another robot.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
+
+    Example:
+        >>> plan = rp.plan_switch_off("2rpr", rp.trajectory.reference.line(speed=0.2), threshold=5.0)
+        >>> rp.check_plan(plan, rp.RneaDynamics("2rpr")).passed
+        True
     """
     require_type(plan, Plan, "A plan", "Pass load_plan(...).")
     dynamics = as_dynamics(dynamics)

@@ -56,7 +56,8 @@ class Limits(ByValue):
     """Limits of a plan; what is None is what the robot declares, ``numpy.inf`` takes a limit away.
 
     Example:
-        >>> rp.plan_whole_trajectory("3rrr", motion, limits=rp.Limits(effort=2.5, jerk=200.0))
+        >>> rp.Limits(effort=2.5, track=(-0.16, 0.16)).resolved(rp.load_robot("2rpr")).effort
+        array([2.5, 2.5])
 
     Attributes:
         track: (2,) or (k, 2) track ends of the carriers, m.
@@ -154,7 +155,10 @@ class Objective(ByValue):
     """What a plan minimises.
 
     Example:
-        >>> rp.plan_whole_trajectory(robot, motion, objective=rp.Objective("peak", calm=0.0))
+        >>> line = rp.trajectory.reference.line(speed=0.2)
+        >>> least = rp.Objective("peak", calm=0.0)
+        >>> rp.plan_whole_trajectory("2rpr", line, objective=least, mesh=rp.Mesh(dt=0.05)).status.value
+        'ok'
 
     Attributes:
         weights: what to minimise: a name of ``OBJECTIVES``, or weights of several, each in its own unit. When left out:
@@ -212,6 +216,10 @@ class Mesh:
         dt: largest step between nodes in time, or between samples, s; when left out 0.005, or what the planner says.
         refinements: how often the mesh may be refined where efforts between the nodes exceed those at the nodes.
         steps: least number of steps along a path whose timing is planned; 100 when left out.
+
+    Example:
+        >>> rp.Mesh(dt=0.01, refinements=1).dt
+        0.01
     """
 
     dt: float | None = None
@@ -241,6 +249,10 @@ class Solver:
             then is the plan.
         progress: called with a line of text at each stage, and during it where the plan has 1000 nodes or more. What it
             raises ends the planning.
+
+    Example:
+        >>> rp.Solver(starts=4, seconds=60.0).starts
+        4
     """
 
     starts: int = 1

@@ -317,6 +317,11 @@ def load_plan(path: str | Path) -> Plan:
     Raises:
         PlanFileError: the file is missing, truncated, damaged, no plan, of another version, or its arrays do not fit
             together.
+
+    Example:
+        >>> rp.plan_stepwise("3rrr", rp.trajectory.reference.corner()).save("plan.npz")
+        >>> rp.load_plan("plan.npz").planner
+        'stepwise'
     """
     return read_archive(path, PLAN_FORMAT, PLAN_VERSION, "plan", lambda record: _plan(record, path))
 
@@ -342,6 +347,11 @@ def load_robot_of(plan: OfRobot, source: str | Path | None = None, *, trust: boo
     Raises:
         PlanFileError: the robot's files are gone, lie elsewhere than in the plan's folder, or describe another robot
             than when the plan was made.
+
+    Example:
+        >>> plan = rp.plan_stepwise("3rrr", rp.trajectory.reference.corner())
+        >>> rp.load_robot_of(plan).name
+        '3rrr'
     """
     require_type(getattr(plan, "robot", plan), RobotRecord, "A plan or a simulation", "Pass load_plan(...).")
     return load_recorded(plan.robot, source, trust=trust)

@@ -165,6 +165,12 @@ def plan_reference(
         InputError: the motion is not that of the plan.
         InfeasiblePlanError: some instant has no finite efforts.
         PlanFileError: the robot cannot be loaded, or is no longer what it was.
+
+    Example:
+        >>> from redundancy_pin.simulation import plan_reference
+        >>> plan = rp.plan_stepwise("3rrr", rp.trajectory.reference.corner())
+        >>> plan_reference(plan).at(0.5).tau.shape
+        (3,)
     """
     if not hasattr(plan, "functions"):
         raise InputError(f"A plan was expected, not {type(plan).__name__}.", remedy="Pass load_plan(...).")
@@ -192,6 +198,12 @@ def motion_reference(
     Raises:
         InfeasiblePlanError: some instant has no finite efforts.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as inverse dynamics.
+
+    Example:
+        >>> from redundancy_pin.simulation import motion_reference
+        >>> turn = rp.trajectory.from_points([[1.0], [2.0]], [0.0, 1.0], ends="rest")
+        >>> motion_reference("four_bar", turn).at(0.5).x
+        array([1.5])
     """
     positive(step, "step", "s")
     robot, source = as_robot(robot), as_motion(motion)

@@ -66,6 +66,11 @@ class Wrench(Frozen):
 
     Raises:
         InputError: shapes, or values that are not finite.
+
+    Example:
+        >>> push = rp.Wrench("end_effector", [0.0, -5.0, 0.0, 0.0, 0.0, 0.0])
+        >>> rp.load_robot("five_bar").loaded(push).loads[0].frame
+        'end_effector'
     """
 
     frame: str
@@ -134,6 +139,10 @@ class Payload(_Listed, Frozen):
 
     Raises:
         InputError: a negative mass, an inertia that no body has.
+
+    Example:
+        >>> rp.load_robot("five_bar").loaded(rp.Payload("end_effector", 0.5)).loads[0].mass
+        0.5
     """
 
     frame: str
@@ -187,6 +196,11 @@ class JointForces:
 
     Raises:
         InputError: a number out of its domain.
+
+    Example:
+        >>> robot = rp.load_robot("four_bar").loaded(rp.JointForces("crank", damping=0.2, friction=0.1))
+        >>> robot.loads[0].damping
+        0.2
     """
 
     joint: str
@@ -229,6 +243,10 @@ class Spring(_Listed, Frozen):
 
     Raises:
         InputError: a number out of its domain.
+
+    Example:
+        >>> len(rp.load_robot("four_bar").loaded(rp.Spring("base", "coupler_link", 200.0, length=0.1)).loads)
+        1
     """
 
     frame_a: str

@@ -129,6 +129,13 @@ def inverse_derivatives(
         UnsupportedRobotError: a joint has more than one freedom; loads but for payloads, whose derivatives
             ``CompiledDynamics`` has.
         SingularPoseError: a type I pose, where (x, s) are no coordinates.
+
+    Example:
+        >>> from redundancy_pin.simulation import closed_state, inverse_derivatives
+        >>> robot = rp.load_robot("2rpr", end_effector_mass=0.5)
+        >>> state = closed_state(robot)
+        >>> inverse_derivatives(robot, state.q, state.v, 0.0 * state.v).mass.shape
+        (4, 4)
     """
     loads = [load for load in robot.loads if not isinstance(load, Payload)]
     if loads:
@@ -249,6 +256,13 @@ def linearise(robot: Robot, state: State, tau: Array, carrier_force: Array | Non
         SingularPoseError: a type I pose, where platform and carriers are no coordinates.
         IllPosedModelError: a free motion has no inertia.
         UnsupportedRobotError: a joint has more than one freedom.
+
+    Example:
+        >>> from redundancy_pin.simulation import closed_state, linearise
+        >>> robot = rp.load_robot("2rpr", end_effector_mass=0.5)
+        >>> model = linearise(robot, closed_state(robot), np.zeros(2), np.zeros(2))
+        >>> model.A.shape, model.B.shape
+        ((8, 8), (8, 4))
     """
     loads = np.zeros(robot.k) if carrier_force is None else np.asarray(carrier_force, dtype=float)
     dynamics = ForwardDynamics(robot)
@@ -320,6 +334,13 @@ def state_error(robot: Robot, state: State, x: Array, xd: Array, s: Array, sd: A
         xd: (n,) their rate.
         s: (k,) reference positions of the carriers, m.
         sd: (k,) their speeds, m/s.
+
+    Example:
+        >>> from redundancy_pin.simulation import closed_state, state_error
+        >>> robot = rp.load_robot("2rpr")
+        >>> state = closed_state(robot)
+        >>> state_error(robot, state, state.x + 0.001, state.xd, state.s, state.sd).shape
+        (8,)
     """
     here = state.x
     away = difference(robot, here, x)

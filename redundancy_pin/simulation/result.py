@@ -186,6 +186,12 @@ def load_simulation(path: str | Path) -> Simulation:
     Raises:
         PlanFileError: the file is missing, truncated, damaged, no simulation, of a newer format, or its arrays do not
             fit together.
+
+    Example:
+        >>> from redundancy_pin.simulation import load_simulation
+        >>> rp.simulate("four_bar", duration=0.1).save("run.npz")
+        >>> load_simulation("run.npz").status.value
+        'ok'
     """
     return read_archive(path, FORMAT, VERSION, "simulation", lambda record: _simulation(record, path))
 

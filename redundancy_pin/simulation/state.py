@@ -161,6 +161,11 @@ def closed_state(
     Raises:
         InputError: wrong shapes.
         UnreachablePoseError, SingularPoseError, WorkingModeError: see ``inverse_kinematics``.
+
+    Example:
+        >>> from redundancy_pin.simulation import closed_state
+        >>> closed_state(rp.load_robot("2rpr"), xd=[0.1, 0.0]).xd.round(3)
+        array([0.1, 0. ])
     """
     chain = ClosedChain(robot)
     if x is None:
@@ -179,6 +184,12 @@ def tree_state(robot: Robot, q: ArrayLike, v: ArrayLike, *, t: float = 0.0) -> S
 
     Raises:
         InputError: wrong shapes or values that are not finite.
+
+    Example:
+        >>> from redundancy_pin.simulation import tree_state
+        >>> robot = rp.load_robot("four_bar")
+        >>> tree_state(robot, robot.q_reference, np.zeros(3)).x.shape
+        (1,)
     """
     model = robot.model
     return State(ClosedChain(robot), float(t), checked(q, "q", (model.nq,)), checked(v, "v", (model.nv,)))

@@ -188,7 +188,8 @@ def classify(robot: RobotLike, q: ArrayLike, *, tolerance: float = RANK_TOLERANC
             outside (0, 1).
 
     Example:
-        >>> classify("3rrr", load_robot("3rrr").q_reference).kind
+        >>> rp.classify("3rrr", rp.load_robot("3rrr").q_reference).type_ii.tolist()
+        [False]
     """
     if not 0.0 < tolerance < 1.0:
         raise InputError(f"tolerance is {tolerance}.", remedy="Pass a fraction between 0 and 1, for example 1e-9.")
@@ -238,6 +239,11 @@ def classify_motion(motion: JointTrajectory, *, tolerance: float = RANK_TOLERANC
 
     Raises:
         InputError: a tolerance outside (0, 1), see ``classify``.
+
+    Example:
+        >>> pose = rp.inverse_kinematics("3rrr", rp.trajectory.reference.corner().sample(0.1))
+        >>> rp.classify_motion(pose).parallel_margin.shape
+        (22,)
     """
     require_type(motion, JointTrajectory, "A joint trajectory", "Pass what inverse_kinematics(robot, motion) returns.")
     good, spread = motion.reachable, {}

@@ -111,8 +111,10 @@ def find_crossings(
         WorkingModeError: the motion cannot be followed in the working mode; carries the time.
 
     Example:
-        >>> for crossing in find_crossings("2rpr", reference.circle()):
-        ...     print(crossing.t, crossing.kind.label, crossing.crosses)
+        >>> for crossing in rp.find_crossings("2rpr", rp.trajectory.reference.circle()):
+        ...     print(round(crossing.t, 2), crossing.kind.label, crossing.crosses)
+        0.52 type_ii True
+        0.83 type_ii True
     """
     for name, value in (("spacing", spacing), ("tolerance", tolerance)):
         if not 0.0 < value < 1.0:

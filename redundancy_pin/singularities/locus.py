@@ -165,8 +165,9 @@ def singular_locus(
         UnreachablePoseError, WorkingModeError: the reference position cannot be reached at this orientation.
 
     Example:
-        >>> locus = singular_locus("five_bar", resolution=40)
-        >>> [curve.points.shape for curve in locus.of_kind(SingularityKind.TYPE_II)]
+        >>> locus = rp.singular_locus("five_bar", resolution=20)
+        >>> locus.curves[0].points.shape[1]
+        2
     """
     robot = as_robot(robot)
     place, fixed = _slice(robot, orientation)

@@ -116,7 +116,9 @@ def performance(
         UnsupportedRobotError: fewer motors than DOF.
 
     Example:
-        >>> performance(robot, robot.q_reference, efforts=20.0).force.axes[0]
+        >>> robot = rp.load_robot("five_bar")
+        >>> rp.performance(robot, robot.q_reference, efforts=20.0).force.axes.shape
+        (1, 2)
     """
     robot = as_robot(robot)
     q, W = _actuation(robot, q)
@@ -148,6 +150,11 @@ def platform_stiffness(robot: RobotLike, q: ArrayLike, stiffness: ArrayLike | Ma
 
     Raises:
         InputError: wrong shapes, unknown names, numbers that are negative.
+
+    Example:
+        >>> robot = rp.load_robot("five_bar")
+        >>> rp.platform_stiffness(robot, robot.q_reference, 500.0).shape
+        (1, 2, 2)
     """
     robot = as_robot(robot)
     gamma = closed_configurations(robot, q).gamma
@@ -181,6 +188,11 @@ def platform_play(robot: RobotLike, q: ArrayLike, play: ArrayLike) -> Array:
     Raises:
         InputError: wrong shapes, configurations that are not closed, numbers that are negative.
         UnsupportedRobotError: fewer motors than DOF.
+
+    Example:
+        >>> robot = rp.load_robot("five_bar")
+        >>> rp.platform_play(robot, robot.q_reference, 1e-3).shape
+        (1, 2)
     """
     robot = as_robot(robot)
     q, W = _actuation(robot, q)

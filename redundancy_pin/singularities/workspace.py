@@ -189,8 +189,9 @@ def workspace(
         UnreachablePoseError, SingularPoseError, WorkingModeError: the robot cannot be at ``at``.
 
     Example:
-        >>> space = workspace("five_bar", resolution=20)
-        >>> space.size, space.best.max()
+        >>> space = rp.workspace("five_bar", resolution=10)
+        >>> space.best.shape
+        (10, 10)
     """
     robot = as_robot(robot)
     names = _names(robot, free)

@@ -245,6 +245,10 @@ def from_csv(
             of that quantity, a cell that is not a finite number (with row and column), rows of different lengths,
             columns of another robot, rates that are not those of the positions (with column, sample and both values),
             positions without rates, or a motion that is not one.
+
+    Example:
+        >>> rp.trajectory.from_csv("motion.csv").x.shape
+        (3, 2)
     """
     table = _sampled(path, robot)
     motion = _platform(table, check_rates)
@@ -268,6 +272,10 @@ def carriers_from_csv(
 
     Raises:
         InputError: as ``from_csv``.
+
+    Example:
+        >>> rp.trajectory.carriers_from_csv("motion.csv") is None  # no carrier columns: parked
+        True
     """
     table = _sampled(path, robot)
     if not table.carriers:

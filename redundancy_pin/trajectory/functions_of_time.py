@@ -55,6 +55,11 @@ class PiecewisePolynomial(Frozen):
     Attributes:
         edges: (P + 1,) ends of the pieces, s.
         coefficients: (D + 1, P, C) of the powers of the time since the left end, the highest first, as in ``PPoly``.
+
+    Example:
+        >>> ramp = rp.trajectory.PiecewisePolynomial(np.array([0.0, 2.0]), np.array([[[3.0]], [[1.0]]]))
+        >>> ramp(1.0)
+        array([4.])
     """
 
     edges: Array

@@ -102,6 +102,10 @@ class Line(Frozen, SmoothPath):
 
     Raises:
         InputError: the ends coincide, differ in dimension, or are not finite.
+
+    Example:
+        >>> rp.trajectory.Line([0.0, 0.0], [0.3, 0.4]).length
+        0.5
     """
 
     start: Array
@@ -145,6 +149,10 @@ class Arc(Frozen, SmoothPath):
 
     Raises:
         InputError: radius or sweep not positive, axes not orthonormal, wrong shapes.
+
+    Example:
+        >>> rp.trajectory.Arc([0.0, 0.0], 0.1, [1.0, 0.0], [0.0, 1.0], 2.0).length
+        0.2
     """
 
     centre: Array
@@ -197,7 +205,11 @@ class PoseLine(Frozen, SmoothPath):
         InputError: not homogeneous poses, or poses half a turn apart.
 
     Example:
-        >>> Trajectory(PoseLine(start, end), RestToRest(1.0, duration=2.0))
+        >>> end = np.eye(4)
+        >>> end[:3, 3] = [0.1, 0.0, 0.2]
+        >>> path = rp.trajectory.PoseLine(np.eye(4), end)
+        >>> rp.trajectory.Trajectory(path, rp.trajectory.RestToRest(1.0, duration=2.0)).duration
+        2.0
     """
 
     start: Array
@@ -237,6 +249,10 @@ def circle_path(centre: ArrayLike, radius: float, start_angle: float = 0.0, swee
 
     Raises:
         InputError: radius not positive, no sweep, wrong shapes.
+
+    Example:
+        >>> round(rp.trajectory.circle_path([0.25, 0.18], 0.2).length, 3)
+        1.257
     """
     middle = checked(centre, "centre", (2,))
     radial = np.array([np.cos(start_angle), np.sin(start_angle)])
@@ -311,7 +327,13 @@ class ConstantAppended(Frozen):
 
 
 def with_constant(path: Path, values: ArrayLike) -> ConstantAppended:
-    """Return ``path`` with constant coordinates (scalar or (c,), m or rad) appended: (x, y) becomes (x, y, alpha)."""
+    """Return ``path`` with constant coordinates (scalar or (c,), m or rad) appended: (x, y) becomes (x, y, alpha).
+
+    Example:
+        >>> line = rp.trajectory.Line([0.8, 0.4], [0.9, 0.4])
+        >>> rp.trajectory.with_constant(line, 0.1).dimension
+        3
+    """
     return ConstantAppended(path, values)
 
 

@@ -88,6 +88,11 @@ def from_points(
     Raises:
         InputError: none or two of times and speed, points that are none, times that do not increase, a file that
             cannot be read (with row and column), ...
+
+    Example:
+        >>> move = rp.trajectory.from_points([[0.2, 0.6], [0.3, 0.6]], [0.0, 1.0], ends="rest")
+        >>> move.sample(0.01).x.shape
+        (101, 2)
     """
     given, remedy = "", 'Pass one of times=[...], speed=0.1, and times="time-optimal" with limits.'
     if isinstance(points, (str, os.PathLike)):

@@ -35,7 +35,7 @@ def boundary_polynomial(
         InputError: t1 is not after t0, no condition at all, different shapes, or values that are not finite.
 
     Example:
-        >>> boundary_polynomial(0.0, 2.0, [0.0, 0.0], [1.0, 0.0])(1.0)
+        >>> rp.trajectory.boundary_polynomial(0.0, 2.0, [0.0, 0.0], [1.0, 0.0])(1.0)
         array([0.5])
     """
     first, last = float(t0), float(t1)
@@ -65,12 +65,21 @@ def rest_to_rest_345(t0: float, t1: float, start: ArrayLike, end: ArrayLike) -> 
 
     Raises:
         InputError: as ``boundary_polynomial``.
+
+    Example:
+        >>> rp.trajectory.rest_to_rest_345(0.0, 1.0, [0.0], [1.0])(0.5)
+        array([0.5])
     """
     return _rest_to_rest(t0, t1, start, end, zeros=2)
 
 
 def rest_to_rest_4567(t0: float, t1: float, start: ArrayLike, end: ArrayLike) -> PiecewisePolynomial:
-    """Return the 4-5-6-7 polynomial: at rest without acceleration or jerk at both ends; see ``rest_to_rest_345``."""
+    """Return the 4-5-6-7 polynomial: at rest without acceleration or jerk at both ends; see ``rest_to_rest_345``.
+
+    Example:
+        >>> rp.trajectory.rest_to_rest_4567(0.0, 1.0, [0.0], [1.0])(0.5)
+        array([0.5])
+    """
     return _rest_to_rest(t0, t1, start, end, zeros=3)
 
 
@@ -169,6 +178,10 @@ class RestToRest(TimingLaw):
 
     Raises:
         InputError: length or duration not positive, unknown shape.
+
+    Example:
+        >>> rp.trajectory.RestToRest(0.5, duration=2.0).duration
+        2.0
     """
 
     shape: Literal["3-4-5", "4-5-6-7"]
@@ -216,6 +229,10 @@ class SpeedProfile(TimingLaw):
     Raises:
         InputError: a value that is not positive, a ramp length that would run backwards (with the admissible
             range), or a path too short for both ramps (with the lengths).
+
+    Example:
+        >>> rp.trajectory.SpeedProfile(0.5, 0.2, 0.1).duration
+        2.6
     """
 
     speed: float

@@ -110,6 +110,12 @@ class Trajectory(Frozen):
 
     Raises:
         InputError: path and timing law have different lengths.
+
+    Example:
+        >>> path = rp.trajectory.Line([0.2, 0.6], [0.3, 0.6])
+        >>> move = rp.trajectory.Trajectory(path, rp.trajectory.RestToRest(path.length, duration=1.0))
+        >>> len(move.sample(dt=0.1))
+        11
     """
 
     path: Path

@@ -49,6 +49,10 @@ def corner_path(
 
     Raises:
         InputError: a length, the radius, the direction or the angle is zero, negative or not finite.
+
+    Example:
+        >>> round(rp.trajectory.corner_path([0.8, 0.4], [1.0, 0.0], 0.12, 0.025).length, 3)
+        0.279
     """
     first = checked(start, "start", (2,))
     heading = checked(direction, "direction", (2,))
@@ -86,6 +90,10 @@ def rounded_polygon(
         InputError: too few vertices, two that coincide, an edge that turns back on itself, a radius that does
             not fit (with edge, lengths and the largest radius that fits), a start off the straight part or of an
             open polygon.
+
+    Example:
+        >>> round(rp.trajectory.rounded_polygon([[0, 0], [0.2, 0], [0.2, 0.2], [0, 0.2]], 0.02).length, 3)
+        0.766
     """
     corners = _near(vertices, "vertices")
     r = positive(radius, "radius", "m")
@@ -200,6 +208,10 @@ class SplinePath(Frozen, SmoothPath):
 
     Raises:
         InputError: too few points, two consecutive ones that coincide, or a spline with a cusp.
+
+    Example:
+        >>> round(rp.trajectory.SplinePath([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]]).length, 3)
+        0.461
     """
 
     points: Array
@@ -255,6 +267,10 @@ def through_points(points: ArrayLike, *, closed: bool = False) -> SplinePath:
 
     Raises:
         InputError: too few points, two consecutive ones that coincide, or a spline with a cusp.
+
+    Example:
+        >>> round(rp.trajectory.through_points([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]]).length, 3)
+        0.461
     """
     return SplinePath(points, closed=closed)
 

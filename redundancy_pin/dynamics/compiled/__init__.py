@@ -61,6 +61,11 @@ class CompiledDynamics(Dynamics):
     Raises:
         CompilerError: there is no C compiler, or it fails.
         UnsupportedRobotError: a joint of a type that is not covered.
+
+    Example:
+        >>> fast = rp.CompiledDynamics("five_bar")
+        >>> fast.torque([0.2, 0.6], [0.5, 0.0], [0.0, 1.0]).status.label
+        'ok'
     """
 
     def __init__(self, robot: RobotLike, *, threads: int | None = None) -> None:

@@ -111,7 +111,7 @@ class GpuDynamics:
         InputError: robots of different topologies.
 
     Example:
-        >>> dynamics = GpuDynamics("3rrr", device="cpu")
+        >>> dynamics = rp.GpuDynamics("3rrr", device="cpu")
         >>> x = np.array([[0.5, 0.29, 0.0], [0.51, 0.29, 0.0]])
         >>> found = dynamics.torque(x, 0.1, 0.0)
         >>> found.tau.shape, found.status.tolist()

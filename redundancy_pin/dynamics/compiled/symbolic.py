@@ -93,6 +93,11 @@ def symbolic(robot: RobotLike) -> SymbolicRobot:
 
     Raises:
         UnsupportedRobotError: a joint of a type that is not covered.
+
+    Example:
+        >>> sym = rp.symbolic(rp.load_robot("five_bar"))
+        >>> sym.closure.size_out(0)
+        (2, 1)
     """
     robot = as_robot(robot)
     chain = SymbolicChain(robot)

@@ -47,6 +47,11 @@ class VirtualWork(Dynamics):
     Raises:
         UnsupportedRobotError: the robot declares no closed form, or one that is not known here; or its model was
             replaced by one of another mass than its arguments say (other changes of the model are not seen).
+
+    Example:
+        >>> motion = rp.trajectory.reference.corner().sample(0.01)
+        >>> rp.VirtualWork(rp.load_robot("3rrr")).reduce(motion).W.shape[1:]
+        (3, 3)
     """
 
     def __init__(self, robot: RobotLike) -> None:

@@ -155,9 +155,9 @@ def co_design(
             carry out a task. Without carriers that includes a type II singularity on the way, and an exceeded limit.
 
     Example:
-        >>> turn = Trajectory(Line([0.0], [2.0 * np.pi]), RestToRest(2.0 * np.pi, duration=1.0))
-        >>> best = co_design([("four_bar", turn, {"objective": "peak"})], {"rocker_length": (0.2, 0.4)})
-        >>> best.values[0] < best.before[0]
+        >>> turn = rp.trajectory.from_points([[0.0], [2.0 * np.pi]], [0.0, 1.0], ends="rest")
+        >>> best = rp.co_design([("four_bar", turn, {"objective": "peak"})], {"rocker_length": (0.2, 0.4)})
+        >>> bool(best.values[0] < best.before[0])
         True
     """
     search = Search(_tasks(tasks), design)

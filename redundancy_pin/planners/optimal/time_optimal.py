@@ -97,6 +97,13 @@ def plan_time_optimal(
         InfeasiblePlanError: no timing keeps the limits, as under gravity where they are below what holding takes: it
             names those that would suffice, as ``plan_whole_trajectory``. Or a singularity is touched.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
+
+    Example:
+        >>> bare = rp.load_robot("3rrr", carriers=False, working_mode=(1, 1, 1))
+        >>> path = rp.trajectory.reference.corner().path
+        >>> plan = rp.plan_time_optimal(bare, path, limits=rp.Limits(effort=3.03))
+        >>> round(float(plan.t[-1]), 2)
+        1.07
     """
     options = {"limits": limits, "mesh": mesh, "solver": solver, "begin": begin, "end": end, "datum": datum, "lap": lap}
     return optimise_timing(path_task(as_dynamics(dynamics), path, **options))[0]

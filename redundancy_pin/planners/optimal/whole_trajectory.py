@@ -115,6 +115,12 @@ def plan_whole_trajectory(
             the limit that would suffice. Or the motion touches a type II singularity, rests in it or stays in it
             (constraint "singular_touch"), where no finite efforts are determined.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
+
+    Example:
+        >>> line = rp.trajectory.reference.line(speed=0.2)
+        >>> plan = rp.plan_whole_trajectory("2rpr", line, mesh=rp.Mesh(dt=0.05))
+        >>> plan.status.value
+        'ok'
     """
     dynamics = as_cached_dynamics(dynamics)
     source = as_motion(motion)

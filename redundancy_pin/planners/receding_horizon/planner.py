@@ -48,6 +48,11 @@ class RecedingHorizon:
         InputError: a setting out of its domain.
         UnsupportedRobotError: no carriers.
         CompilerError: there is no C compiler, or it fails.
+
+    Example:
+        >>> planner = rp.RecedingHorizon("2rpr", horizon=0.4)
+        >>> planner.update(0.0, rp.trajectory.reference.circle(speed=0.5)).status.value
+        'ok'
     """
 
     @takes_groups({})

@@ -107,6 +107,12 @@ def run_online(
         InputError: a step or a horizon that is too long for the motion.
         InfeasiblePlanError: a start off the track; a tick was refused, or the platform does not get along however slow;
             carries how far the motion is possible.
+
+    Example:
+        >>> from redundancy_pin.planners.receding_horizon import run_online
+        >>> run = run_online(rp.RecedingHorizon("2rpr"), rp.trajectory.reference.line(speed=0.2))
+        >>> run.counts["relaxed"]
+        0
     """
     tick = planner.step if tick is None else positive(tick, "tick", "s")
     if tick > planner.horizon:

@@ -147,6 +147,11 @@ def plan_stepwise(
             keeps the limits; the motion comes too close to a type II singularity. Carries constraint, joint, time and
             amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
+
+    Example:
+        >>> plan = rp.plan_stepwise("3rrr", rp.trajectory.reference.corner())
+        >>> round(float(plan.peak_effort.max()), 2)
+        7.31
     """
     dynamics, mesh = as_cached_dynamics(dynamics), group_of(mesh, Mesh)
     own_steps = {"dt": "the motion has steps of its own"} if isinstance(motion, PlatformMotion) else {}

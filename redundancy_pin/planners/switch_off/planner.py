@@ -114,6 +114,11 @@ def plan_switch_off(
         InfeasiblePlanError: a window too early or too late in the motion, no room or no admissible return, or a
             force that nothing can carry at the singular pose; carries constraint, time and amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
+
+    Example:
+        >>> plan = rp.plan_switch_off("2rpr", rp.trajectory.reference.circle(speed=0.5), threshold=20.0)
+        >>> plan.status.value, round(float(plan.peak_effort.max()), 1)
+        ('ok', 23.2)
     """
     dynamics, mesh = as_dynamics(dynamics), group_of(mesh, Mesh)
     refuse_fields(NO_NODES, mesh)

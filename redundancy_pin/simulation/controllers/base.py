@@ -43,6 +43,11 @@ class Sampling:
     Attributes:
         period: s.
         delay: from reading the state to the change of the efforts, s; may exceed the period.
+
+    Example:
+        >>> from redundancy_pin.simulation.controllers import Sampling
+        >>> Sampling(period=1e-3, delay=1e-3).delay
+        0.001
     """
 
     period: float
@@ -220,6 +225,12 @@ class FeedForward(Tracking):
 
     Raises:
         InfeasiblePlanError, PlanFileError: see ``plan_reference``.
+
+    Example:
+        >>> from redundancy_pin.simulation import FeedForward
+        >>> plan = rp.plan_stepwise("3rrr", rp.trajectory.reference.corner())
+        >>> rp.simulate("3rrr", FeedForward(plan), duration=0.1).status.value
+        'ok'
     """
 
     def __init__(

@@ -51,6 +51,13 @@ def controller_by_name(
 
     Raises:
         InputError: an unknown name, or a setting that the controller refuses.
+
+    Example:
+        >>> from redundancy_pin.simulation import controllers
+        >>> from redundancy_pin.simulation import plan_reference
+        >>> plan = rp.plan_stepwise("3rrr", rp.trajectory.reference.corner())
+        >>> type(controllers.controller_by_name("open loop", plan_reference(plan))).__name__
+        'FeedForward'
     """
     one_of(name, "The controller", DRIVES)
     if name == "open loop":
@@ -107,6 +114,12 @@ def joint_friction(
 
     Raises:
         InputError: negative friction.
+
+    Example:
+        >>> from redundancy_pin.simulation import controllers
+        >>> friction = controllers.joint_friction(rp.load_robot("four_bar"), revolute_coulomb=0.1)
+        >>> rp.simulate("four_bar", duration=0.05, external=friction).status.value
+        'ok'
     """
     given = {"prismatic_coulomb": prismatic_coulomb, "prismatic_viscous": prismatic_viscous,
              "revolute_coulomb": revolute_coulomb, "revolute_viscous": revolute_viscous}  # fmt: skip

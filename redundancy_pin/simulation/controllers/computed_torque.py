@@ -170,6 +170,13 @@ class ComputedTorque(Tracking):
     Raises:
         InputError: a gain, scale or limit out of its domain.
         InfeasiblePlanError, PlanFileError: see ``plan_reference``.
+
+    Example:
+        >>> from redundancy_pin.simulation import controllers
+        >>> plan = rp.plan_stepwise("3rrr", rp.trajectory.reference.corner())
+        >>> control = controllers.ComputedTorque(plan)
+        >>> rp.simulate("3rrr", control, duration=0.1, rtol=1e-6, atol=1e-8).status.value
+        'ok'
     """
 
     carrier_drive: CarrierDrive = "force"

@@ -84,6 +84,13 @@ def bryson_weights(
 
     Raises:
         InputError: a value that is not positive, or of the wrong shape.
+
+    Example:
+        >>> from redundancy_pin.simulation import controllers
+        >>> from redundancy_pin.simulation import plan_reference
+        >>> plan = rp.plan_stepwise("3rrr", rp.trajectory.reference.corner())
+        >>> controllers.bryson_weights(plan_reference(plan)).Q.shape
+        (12, 12)
     """
     for name, value in (("position", position), ("carrier", carrier), ("bandwidth", bandwidth)):
         positive(value, name, "")
@@ -279,6 +286,13 @@ class TimeVaryingLqr(Tracking):
         SingularPoseError: a type I pose on the way.
         IllPosedModelError: a free motion of the model has no inertia somewhere on the way.
         InfeasiblePlanError, PlanFileError: see ``plan_reference``.
+
+    Example:
+        >>> from redundancy_pin.simulation import controllers
+        >>> plan = rp.plan_stepwise("3rrr", rp.trajectory.reference.corner())
+        >>> control = controllers.TimeVaryingLqr(plan, step=0.05)
+        >>> control.holds_end
+        True
     """
 
     carrier_drive: CarrierDrive = "force"
