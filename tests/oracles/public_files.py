@@ -1,4 +1,4 @@
-"""Public model files: what is read, and how far efforts are from an independent computation: docs/tables/public_files.md.
+"""Public model files: what is read, and the difference from an independent computation: docs/tables/public_files.md.
 
 python tests/oracles/public_files.py FOLDER [WORD ...]
 

@@ -27,8 +27,8 @@ KEY = "promise"
 """Of a report's ``user_properties``, which reach the process that prints from those that test."""
 
 Keep = Callable[[str, str, Mapping[str, int], Mapping[str, int]], None]
-"""From a promise as ``docs/tables/counts.md`` names it, the kind of cases, counts of how they ended ("right", "refused",
-"wrong"), and of the classes of what was wrong."""
+"""From a promise as ``docs/tables/counts.md`` names it, the kind of cases, counts of how they ended ("right",
+"refused", "wrong"), and of the classes of what was wrong."""
 
 Kept = dict[str, list[dict[str, Any]]]
 """What tests have noted down: promise, counts and classes, by the names of the tests."""

@@ -31,7 +31,7 @@ NEWTON_TOLERANCE = 1e-10
 """Relative tolerance of Newton's method. At Exudyn's own 1e-8 the error stops falling near 1e-7 m."""
 
 LEAST_MASS = 1e-12
-"""Mass, kg, of links that have none: Exudyn 1.13 divides by the mass of the last link of a chain (docs/tables/engines.md)."""
+"""Mass, kg, of links without mass: Exudyn 1.13 divides by that of a chain's last link (docs/tables/engines.md)."""
 
 
 def run_exudyn(
