@@ -84,8 +84,9 @@ class ResultStatus(Enum):
     UNBOUNDED = "unbounded"
     """No finite efforts, or none within given bounds, exist at some sample or at a singularity between two."""
     UNRESOLVED = "unresolved"
-    """Not known from the samples: efforts between them exceed those at them by more than 5 %, or the motion cannot be
-    followed between them. For a cell of a feasibility map: nothing is known, since planner or solver failed."""
+    """Not known from the samples: an effort between them exceeds that actuator's largest at them by more than 5 % of
+    the largest of all actuators, or the motion cannot be followed between them. For a cell of a feasibility map:
+    nothing is known, since planner or solver failed."""
     NOT_CONVERGED = "not_converged"
     """The solver ended early. A plan keeps every limit but may not be the best; a simulation ends where its
     integration could not continue, and ``reason`` says why."""
