@@ -75,9 +75,10 @@ class ResultStatus(Enum):
 
     OK = "ok"
     """Complete: efforts are finite and every limit holds on the continuous motion, to 0.1 % (``LIMIT_TOLERANCE``);
-    a simulation reached its end."""
+    a simulation reached its end, its samples within every limit of the robot."""
     LIMIT_VIOLATED = "limit_violated"
-    """A limit is exceeded somewhere on the continuous motion, or the range of a joint is left."""
+    """A limit is exceeded somewhere on the continuous motion, or the range of a joint is left. Of a simulation: at a
+    sample."""
     INFEASIBLE = "infeasible"
     """The planner reports that no plan keeps every limit: an ``InfeasiblePlanError``, where sweeps record it as data.
     For a cell of a feasibility map also: its plan violates a limit or has no finite efforts."""

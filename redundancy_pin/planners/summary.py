@@ -13,6 +13,7 @@ from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.io.summary import Summary, TextTable, listed, number, row
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.limits import LimitEvent, worst_events
+from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.robot.joint_ranges import JointExcess, beyond_limits
 from redundancy_pin.status import ResultStatus, UpdateStatus
 
@@ -94,7 +95,7 @@ def _table(plan: Plan, facts: Mapping[str, Any]) -> TextTable:
         ("phases [s]", listed(phases, _LISTED_PHASES, ", ")),
         (f"peak main effort [{main}]", row(facts["peak_effort"])),
         (f"rms main effort at the samples [{main}]", row(facts["rms_effort"])),
-        (f"reversals at the samples above {100.0 * REVERSAL:g} % of the peak", row(facts["reversals"])),
+        (f"reversals above {100.0 * REVERSAL:g} % of the peak, at the samples", row(facts["reversals"])),
         (f"peak carrier effort [{moved}]", row(facts["peak_carrier_force"])),
     ]
     if "base_point" in facts:
@@ -109,7 +110,7 @@ def _table(plan: Plan, facts: Mapping[str, Any]) -> TextTable:
         *([("advice", facts["advice"])] if facts["advice"] else []),
     ]
     for name, events in (("limits broken", plan.limits.violated), ("limits touched", plan.limits.binding)):
-        texts = event_texts(plan, events, broken=events is plan.limits.violated)
+        texts = event_texts(plan.robot, events, broken=events is plan.limits.violated)
         rows.append((name, listed(texts, _LISTED, "\n") or "none"))
     return TextTable(f"{plan.robot.name}, {plan.planner.replace('_', ' ')}", [*rows])
 
@@ -152,8 +153,7 @@ def warnings_of(plan: Plan, *, ranges: bool = True) -> Iterator[str]:
     finer = "" if late else finer
     broken = tuple(event for event in plan.limits.violated if ranges or event.quantity != "range")
     if broken and plan.status is ResultStatus.LIMIT_VIOLATED:
-        texts = event_texts(plan, broken, broken=True)
-        yield f"limits broken: {listed(texts, _LISTED, '; ')}."
+        yield limits_broken(plan.robot, broken)
     if plan.status is ResultStatus.UNBOUNDED:
         bad = np.flatnonzero(~np.isfinite(plan.tau).all(axis=1))
         where = f" between the samples, at t = {check.time[int(check.peak.argmax())]:.6g} s"
@@ -202,11 +202,16 @@ def _unplanned(plan: Plan) -> Iterator[str]:
     )
 
 
-def event_texts(plan: Plan, events: tuple[LimitEvent, ...], *, broken: bool) -> list[str]:
+def limits_broken(robot: RobotRecord, events: tuple[LimitEvent, ...]) -> str:
+    """Return the warning that limits are broken: which, by how much, and when."""
+    return f"limits broken: {listed(event_texts(robot, events, broken=True), _LISTED, '; ')}."
+
+
+def event_texts(robot: RobotRecord, events: tuple[LimitEvent, ...], *, broken: bool) -> list[str]:
     """Return a text for the worst event of each quantity of each joint: by how much a limit is broken, or which."""
     texts = []
     for event in worst_events(events):
-        unit = plan.robot.limit_unit(event.quantity, event.joint)
+        unit = robot.limit_unit(event.quantity, event.joint)
         limit = event.limit if event.quantity in ("track", "range") else abs(event.limit)  # the others are of a size
         much = f"by {event.amount:.3g} {unit}" if broken else f"at its limit {limit:.3g} {unit}"
         texts.append(f"{event.quantity} of {event.joint} {much} at t = {event.worst:.4g} s")

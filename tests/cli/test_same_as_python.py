@@ -29,7 +29,6 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Payload, Wrench
 from redundancy_pin.simulation import Sampling, closed_state, load_simulation, plan_reference
 from redundancy_pin.simulation.controllers import ComputedTorque, Encoders, JointFriction
-from redundancy_pin.simulation.summary import summary
 from redundancy_pin.singularities.locus import singular_locus
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import carriers_from_csv, from_csv, from_points, reference
@@ -495,10 +494,17 @@ def test_how_a_simulation_ends_is_its_exit_code(saved: Path) -> None:
     last = load_simulation("run.npz").events[-1]
     assert (result.exit_code, last.kind, last.terminal) == (3, "track", True)
     # it is far off its path by then, from which a narrower track does not keep it
-    assert result.stderr == f"warning: stopped at t = {last.t:.6g} s: track ({last.name})\n"
-    facts_of(f"simulate --plan {saved} --machine carrier_mass=0.5 --stop-at never --duration {last.t + 0.01}")
-    pushed = facts_of(
-        f"simulate --plan {saved} --machine carrier_mass=0.5 --joint-stops inelastic --duration {last.t + 0.01}"
+    assert result.stderr.startswith(
+        f"warning: stopped at t = {last.t:.6g} s: track ({last.name})\nwarning: limits broken: "
+    )
+    lighter = f"simulate --plan {saved} --machine carrier_mass=0.5 --duration {last.t + 0.01}"
+    for event in facts_of(f"{lighter} --stop-at never", 3)["limits"]["violated"]:
+        assert event["amount"] == pytest.approx(abs(event["value"]) - abs(event["limit"]))
+    pushed = facts_of(f"{lighter} --joint-stops inelastic", 3)
+    longer = call("simulate", "--plan", saved, "--duration", "2.5")
+    ends = rp.load_plan(saved).t[-1]
+    assert (
+        f"warning: the motion to follow ends at t = {ends:.6g} s, and the simulation goes on to 2.5 s" in longer.stderr
     )
     (hit,) = (event for event in pushed["events"] if event["name"] == last.name)
     assert (hit["t"], hit["terminal"], hit["impulse"] > 0.0) == (pytest.approx(last.t, abs=1e-9), False, True)
@@ -521,7 +527,7 @@ def test_a_plan_that_uses_the_whole_track_leaves_no_room_and_the_remedy_makes_so
     # it is no remedy where the platform or the carriers are elsewhere than planned
     stopped, motion = load_simulation("3.npz"), plan_reference(rp.load_plan("plan.npz"))
     for other in (replace(stopped, x=stopped.x + 0.05), replace(stopped, s=0.5 * stopped.s)):
-        (warning,) = summary(other, motion, motion.robot).warnings
+        warning = other.summary(motion, motion.robot).warnings[0]
         assert ("stopped at" in warning, "--track" in warning) == (True, False)
 
 
