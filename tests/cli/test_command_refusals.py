@@ -103,6 +103,7 @@ plan stepwise --robot 3rrr => A plan needs a motion
 {LINE} --plot plan.txt => Cannot write plan.txt
 {LINE} --plot nowhere/plan.png => Cannot write nowhere/plan.png
 {LINE} --treshold 5 => No such option '--treshold'
+{LINE} --thresh 5 => No such option '--thresh'. Did you mean '--threshold'?
 {LINE} --return-time 100 => The return of the carriers takes 100 s from t = 5.11191 s
 {LINE} --set end_effector_mass=1 --motion circle => At the singular pose
 {CORNER} --dt 0 => dt is 0 s

@@ -378,7 +378,10 @@ def test_singular_instants(monkeypatch: pytest.MonkeyPatch) -> None:
     coarse = partial(singular_locus, resolution=15)  # of the picture, which is not looked at
     monkeypatch.setattr(importlib.import_module("redundancy_pin.cli.singularities"), "singular_locus", coarse)
     half = np.sqrt(0.2**2 - 0.185**2)
-    found = facts_of("singularities --robot 2rpr --motion circle:speed=0.75 --plot locus.png")["crossings"]
+    facts = facts_of("singularities --robot 2rpr --motion circle:speed=0.75 --plot locus.png")
+    found, summary = facts["crossings"], coarse("2rpr").summary()
+    assert facts["locus"] == json.loads(json.dumps(json_data(summary)))
+    assert str(summary) in call("singularities", "--robot", "2rpr", "--plot", "locus.png").stdout
     assert [one["x"][0] for one in found] == pytest.approx([0.25 - half, 0.25 + half], abs=1e-10)
     for one in found:
         assert (one["kind"], one["crosses"], one["lost_direction"]) == ("type_ii", True, [None, None])
