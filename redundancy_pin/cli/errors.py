@@ -55,7 +55,9 @@ class OneLineErrors(click.Group):
             hint = f" See `{context.command_path} --help`." if context is not None else ""
             message = error.format_message()
             if isinstance(error, click.NoSuchOption) and context is not None:  # click names the nearest alone
-                flags = [flag for one in context.command.get_params(context) for flag in (*one.opts, *one.secondary_opts)]
+                flags = [
+                    flag for one in context.command.get_params(context) for flag in (*one.opts, *one.secondary_opts)
+                ]
                 message = f"{error.message} {did_you_mean(error.option_name, flags)}".rstrip()
             _end(message + hint, BAD_INPUT)
         except RedundancyPinError as error:

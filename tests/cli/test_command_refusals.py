@@ -204,13 +204,14 @@ export plan.npz --to plan.npz => --to plan.npz does not end in .csv or .json or 
 {RUN} --plot run.txt => Cannot write run.txt
 simulate => There is nothing to simulate
 simulate --robot 3rrr => A simulation without a plan needs a motion
+simulate --robot five_bar --motion circle --park 0.1 => is 0.1, but the robot has no carriers
 simulate --robot 2rpr --motion circle --park 0,0,0 => The place of parked carriers has 3 values for 2 carriers
 simulate --robot 2rpr --motion circle => The motion has no finite efforts at t = 0.519414238 s
 simulate --robot gough --motion circle => The motion has 2 coordinates
 show --html x.html => There is nothing to show
 show --plan plan.npz --motion in.csv --html x.html => --plan and a motion are both given
 show --plan plan.npz --working-mode ++ --html x.html => --set
-show --plan plan.npz --robot 2rpr --html x.html => is not the one the plan was made for
+show --plan plan.npz --robot 2rpr --html x.html => The robot 2rpr at 2rpr is not the one the plan was made for, 3rrr
 show --robot 3rrr --html none/x.html => no folder
 show --robot 3rrr --html x.png => Cannot write x.png
 show --robot 3rrr --force-scale 0 --html x.html => force_scale is 0

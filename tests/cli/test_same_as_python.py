@@ -333,7 +333,10 @@ def test_samples_without_efforts_are_marked_and_said() -> None:
     assert facts["statuses"] == {"ok": 2, "unreachable": 1}
     assert np.isnan(columns_of("out.csv")["tau:base_1"]).tolist() == [False, True, False]
     Path("line.csv").write_text(f"{head}\n0,0.2,0,0.3,-1,0,0\n")
+    drawn = call("inverse-dynamics", "--robot", "2rpr", "--motion", "line.csv", "--plot", "alone.png")
+    assert Path("alone.png").read_bytes().startswith(b"\x89PNG")
     result = call("inverse-dynamics", "--robot", "2rpr", "--motion", "line.csv", "--out", "out.csv")
+    assert drawn.exit_code == result.exit_code
     assert result.exit_code == 3
     assert "no finite main efforts at 1 of 1 samples, first at t = 0 s (singular_inconsistent)" in result.stderr
     # theta_dd = -2 d_dot theta_dot / d for zero acceleration; only L² theta_dd acts, and its force on the platform is
