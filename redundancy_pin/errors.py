@@ -82,8 +82,10 @@ def shortened(text: str, most: int = _SHOWN) -> str:
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return the start of a remedy that names the nearest known name; empty if no name is near."""
-    close = difflib.get_close_matches(str(name)[:_SHOWN], list(known), n=1)
+    """Return the start of a remedy that names a known name: one that begins so, else the nearest; empty if none is."""
+    text, names = str(name)[:_SHOWN], list(known)
+    begun = [each for each in names if len(text) > 1 and each.startswith(text)]
+    close = difflib.get_close_matches(text, begun, n=1, cutoff=0.0) or difflib.get_close_matches(text, names, n=1)
     return f"Did you mean {shown(close[0])}? " if close else ""
 
 

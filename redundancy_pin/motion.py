@@ -162,9 +162,11 @@ def parked_place(at: ArrayLike, carriers: int, name: str) -> Array:
     """Return (k,) where carriers are parked, m, by one number for all or one for each.
 
     Raises:
-        InputError: ``at``, called ``name``, does not fit k carriers.
+        InputError: ``at``, called ``name``, does not fit k carriers; there are none, and it is not zero.
     """
     place = checked(np.atleast_1d(at) if _dimensions(at) == 0 else at, name, ("k",))
+    if not carriers and place.any():
+        raise InputError(f"{name} is {at}, but the robot has no carriers.", remedy="Leave it out.", name="park")
     if len(place) not in (1, carriers):
         raise InputError(
             f"{name} has {len(place)} values for {carriers} carrier{'s' * (carriers != 1)}.",

@@ -75,17 +75,19 @@ class ResultStatus(Enum):
 
     OK = "ok"
     """Complete: efforts are finite and every limit holds on the continuous motion, to 0.1 % (``LIMIT_TOLERANCE``);
-    a simulation reached its end."""
+    a simulation reached its end, its samples within every limit of the robot."""
     LIMIT_VIOLATED = "limit_violated"
-    """A limit is exceeded somewhere on the continuous motion, or the range of a joint is left."""
+    """A limit is exceeded somewhere on the continuous motion, or the range of a joint is left. Of a simulation: at a
+    sample."""
     INFEASIBLE = "infeasible"
     """The planner reports that no plan keeps every limit: an ``InfeasiblePlanError``, where sweeps record it as data.
     For a cell of a feasibility map also: its plan violates a limit or has no finite efforts."""
     UNBOUNDED = "unbounded"
     """No finite efforts, or none within given bounds, exist at some sample or at a singularity between two."""
     UNRESOLVED = "unresolved"
-    """Not known from the samples: efforts between them exceed those at them by more than 5 %, or the motion cannot be
-    followed between them. For a cell of a feasibility map: nothing is known, since planner or solver failed."""
+    """Not known from the samples: an effort between them exceeds that actuator's largest at them by more than 5 % of
+    the largest of all actuators, or the motion cannot be followed between them. For a cell of a feasibility map:
+    nothing is known, since planner or solver failed."""
     NOT_CONVERGED = "not_converged"
     """The solver ended early. A plan keeps every limit but may not be the best; a simulation ends where its
     integration could not continue, and ``reason`` says why."""

@@ -164,7 +164,7 @@ def test_a_plan_outside_its_robots_folder(
 ) -> None:
     """All four said ``source=``; the flag that they take comes with the path that it needs."""
     monkeypatch.chdir(tmp_path)
-    planned = call("plan", "stepwise", "--robot", own, "--motion", "corner", "--dt", "0.2", "--lam", "0",
+    planned = call("plan", "stepwise", "--robot", own, "--motion", "corner", "--dt", "0.005", "--lam", "0",
                    "--out", "plan.npz")  # fmt: skip
     assert planned.exit_code in (0, 3), planned.stderr
     line = refused(*command)
@@ -178,7 +178,7 @@ def test_a_plan_outside_its_robots_folder(
 def test_a_robot_that_moved(own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     shutil.copytree(own.parent, tmp_path / "here")
-    plan = rp.plan_stepwise(rp.RneaDynamics(rp.load_robot("here")), CORNER, mesh=rp.Mesh(dt=0.2))
+    plan = rp.plan_stepwise(rp.RneaDynamics(rp.load_robot("here")), CORNER, mesh=rp.Mesh(dt=0.005))
     plan.save("plan.npz")
     (tmp_path / "here").rename(tmp_path / "there")
     for command in COMMANDS:

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from redundancy_pin.errors import CrossCheckError, RedundancyPinError
+from redundancy_pin.errors import CrossCheckError, RedundancyPinError, did_you_mean
 
 FAILED_CHECK = 1
 """Exit code where the command ran and what it checked does not hold."""
@@ -53,7 +53,13 @@ class OneLineErrors(click.Group):
         except click.ClickException as error:
             context = getattr(error, "ctx", None)
             hint = f" See `{context.command_path} --help`." if context is not None else ""
-            _end(error.format_message() + hint, BAD_INPUT)
+            message = error.format_message()
+            if isinstance(error, click.NoSuchOption) and context is not None:  # click names the nearest alone
+                flags = [
+                    flag for one in context.command.get_params(context) for flag in (*one.opts, *one.secondary_opts)
+                ]
+                message = f"{error.message} {did_you_mean(error.option_name, flags)}".rstrip()
+            _end(message + hint, BAD_INPUT)
         except RedundancyPinError as error:
             flag = _flag_of(error, extra.get("args") or next(iter(args), None) or sys.argv[1:])
             _end(f"{flag}{error}", FAILED_CHECK if isinstance(error, CrossCheckError) else BAD_INPUT)

@@ -49,7 +49,7 @@ def _wrench(link: str, given: list[float]) -> Wrench:
 @options.backend_option()
 @options.motion_options("to follow")
 @click.option("--dt", type=float, metavar="SECONDS", help=f"Between samples of the trajectory.  [default: {STEP:g}]")
-@click.option("--out", required=True, metavar="CSV", help="Where the efforts go.")
+@click.option("--out", metavar="CSV", help="Where the efforts go.")
 @click.option("--plot", metavar="PICTURE", help="Draw the efforts over time (.png, .svg or .pdf).")
 @options.keyword_options(efforts_along, only=("unreachable", "upper", "lower", "preferred"))
 @click.option("--payload", multiple=True, metavar="LINK=MASS[,X,Y,Z]", callback=_loads(_payload, (1, 4)),
@@ -62,7 +62,7 @@ def inverse_dynamics(
     backend: str | None,
     motion: options.MotionOptions,
     dt: float | None,
-    out: str,
+    out: str | None,
     plot: str | None,
     payload: tuple[Load, ...],
     wrench: tuple[Load, ...],
@@ -78,7 +78,7 @@ def inverse_dynamics(
     x:JOINT, .... An instant may occur twice, for the acceleration before and after a jump. A file without rates is
     passed as a trajectory through its points.
 
-    The result has the columns of the motion, which --motion reads again, tau:JOINT for each actuator and carrier,
+    The CSV has the columns of the motion, which --motion reads again, tau:JOINT for each actuator and carrier,
     status, margin, residual. Where no finite effort exists, or none within the bounds, tau is nan and the status says
     why. --upper 40 bounds no negative effort; --lower=-40 --upper 40 does.
 
@@ -106,7 +106,8 @@ def inverse_dynamics(
         carriers = require_matching_carriers(loaded, motion.carriers(loaded), len(samples))
         advance(0, len(samples), "dynamics")
         result = efforts_along(dynamics, samples, carriers, **given)
-        result.to_csv(out)
+        if out:
+            result.to_csv(out)
 
         def draw(path: str) -> None:
             drawn = curves(loaded, result.reduced, result.efforts, carriers, bounds=result.bounds)

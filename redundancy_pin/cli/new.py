@@ -99,9 +99,10 @@ def new(
         except RedundancyPinError:  # such as a platform that does not move along its axes
             target.unlink() if before is None else write_text(target, before)
             raise
-        notes = (*loaded.notes, *filter(None, [too_few_motors(loaded)]))
+        far, near_guess = _branch_found(loaded, decided["guess"])
+        notes = (*loaded.notes, *filter(None, [too_few_motors(loaded)]), *near_guess)
         outcome = f"n = {loaded.n}, m = {loaded.m}"
-        warnings += _branch_found(loaded, decided["guess"])
+        warnings += far
     facts: dict[str, Any] = {
         "out": str(target),
         "loops": [{"name": each.name, "kind": each.kind, "links": each.links} for each in mechanism.loop_joints],
@@ -122,26 +123,34 @@ _FAR = 0.3
 """rad, or characteristic lengths: a joint that ends farther from its guess may be on another branch."""
 
 
-def _branch_found(robot: Robot, guess: Mapping[str, float]) -> list[str]:
-    """Return where joints are that a guess leaves out, and those that the closing of the loops took far from theirs."""
+_MOVED = 1e-3
+"""rad, or characteristic lengths: a joint that ends farther from its guess is said; a guess has three digits or so."""
+
+
+def _branch_found(robot: Robot, guess: Mapping[str, float]) -> tuple[list[str], list[str]]:
+    """Return warnings and notes of where the loops closed.
+
+    Warnings: joints that a guess leaves out, and those that end far from their guess. Notes: those that end near it.
+    """
     from redundancy_pin.loading.reference import reference_positions
     from redundancy_pin.robot.scales import is_revolute
 
     if not (guess and robot.closures):
-        return []
+        return [], []
     known = {*guess, *robot.carriers, *(one.joint for one in robot.couplings)}
-    warnings, left, far = [], [], []
+    warnings, left, far, moved = list[str](), list[str](), list[str](), list[str]()
     for name, at in reference_positions(robot).items():
         if name not in known:
             left.append(f"{name}={at:.3g}")
         elif name in guess:
             off = at - guess[name]
             off = math.remainder(off, math.tau) if is_revolute(robot, name) else off / robot.characteristic_length
-            far += [f"{name}={at:.3g}, not {guess[name]:.3g}"] if abs(off) > _FAR else []
+            if abs(off) > _MOVED:
+                (far if abs(off) > _FAR else moved).append(f"{name}={at:.6g}, not {guess[name]:.6g}")
     if left:
         names, places = ", ".join(one.partition("=")[0] for one in left), ",".join(left)
         warnings.append(f"--guess leaves out {names}: the branch is the one with {places}; guess all for another one.")
     if far:
         what = f"the loops closed far from --guess, with {'; '.join(far)}"
         warnings.append(f"{what}: where that is another branch, guess all joints, nearer to the one that is meant.")
-    return warnings
+    return warnings, [f"The loops closed near --guess, with {'; '.join(moved)}."] if moved else []

@@ -17,7 +17,6 @@ from redundancy_pin.simulation import KINDS, MotionReference, motion_reference, 
 from redundancy_pin.simulation import simulate as run_simulation
 from redundancy_pin.simulation.controllers.by_name import DRIVES
 from redundancy_pin.simulation.following import FRICTION, Conditions, follow
-from redundancy_pin.simulation.summary import summary
 from redundancy_pin.trajectory.trajectory import Ends
 from redundancy_pin.view import show as view
 from redundancy_pin.visualisation.figures.curves import run_title
@@ -74,7 +73,8 @@ def simulate(
     It starts as planned. --machine, --friction, --noise, --encoders and a sampled controller make it less than perfect;
     the controller knows the robot as planned.
 
-    Exit codes: 0 it reached its end; 3 it stopped at an event, such as the end of a track; 4 the integration could not
+    Exit codes: 0 it reached its end; 3 it stopped at an event, such as the end of a track, or exceeds a limit of the
+    robot, such as a speed of a carrier; 4 the integration could not
     go on (a line on stderr says which and when, what was simulated until then is written); 2 bad input.
 
     \b
@@ -118,7 +118,7 @@ def simulate(
 
         plot, undrawn = output.drawn(plot, lambda path: save(overview(run, plan, robot=machine, title=title), path))
         video, unfilmed = output.drawn(video, film)
-    facts = summary(run, reference, machine)
+    facts = run.summary(reference, machine)
     facts.tables[0].title += f", {controller}"
     files = {"out": ("simulation", out), "plot": ("picture", plot), "video": ("video", video)}
     followed = f"the plan {plan_path}" if plan_path else motion.described

@@ -67,7 +67,11 @@ def singularities(robot: options.RobotOptions, motion: options.MotionOptions, pl
     ]
     facts: dict[str, Any] = {"robot": loaded.name, "motion": motion.described if motion.given else None, "plot": plot}
     facts |= {"ends": getattr(followed, "ends", None), "crossings": None if followed is None else data}
-    output.report(as_json, Summary(facts, *([] if followed is None else [table])), *lines, failed=failed)
+    found = None if locus is None else locus.summary()
+    facts["locus"] = found
+    tables = [*([] if found is None else found.tables), *([] if followed is None else [table])]
+    summary = Summary(facts, *tables, warnings=[] if found is None else found.warnings)
+    output.report(as_json, summary, *lines, failed=failed)
 
 
 def _drawn(followed: PlatformMotion | Trajectory | None) -> Any:

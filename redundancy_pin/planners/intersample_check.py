@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, frozen, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, frozen, largest, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.dynamics.distribution import Distribution, distribute
@@ -57,7 +57,7 @@ BALANCE_TOLERANCE = 1e-6
 """Largest imbalance W τ − f, relative to the size of f along the motion, of efforts that a planner prescribes."""
 
 ALLOWED = 1.05
-"""Largest effort between the samples over the largest at the samples up to which the samples show the efforts."""
+"""``IntersamplePeaks.ratio`` up to which the samples show the efforts."""
 
 MARKED = 1.02
 """Ratio to that, or to a limit, from which a grid is refined; what exceeds a limit by less is met by lower limits at
@@ -228,8 +228,9 @@ class IntersamplePeaks(Frozen):
         peak: (m,) largest |τ| of each main actuator, N or N·m; infinite where the efforts grow beyond all bounds.
         time: (m,) when, s.
         force_peak: (k,) largest force of each carrier's actuator, N or N·m.
-        ratio: largest |τ| of the motion over the largest at the samples, at least 1. Efforts that are negligible
-            against those that f takes count as equal.
+        ratio: 1 + max_j (|τ_j| of the motion − |τ_j| at the samples) / max_i |τ_i| at the samples, each |τ| the
+            largest of its actuator: an actuator that shows nothing at the samples and moves half the largest effort
+            between them has 1.5. Efforts that are negligible against those that f takes count as equal.
     """
 
     peak: Array
@@ -252,7 +253,7 @@ class IntersampleCheck:
         violated: limits that are exceeded, of every quantity.
         touched: limits that are met, of every quantity.
         middle: (P,) middles of the pieces, s.
-        ratio: (P,) largest effort over the largest at the samples.
+        ratio: (P,) ``IntersamplePeaks.ratio`` of each piece by itself; below 1 where no effort reaches its largest.
         use: (P, c) used fractions of limits, with the columns of ``ResolvedLimits.evaluated``.
     """
 
@@ -330,14 +331,15 @@ def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
     )
     time, value = _with_samples(pieces, t, np.concatenate([samples.tau, planned.reduced.carrier_force], axis=1))
     size = np.abs(value)
-    at_samples = np.abs(samples.tau[np.isfinite(samples.tau).all(axis=1)])
-    largest = max(float(at_samples.max(initial=0.0)), least_effort(planned.reduced)) or 1.0
+    at_samples = largest(samples.tau[np.isfinite(samples.tau).all(axis=1)])
+    unit = max(float(at_samples.max(initial=0.0)), least_effort(planned.reduced)) or 1.0
+    ratio = 1.0 + (size[:, :m] - at_samples).max(axis=1, initial=-np.inf) / unit
     worst = size.argmax(axis=0)
     peaks = IntersamplePeaks(
         peak=frozen(size.max(axis=0)[:m]),
         time=frozen(time[worst, range(len(worst))][:m]),
         force_peak=frozen(size.max(axis=0)[m : m + k]),
-        ratio=max(float(size[:, :m].max(initial=0.0) / largest), 1.0),
+        ratio=float(ratio.max(initial=1.0)),
     )
     columns = limits.evaluated()
     rows, first = [], 0
@@ -359,7 +361,7 @@ def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
         violated=violated,
         touched=touched,
         middle=pieces.ends.mean(axis=1),
-        ratio=size[:, :m].max(axis=1, initial=0.0) / largest,
+        ratio=ratio,
         use=use,
     )
 
@@ -389,8 +391,8 @@ def imbalance(reduced: ReducedDynamics, tau: Array) -> tuple[Array, float]:
 def least_effort(reduced: ReducedDynamics) -> float:
     """Return the effort below which efforts count as zero, N or N·m: a fraction of those that f takes."""
     needed = float(np.abs(reduced.f / reduced.row_scale).max(initial=0.0))
-    largest = np.linalg.norm(reduced.W / reduced.row_scale[:, None], ord=2, axis=(1, 2))
-    return SMALL * needed / max(float(np.median(largest)), np.finfo(float).tiny)
+    amplification = np.linalg.norm(reduced.W / reduced.row_scale[:, None], ord=2, axis=(1, 2))
+    return SMALL * needed / max(float(np.median(amplification)), np.finfo(float).tiny)
 
 
 # --- efforts, forces and rates ---

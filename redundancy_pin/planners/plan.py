@@ -175,12 +175,12 @@ class Plan(Frozen):
 
     @property
     def main_energy(self) -> float:
-        """∫ Σ |τ q̇| dt of the main actuators, J: what motors that cannot recover energy would draw."""
+        """∫ Σ |τ q̇| dt of the main actuators at the samples, J: what motors that cannot recover energy would draw."""
         return _absolute_integral(self.main_power, self.t)
 
     @property
     def carrier_energy(self) -> float:
-        """∫ Σ |F ṡ| dt of the carriers' actuators, J."""
+        """∫ Σ |F ṡ| dt of the carriers' actuators at the samples, J."""
         return _absolute_integral(self.carrier_power, self.t)
 
     @property
@@ -214,7 +214,7 @@ class Plan(Frozen):
 
     @property
     def rms_effort(self) -> Array:
-        """(m,) root mean square of each main effort over time, N or N·m."""
+        """(m,) root mean square over time of each main effort at the samples, N or N·m."""
         duration = float(self.t[-1] - self.t[0])
         square = np.where(np.isfinite(self.tau), self.tau, 0.0) ** 2
         mean: Array = np.sqrt(np.trapezoid(square, self.t, axis=0) / duration) if duration > 0 else np.abs(self.tau[0])

@@ -252,10 +252,13 @@ def load_recorded(record: RobotRecord, source: str | Path | None = None, *, trus
     except PlanFileError:
         raise
     except RedundancyPinError as error:
-        raise _changed(record, source or record.source, error.message) from error
+        at, name = source or record.source, ""
+        with suppress(RedundancyPinError):  # the parameters and modes of another kind of robot do not fit
+            name = load_with(at, {}, trust=trust).name
+        raise _changed(record, at, error.message, name) from error
     difference = record_difference(record, robot_record(robot))
     if difference:
-        raise _changed(record, place, difference)
+        raise _changed(record, place, difference, robot.name)
     return replace(robot, own_meshes_only=source is None and record.folder is not None and not trust)
 
 
@@ -336,9 +339,11 @@ def _real(*parts: str) -> Path:
         return Path(os.sep, "\N{REPLACEMENT CHARACTER}")
 
 
-def _changed(record: RobotRecord, place: str | Path, what: str) -> PlanFileError:
+def _changed(record: RobotRecord, place: str | Path, what: str, name: str = "") -> PlanFileError:
+    """Return the error that another robot than that of the record is at a place; ``name``: its name, where known."""
+    meant = "" if name == record.name else f", {record.name}"
     return PlanFileError(
-        f"The robot {record.name} at {place} is not the one the plan was made for: {what}",
+        f"The robot {f'{name} ' if name else ''}at {place} is not the one the plan was made for{meant}: {what}",
         remedy=f"Plan again, or pass the robot as it was: {_PASS_ROBOT} {_name_robot('robot.yaml')}",
         source=str(place),
     )

@@ -13,6 +13,7 @@ from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.io.summary import Summary, TextTable, listed, number, row
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.limits import LimitEvent, worst_events
+from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.robot.joint_ranges import JointExcess, beyond_limits
 from redundancy_pin.status import ResultStatus, UpdateStatus
 
@@ -58,7 +59,7 @@ def summary(plan: Plan, dynamics: DynamicsLike | None = None) -> Summary:
         "start": float(plan.t[0]),
         "end": float(plan.t[-1]),
         "advice": advice(plan),
-        "peak_carrier_force": np.abs(plan.carrier_force).max(axis=0, initial=0.0),
+        "peak_carrier_force": plan.between.force_peak,
         "smallest_margin": 0.0 if crossed else float(np.fmin.reduce(plan.margin)),
         "phases": [
             {"name": plan.phases[plan.phase[first]], "start": float(plan.t[first]), "end": float(plan.t[stop - 1])}
@@ -93,23 +94,23 @@ def _table(plan: Plan, facts: Mapping[str, Any]) -> TextTable:
         ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {facts['samples']} samples"),
         ("phases [s]", listed(phases, _LISTED_PHASES, ", ")),
         (f"peak main effort [{main}]", row(facts["peak_effort"])),
-        (f"rms main effort [{main}]", row(facts["rms_effort"])),
-        (f"reversals above {100.0 * REVERSAL:g} % of the peak", row(facts["reversals"])),
+        (f"rms main effort at the samples [{main}]", row(facts["rms_effort"])),
+        (f"reversals above {100.0 * REVERSAL:g} % of the peak, at the samples", row(facts["reversals"])),
         (f"peak carrier effort [{moved}]", row(facts["peak_carrier_force"])),
     ]
     if "base_point" in facts:
         moment = f"its moment about {row(facts['base_point'])} m [N·m]"
-        rows += [("peak force on the base [N]", number(facts["peak_base_force"]))]
+        rows += [("peak force on the base at the samples [N]", number(facts["peak_base_force"]))]
         rows += [(moment, number(facts["peak_base_moment"]))]
     rows += [
-        ("energy, main actuators [J]", number(plan.main_energy)),
-        ("energy, carriers [J]", number(plan.carrier_energy)),
+        ("energy at the samples, main actuators [J]", number(plan.main_energy)),
+        ("energy at the samples, carriers [J]", number(plan.carrier_energy)),
         ("smallest margin", number(facts["smallest_margin"])),
         *_optimum(plan),
         *([("advice", facts["advice"])] if facts["advice"] else []),
     ]
     for name, events in (("limits broken", plan.limits.violated), ("limits touched", plan.limits.binding)):
-        texts = event_texts(plan, events, broken=events is plan.limits.violated)
+        texts = event_texts(plan.robot, events, broken=events is plan.limits.violated)
         rows.append((name, listed(texts, _LISTED, "\n") or "none"))
     return TextTable(f"{plan.robot.name}, {plan.planner.replace('_', ' ')}", [*rows])
 
@@ -127,7 +128,8 @@ def _optimum(plan: Plan) -> Iterator[tuple[str, str]]:
         calmer = f"; this plan costs up to {plan.parameters['calm']:g} of it more, to be calm"
         yield "least cost", f"{plan.least_cost:.6g}{calmer if facts['calm']['kept'] else ''}"
     yield "nodes", f"{facts['nodes']}, {len(facts['singular_nodes'])} of them singular"
-    yield "efforts between the nodes", f"at most {plan.between.ratio:.6g} times those at the nodes"
+    hidden = 100.0 * (plan.between.ratio - 1.0)
+    yield "efforts between the nodes", f"at most {hidden:.4g} % of the largest above those at the nodes"
 
 
 def advice(plan: Plan) -> str | None:
@@ -151,8 +153,7 @@ def warnings_of(plan: Plan, *, ranges: bool = True) -> Iterator[str]:
     finer = "" if late else finer
     broken = tuple(event for event in plan.limits.violated if ranges or event.quantity != "range")
     if broken and plan.status is ResultStatus.LIMIT_VIOLATED:
-        texts = event_texts(plan, broken, broken=True)
-        yield f"limits broken: {listed(texts, _LISTED, '; ')}."
+        yield limits_broken(plan.robot, broken)
     if plan.status is ResultStatus.UNBOUNDED:
         bad = np.flatnonzero(~np.isfinite(plan.tau).all(axis=1))
         where = f" between the samples, at t = {check.time[int(check.peak.argmax())]:.6g} s"
@@ -168,11 +169,13 @@ def warnings_of(plan: Plan, *, ranges: bool = True) -> Iterator[str]:
             f"{there} may be a better one; {remedy}."
         )
     if not check.passed and np.isfinite(check.ratio):
-        worst = int(check.peak.argmax())
+        shown = plan.peak_effort_at_samples
+        worst = int((check.peak - shown).argmax())
+        name = plan.robot.actuated[worst]
         yield (
-            f"between the samples the efforts are {check.ratio:.4g} times those at the samples, up to "
-            f"{check.peak[worst]:.4g} {plan.robot.effort_unit(plan.robot.actuated[worst])} at t = "
-            f"{check.time[worst]:.6g} s{finer and f': {finer}'}."
+            f"the samples do not show the efforts between them: {name} takes up to {check.peak[worst]:.4g} "
+            f"{plan.robot.effort_unit(name)} at t = {check.time[worst]:.6g} s, and {shown[worst]:.4g} at the samples"
+            f"{finer and f': {finer}'}."
         )
     yield from late
 
@@ -199,11 +202,16 @@ def _unplanned(plan: Plan) -> Iterator[str]:
     )
 
 
-def event_texts(plan: Plan, events: tuple[LimitEvent, ...], *, broken: bool) -> list[str]:
+def limits_broken(robot: RobotRecord, events: tuple[LimitEvent, ...]) -> str:
+    """Return the warning that limits are broken: which, by how much, and when."""
+    return f"limits broken: {listed(event_texts(robot, events, broken=True), _LISTED, '; ')}."
+
+
+def event_texts(robot: RobotRecord, events: tuple[LimitEvent, ...], *, broken: bool) -> list[str]:
     """Return a text for the worst event of each quantity of each joint: by how much a limit is broken, or which."""
     texts = []
     for event in worst_events(events):
-        unit = plan.robot.limit_unit(event.quantity, event.joint)
+        unit = robot.limit_unit(event.quantity, event.joint)
         limit = event.limit if event.quantity in ("track", "range") else abs(event.limit)  # the others are of a size
         much = f"by {event.amount:.3g} {unit}" if broken else f"at its limit {limit:.3g} {unit}"
         texts.append(f"{event.quantity} of {event.joint} {much} at t = {event.worst:.4g} s")

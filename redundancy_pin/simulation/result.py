@@ -14,11 +14,17 @@ from scipy.interpolate import CubicHermiteSpline
 from redundancy_pin.arrays import Array, Frozen, checked, peak
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.archive import read_archive, write_archive
+from redundancy_pin.io.schema import record_of
+from redundancy_pin.io.summary import Summary
 from redundancy_pin.kinematics.forward_kinematics import platform_rates
 from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.limits import LimitEvent
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.reference import MotionReference
 from redundancy_pin.planners.robot_record import RobotRecord, read_robot, robot_of_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.events import Event
+from redundancy_pin.simulation.summary import summary
 from redundancy_pin.status import ResultStatus
 
 if TYPE_CHECKING:
@@ -27,8 +33,8 @@ if TYPE_CHECKING:
 FORMAT = "redundancy_pin simulation"
 """What a saved simulation calls itself."""
 
-VERSION = 3
-"""Version of the file format. 3: forces and impulses of joint stops."""
+VERSION = 4
+"""Version of the file format. 4: limits that are exceeded."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +81,7 @@ class Simulation(Frozen):
         gap: (N,) largest closure residual, m; angles count times the characteristic length.
         energy: (N,) kinetic plus potential energy, J (zero height at the world origin).
         events: what happened, in order of time.
+        violated: limits of the robot that the samples exceed, as those of a plan, by time.
         status: how it ended.
         reason: why it failed; empty otherwise.
         statistics: what the integration took.
@@ -99,6 +106,7 @@ class Simulation(Frozen):
     gap: Array
     energy: Array
     events: tuple[Event, ...]
+    violated: tuple[LimitEvent, ...]
     status: ResultStatus
     reason: str
     statistics: Statistics
@@ -151,6 +159,22 @@ class Simulation(Frozen):
         spline = CubicHermiteSpline(self.t[kept], self.x[kept], self.xd[kept])
         return spline(instants), spline(instants, 1)
 
+    def summary(self, motion: Plan | MotionReference | None = None, robot: Robot | None = None) -> Summary:
+        """Return what is worth knowing of the simulation, SI units: a mapping; ``print`` shows tables with warnings.
+
+        Args:
+            motion: the plan, or the motion (``motion_reference``), that it was to follow. With it, how far the platform
+                is from it is in the summary too.
+            robot: that of the simulation; loaded when left out, and not needed without ``motion``.
+
+        Raises:
+            PlanFileError: the robot cannot be loaded, or is no longer what it was.
+
+        Example:
+            >>> print(rp.simulate(robot, plan).summary(plan))
+        """
+        return summary(self, motion, robot)
+
     def table(self, robot: Robot | None = None) -> PlanTable:
         """Return positions, rates, accelerations and efforts by joint name, as ``Plan.table`` does.
 
@@ -201,6 +225,7 @@ def _simulation(record: Mapping[str, Any], path: str | Path) -> Simulation:
     values = {field.name: record[field.name] for field in fields(Simulation)}
     values["robot"] = read_robot(values["robot"], path)
     values["events"] = tuple(Event(**entry) for entry in values["events"])
+    values["violated"] = tuple(record_of(LimitEvent, entry) for entry in values["violated"])
     values["status"] = ResultStatus(values["status"])
     values["statistics"] = Statistics(**values["statistics"])
     simulation = Simulation(**values)

@@ -16,6 +16,7 @@ from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseEr
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates
 from redundancy_pin.loading import RobotLike, as_robot
+from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import plan_reference
 from redundancy_pin.planners.robot_record import robot_record
@@ -36,6 +37,7 @@ from redundancy_pin.simulation.controllers.base import (
 )
 from redundancy_pin.simulation.events import KINDS, ONE_SIDED, EventFunctions
 from redundancy_pin.simulation.integrator import integrate
+from redundancy_pin.simulation.limits import broken_limits
 from redundancy_pin.simulation.problem import InitialValueProblem, SimulationProgress
 from redundancy_pin.simulation.rank_loss import NEAR, WIDEST, Sheet, sheet_ahead
 from redundancy_pin.simulation.result import Simulation, Statistics
@@ -121,8 +123,8 @@ def simulate(
         progress: called with the time that is reached and the last one, s, after steps of the integrator.
 
     Returns:
-        A ``Simulation``. Its status tells what went wrong on the way: an event at which it stopped, or a failure
-        with its reason, the samples before it kept.
+        A ``Simulation``. Its status tells what went wrong on the way: an event at which it stopped; a failure with its
+        reason, the samples before it kept; or, of one that reached its end, limits of the robot that it exceeded.
 
     Raises:
         InputError: a setting out of its domain, a start that is not closed or beyond a stop, a controller that returns
@@ -214,6 +216,7 @@ def simulate(
         "integrator": integrator,
         "restart_at": restart_at,
         "dt": dt,
+        "motion_end": None if controller.end is None else float(controller.end),
     }
     return _simulation(machine, reached, parameters)
 
@@ -348,8 +351,13 @@ def _simulation(machine: Machine, end: SimulationProgress, parameters: dict[str,
             here.chain.update(state.q, state.v)
             effort = here.chain.jacobian().T @ loads.closure_force
             closure_force[i] = np.linalg.lstsq(own.T, effort, rcond=None)[0]
-    evaluated, every = system.evaluate(q), system.every
     columns = robot.carrier_velocity
+    carriers = CarrierMotion(q[:, robot.carrier_position], v[:, columns], a[:, columns], check_rates=False)
+    rates = v[:, robot.actuated_velocity]
+    violated = broken_limits(robot, t, q, carriers, tau, carrier_force, rates)
+    if violated and status is ResultStatus.OK:
+        status = ResultStatus.LIMIT_VIOLATED
+    evaluated, every = system.evaluate(q), system.every
     x, xd = coordinates(robot, evaluated), np.einsum("nij,nj->ni", evaluated.Jx, v)
     return Simulation(
         t=t,
@@ -358,17 +366,18 @@ def _simulation(machine: Machine, end: SimulationProgress, parameters: dict[str,
         a=read_only(a),
         x=read_only(_unwrapped(robot, t, x, xd)),
         xd=read_only(xd),
-        s=frozen(q[:, robot.carrier_position]),
-        sd=frozen(v[:, columns]),
-        sdd=frozen(a[:, columns]),
+        s=carriers.s,
+        sd=carriers.sd,
+        sdd=carriers.sdd,
         tau=read_only(tau),
         carrier_force=read_only(carrier_force),
-        actuated_rate=frozen(v[:, robot.actuated_velocity]),
+        actuated_rate=frozen(rates),
         closure_force=read_only(closure_force),
         stop_force=read_only(stop_force),
         gap=frozen(every.largest_residual(every.evaluate(q).phi)),
         energy=read_only(energy),
         events=tuple(end.events),
+        violated=violated,
         status=status,
         reason=end.reason,
         statistics=Statistics(**{field.name: getattr(end, field.name) for field in fields(Statistics)}),

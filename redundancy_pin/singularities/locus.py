@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from contourpy import contour_generator
@@ -33,6 +33,7 @@ from redundancy_pin.arrays import (
     require_type,
 )
 from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.io.summary import Summary, TextTable, number
 from redundancy_pin.kinematics.assembly import configuration_difference, newton
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.chain import ClosedChain
@@ -82,7 +83,7 @@ class LocusCurve(Frozen):
     residual: Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SingularLocus(Frozen):
     """Singular curves of a robot over its workspace, and the margins they were found in.
 
@@ -116,6 +117,56 @@ class SingularLocus(Frozen):
     serial_margin: Array
     curves: tuple[LocusCurve, ...]
     unresolved: int
+
+    def __repr__(self) -> str:
+        """Return what tells loci apart, not their arrays."""
+        free = zip(self.names, self.axes, self.units, strict=True)
+        ranges = [f"{name}={axis[0]:.4g}..{axis[-1]:.4g} {unit}" for name, axis, unit in free]
+        return (
+            f"SingularLocus({self.robot.name!r}; {', '.join(ranges)}; {' x '.join(map(str, self.margin.shape))} nodes, "
+            f"{len(self.curves)} curve(s), {len(self.points)} points)"
+        )
+
+    def summary(self) -> Summary:
+        """Return what is worth knowing of it: a mapping of bounds, nodes, and curves and points of each kind.
+
+        Its ``print`` shows a table.
+
+        Example:
+            >>> print(singular_locus("five_bar").summary())
+        """
+        margin = np.abs(self.margin[np.isfinite(self.margin)])
+        kinds = {kind.label: self.of_kind(kind) for kind in SingularityKind}
+        facts: dict[str, Any] = {
+            "robot": self.robot.name,
+            "bounds": {name: [axis[0], axis[-1]] for name, axis in zip(self.names, self.axes, strict=True)},
+            "fixed": dict(self.fixed),
+            "nodes": int(self.margin.size),
+            "reachable": int(self.reachable.sum()),
+            "largest_margin": float(margin.max(initial=0.0)),
+            "curves": {
+                label: {"curves": len(curves), "points": sum(len(curve.points) for curve in curves)}
+                for label, curves in kinds.items()
+                if curves
+            },
+            "unresolved": self.unresolved,
+        }
+        rows = [
+            *(
+                (f"{name} [{unit}]", f"{low:.6g} to {high:.6g}")
+                for (name, (low, high)), unit in zip(facts["bounds"].items(), self.units, strict=True)
+            ),
+            *((f"{name} [rad], fixed", number(value)) for name, value in self.fixed.items()),
+            ("nodes", f"{facts['reachable']} of {facts['nodes']} reachable"),
+            ("largest margin to type II", number(facts["largest_margin"])),
+        ]
+        for label, one in facts["curves"].items():
+            rows.append((label.replace("_", " "), f"{one['curves']} curve(s), {one['points']} points"))
+        if not self.curves:
+            rows.append(("curves", "none"))
+        missed = f"{self.unresolved} edge(s) of the grid cross a singularity of no curve; a finer grid leaves fewer."
+        title = f"{self.robot.name}: singularities over {', '.join(self.names)}"
+        return Summary(facts, TextTable(title, rows), warnings=[missed] * bool(self.unresolved))
 
     @property
     def reachable(self) -> BoolArray:

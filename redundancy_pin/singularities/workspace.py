@@ -53,7 +53,7 @@ _RESOLUTION = {1: 400, 2: 100, 3: 25}
 """Nodes along each axis, by the number of axes."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Workspace(Frozen):
     """A slice of the workspace, or a cloud of points in it, in M working modes; returned by ``workspace``.
 
@@ -84,6 +84,15 @@ class Workspace(Frozen):
     serial_margin: Array
     island: IntArray
 
+    def __repr__(self) -> str:
+        """Return what tells workspaces apart, not their arrays."""
+        free = zip(self.names, self.axes, self.units, strict=True)
+        ranges = [f"{name}={axis[0]:.4g}..{axis[-1]:.4g} {unit}" for name, axis, unit in free]
+        return (
+            f"Workspace({self.robot.name!r}; {', '.join(ranges)}; {' x '.join(map(str, self.reachable.shape[1:]))} "
+            f"nodes, {len(self.modes)} mode(s), {int(self.in_range.any(axis=0).sum())} in range, size {self.size:.4g})"
+        )
+
     @property
     def best(self) -> Array:
         """(A, B, …) largest |margin| of all modes in which the joints are within their ranges; NaN where in none."""
@@ -98,9 +107,14 @@ class Workspace(Frozen):
 
     @property
     def size(self) -> float:
-        """Length, area or volume of these nodes' cells, m, m² or m³."""
-        cell = float(np.prod([axis[1] - axis[0] for axis in self.axes]))
-        return cell * int(self.in_range.any(axis=0).sum())
+        """Length, area or volume of these nodes' cells within the bounds, m, m² or m³ (rad of joints)."""
+        # the cell of a node reaches half a step to each side, at the ends of an axis to the inside alone
+        size: Array = self.in_range.any(axis=0).astype(float)
+        for axis in reversed(self.axes):
+            widths = np.gradient(axis)
+            widths[[0, -1]] *= 0.5
+            size = size @ widths
+        return float(size)
 
     def summary(self) -> Summary:
         """Return what is worth knowing of it: a mapping of bounds, nodes, size, and counts of nodes by mode.

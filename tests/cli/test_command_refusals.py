@@ -103,6 +103,7 @@ plan stepwise --robot 3rrr => A plan needs a motion
 {LINE} --plot plan.txt => Cannot write plan.txt
 {LINE} --plot nowhere/plan.png => Cannot write nowhere/plan.png
 {LINE} --treshold 5 => No such option '--treshold'
+{LINE} --thresh 5 => No such option '--thresh'. Did you mean '--threshold'?
 {LINE} --return-time 100 => The return of the carriers takes 100 s from t = 5.11191 s
 {LINE} --set end_effector_mass=1 --motion circle => At the singular pose
 {CORNER} --dt 0 => dt is 0 s
@@ -203,6 +204,7 @@ export plan.npz --to plan.npz => --to plan.npz does not end in .csv or .json or 
 {RUN} --plot run.txt => Cannot write run.txt
 simulate => There is nothing to simulate
 simulate --robot 3rrr => A simulation without a plan needs a motion
+simulate --robot five_bar --motion circle --park 0.1 => is 0.1, but the robot has no carriers
 simulate --robot 2rpr --motion circle --park 0,0,0 => The place of parked carriers has 3 values for 2 carriers
 simulate --robot 2rpr --motion circle => The motion has no finite efforts at t = 0.519414238 s
 simulate --robot gough --motion circle => The motion has 2 coordinates
@@ -210,7 +212,7 @@ show --html x.html => There is nothing to show
 show four_bar --robot 3rrr --html x.html => The robot is given twice
 show --plan plan.npz --motion in.csv --html x.html => --plan and a motion are both given
 show --plan plan.npz --working-mode ++ --html x.html => --set
-show --plan plan.npz --robot 2rpr --html x.html => is not the one the plan was made for
+show --plan plan.npz --robot 2rpr --html x.html => The robot 2rpr at 2rpr is not the one the plan was made for, 3rrr
 show --robot 3rrr --html none/x.html => no folder
 show --robot 3rrr --html x.png => Cannot write x.png
 show --robot 3rrr --force-scale 0 --html x.html => force_scale is 0

@@ -93,6 +93,21 @@ def test_joints_that_a_guess_leaves_out_are_named_with_the_branch_that_was_taken
     assert rp.load_robot(tmp_path / "b.yaml").q_reference == pytest.approx(robot.q_reference, abs=0.02)
 
 
+def test_a_joint_that_the_loops_move_a_little_is_said(urdf):
+    """The four-bar closes for a knee some hundredths from -0.6: a note, no warning."""
+    run = call("new", urdf, *DECIDED)
+    assert (run.exit_code, run.stderr) == (0, "")
+    (said,) = [line for line in run.stdout.splitlines() if line.startswith("The loops closed near --guess, with ")]
+    robot = rp.load_robot(urdf.parent)
+    at = dict(zip(list(robot.model.names)[1:], robot.q_reference.tolist(), strict=True))
+    moved = {
+        name: at[name]
+        for name, guess in (("crank", 1.0), ("knee", -0.6), ("rocker", 1.4))
+        if abs(at[name] - guess) > 1e-3
+    }
+    assert dict(re.findall(r"(\w+)=(\S+), not", said)) == {name: f"{value:.6g}" for name, value in moved.items()}
+
+
 def test_other_formats(tmp_path):
     """Loops and motors of MJCF are in force by themselves; the reference is its own; hinges for balls get no name."""
     path = tmp_path / "model.xml"

@@ -29,7 +29,6 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Payload, Wrench
 from redundancy_pin.simulation import Sampling, closed_state, load_simulation, plan_reference
 from redundancy_pin.simulation.controllers import ComputedTorque, Encoders, JointFriction
-from redundancy_pin.simulation.summary import summary
 from redundancy_pin.singularities.locus import singular_locus
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import carriers_from_csv, from_csv, from_points, reference
@@ -334,7 +333,10 @@ def test_samples_without_efforts_are_marked_and_said() -> None:
     assert facts["statuses"] == {"ok": 2, "unreachable": 1}
     assert np.isnan(columns_of("out.csv")["tau:base_1"]).tolist() == [False, True, False]
     Path("line.csv").write_text(f"{head}\n0,0.2,0,0.3,-1,0,0\n")
+    drawn = call("inverse-dynamics", "--robot", "2rpr", "--motion", "line.csv", "--plot", "alone.png")
+    assert Path("alone.png").read_bytes().startswith(b"\x89PNG")
     result = call("inverse-dynamics", "--robot", "2rpr", "--motion", "line.csv", "--out", "out.csv")
+    assert drawn.exit_code == result.exit_code
     assert result.exit_code == 3
     assert "no finite main efforts at 1 of 1 samples, first at t = 0 s (singular_inconsistent)" in result.stderr
     # theta_dd = -2 d_dot theta_dot / d for zero acceleration; only L² theta_dd acts, and its force on the platform is
@@ -379,7 +381,10 @@ def test_singular_instants(monkeypatch: pytest.MonkeyPatch) -> None:
     coarse = partial(singular_locus, resolution=15)  # of the picture, which is not looked at
     monkeypatch.setattr(importlib.import_module("redundancy_pin.cli.singularities"), "singular_locus", coarse)
     half = np.sqrt(0.2**2 - 0.185**2)
-    found = facts_of("singularities --robot 2rpr --motion circle:speed=0.75 --plot locus.png")["crossings"]
+    facts = facts_of("singularities --robot 2rpr --motion circle:speed=0.75 --plot locus.png")
+    found, summary = facts["crossings"], coarse("2rpr").summary()
+    assert facts["locus"] == json.loads(json.dumps(json_data(summary)))
+    assert str(summary) in call("singularities", "--robot", "2rpr", "--plot", "locus.png").stdout
     assert [one["x"][0] for one in found] == pytest.approx([0.25 - half, 0.25 + half], abs=1e-10)
     for one in found:
         assert (one["kind"], one["crosses"], one["lost_direction"]) == ("type_ii", True, [None, None])
@@ -495,10 +500,17 @@ def test_how_a_simulation_ends_is_its_exit_code(saved: Path) -> None:
     last = load_simulation("run.npz").events[-1]
     assert (result.exit_code, last.kind, last.terminal) == (3, "track", True)
     # it is far off its path by then, from which a narrower track does not keep it
-    assert result.stderr == f"warning: stopped at t = {last.t:.6g} s: track ({last.name})\n"
-    facts_of(f"simulate --plan {saved} --machine carrier_mass=0.5 --stop-at never --duration {last.t + 0.01}")
-    pushed = facts_of(
-        f"simulate --plan {saved} --machine carrier_mass=0.5 --joint-stops inelastic --duration {last.t + 0.01}"
+    assert result.stderr.startswith(
+        f"warning: stopped at t = {last.t:.6g} s: track ({last.name})\nwarning: limits broken: "
+    )
+    lighter = f"simulate --plan {saved} --machine carrier_mass=0.5 --duration {last.t + 0.01}"
+    for event in facts_of(f"{lighter} --stop-at never", 3)["limits"]["violated"]:
+        assert event["amount"] == pytest.approx(abs(event["value"]) - abs(event["limit"]))
+    pushed = facts_of(f"{lighter} --joint-stops inelastic", 3)
+    longer = call("simulate", "--plan", saved, "--duration", "2.5")
+    ends = rp.load_plan(saved).t[-1]
+    assert (
+        f"warning: the motion to follow ends at t = {ends:.6g} s, and the simulation goes on to 2.5 s" in longer.stderr
     )
     (hit,) = (event for event in pushed["events"] if event["name"] == last.name)
     assert (hit["t"], hit["terminal"], hit["impulse"] > 0.0) == (pytest.approx(last.t, abs=1e-9), False, True)
@@ -521,7 +533,7 @@ def test_a_plan_that_uses_the_whole_track_leaves_no_room_and_the_remedy_makes_so
     # it is no remedy where the platform or the carriers are elsewhere than planned
     stopped, motion = load_simulation("3.npz"), plan_reference(rp.load_plan("plan.npz"))
     for other in (replace(stopped, x=stopped.x + 0.05), replace(stopped, s=0.5 * stopped.s)):
-        (warning,) = summary(other, motion, motion.robot).warnings
+        warning = other.summary(motion, motion.robot).warnings[0]
         assert ("stopped at" in warning, "--track" in warning) == (True, False)
 
 

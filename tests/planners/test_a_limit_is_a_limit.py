@@ -45,14 +45,17 @@ MANY = 8 * int(os.environ.get("EXAMPLES", "1"))
 SEEDS = {
     "least time": (0, 2, 3, 4, 13),
     "whole trajectory": (0, 2, 4, 11),
-    "stepwise": (0,),
+    "stepwise": (0, 3),
     "switch off": (7, 8),
     "on line": (1, 2, 10),
 }
 """Problems of each planner whose plans are within limits."""
 
-QUICK = {"least time": (2, 3), "whole trajectory": (4,), "stepwise": (0,), "switch off": (7,), "on line": (2,)}
+QUICK = {"least time": (2, 3), "whole trajectory": (4,), "stepwise": (0, 3), "switch off": (7,), "on line": (2,)}
 """Those of ``make test``: limits of each kind bind in one of them."""
+
+UNRESOLVED = {("stepwise", 0)}
+"""Those whose samples do not show the efforts of one actuator between them."""
 
 PLANNERS = tuple(SEEDS)
 
@@ -202,7 +205,7 @@ def judged(planner: str, seed: int) -> str:
 )
 @pytest.mark.parametrize(("planner", "seed"), [(planner, seed) for planner in PLANNERS for seed in SEEDS[planner]])
 def test_a_random_plan_keeps_what_it_says(planner: str, seed: int) -> None:
-    assert judged(planner, seed) == "ok"
+    assert judged(planner, seed) == ("unresolved" if (planner, seed) in UNRESOLVED else "ok")
 
 
 @pytest.mark.long

@@ -17,7 +17,7 @@ from redundancy_pin.trajectory import reference
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    return rp.plan_stepwise(rp.VirtualWork("3rrr"), reference.corner(), mesh=rp.Mesh(dt=0.02))
+    return rp.plan_stepwise(rp.VirtualWork("3rrr"), reference.corner(), mesh=rp.Mesh(dt=0.005))
 
 
 def test_a_plan_within_limits_has_no_warnings(plan: Plan) -> None:
@@ -33,6 +33,22 @@ def test_efforts_without_bound_between_the_samples_are_one_warning(plan: Plan) -
     assert list(warnings_of(replace(plan, status=ResultStatus.UNBOUNDED, between=between))) == [
         "no finite main efforts: between the samples, at t = 0.2 s, where W is singular."
     ]
+
+
+def test_one_actuator_that_the_samples_do_not_show_makes_a_plan_unresolved_and_is_named() -> None:
+    """The actuator of the largest effort hides none: base_1 takes 1.67 N·m between samples that show 0.22."""
+    dynamics = rp.RneaDynamics("3rrr")
+    coarse = rp.plan_stepwise(dynamics, reference.corner().sample(0.02))
+    inside = coarse.efforts_at(np.linspace(0.951, 0.959, 9), dynamics)
+    shown = np.abs(coarse.tau).max(axis=0)
+    assert np.abs(inside[:, 0]).max() - shown[0] > 0.05 * shown.max()
+    assert coarse.between.peak.max() < 1.05 * shown.max()
+    assert coarse.status is ResultStatus.UNRESOLVED
+    (warning,) = coarse.summary().warnings
+    assert "base_1 takes up to 1.668 N·m at t = 0.96 s, and 0.2221 at the samples" in warning
+    facts = coarse.summary()
+    assert (facts["peak_carrier_force"] > np.abs(coarse.carrier_force).max(axis=0)).any()
+    assert "rms main effort at the samples" in str(facts)
 
 
 def test_no_optimum_is_warned_of_whatever_the_status(plan: Plan) -> None:

@@ -52,7 +52,8 @@ def test_a_loose_tolerance_opens_the_closures_in_a_step_and_the_projection_close
     robot = moving.massive("five_bar")
     start = closed_state(robot, xd=[0.8, -0.5], sd=[0.5, -0.4])
     run = rp.simulate(robot, start=start, duration=1.0, rtol=1e-4, atol=1e-5, stop_at=(), integrator="RK45")
-    assert run.status.value == "ok"
+    assert run.t[-1] == 1.0
+    assert {event.joint for event in run.violated if event.quantity == "track"} == set(robot.carriers)  # no stops
     assert run.statistics.largest_correction > 1e-6
     assert run.gap.max() < 1e-12
     system = ConstraintSystem(robot)

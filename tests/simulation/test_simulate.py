@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import moving
 import numpy as np
@@ -504,3 +504,47 @@ def test_generated_code_reports_during_a_long_stretch_of_steps() -> None:
     )
     assert run.statistics.steps >= 3000
     assert np.diff([0.0, *told]).max() < 0.11
+
+
+@dataclass
+class Swinging:
+    """Both carriers along A sin ωt, the motors off."""
+
+    amplitude: float
+    rate: float
+
+    def effort(self, t: float, state: State) -> tuple[Array, Array]:
+        return np.zeros(state.robot.m), np.zeros(state.robot.k)
+
+    def carrier_motion(self, t: float) -> tuple[Array, Array, Array]:
+        sine, cosine = np.sin(self.rate * t), np.cos(self.rate * t)
+        parts = (sine, self.rate * cosine, -(self.rate**2) * sine)
+        first, second, third = (np.full(2, self.amplitude * part) for part in parts)
+        return first, second, third
+
+
+@pytest.mark.parametrize(("speed", "acceleration"), [(0.49, 2.4), (0.51, 2.4), (0.49, 2.6)])
+def test_a_run_that_exceeds_a_limit_of_a_carrier_says_which_by_how_much_and_when(
+    speed: float, acceleration: float
+) -> None:
+    """By hand: A sin ωt of speed Aω = 0.5 m/s at its start and acceleration Aω² = 2.5 m/s² after a quarter."""
+    robot = moving.massive("2rpr")
+    limited = [
+        replace(one, speed=0.5 * 0.5 / speed, acceleration=2.5 * 2.5 / acceleration) for one in robot.carrier_limits
+    ]
+    machine = replace(robot, carrier_limits=tuple(limited))
+    start = closed_state(machine, sd=0.5)
+    quarter = 0.1 * np.pi
+    run = rp.simulate(machine, Swinging(0.1, 5.0), start=start, duration=quarter, dt=quarter / 8, carriers="motion")
+    worst = {(event.quantity, event.worst) for event in run.violated}
+    assert {event.joint for event in run.violated} in (set(), set(machine.carriers))
+    if speed > 0.5:
+        assert worst == {("speed", 0.0)}
+        assert run.violated[0].amount == pytest.approx(0.5 - 0.25 / speed)
+    elif acceleration > 2.5:
+        assert worst == {("acceleration", run.t[-1])}
+    ok = max(speed / 0.5, acceleration / 2.5) < 1.0
+    assert run.status is (ResultStatus.OK if ok else ResultStatus.LIMIT_VIOLATED)
+    summary = run.summary()
+    assert summary["limits"]["violated"] == [vars(event) for event in run.violated]
+    assert [text.startswith("limits broken: ") for text in summary.warnings] == [True] * (not ok)

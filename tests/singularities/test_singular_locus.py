@@ -59,6 +59,14 @@ def test_the_border_of_the_five_bar_is_one_closed_curve_on_two_circles(resolutio
         robot = rp.with_limits(robot, {joint: {"lower": q - turn, "upper": q + turn} for joint, q in middle.items()})
     locus = singular_locus(robot, resolution=resolution)
     assert locus.unresolved == 0
+    summary = locus.summary()
+    assert summary["curves"] == {
+        kind.label: {"curves": len(curves), "points": len(np.concatenate([one.points for one in curves]))}
+        for kind in SingularityKind
+        if (curves := locus.of_kind(kind))
+    }
+    assert (summary["nodes"], summary["reachable"]) == (locus.margin.size, locus.reachable.sum())
+    assert len(repr(locus)) < 200
     (border,) = locus.of_kind(SingularityKind.TYPE_I)
     np.testing.assert_array_equal(border.points[0], border.points[-1])
     outside = border.points[:, :1] < 0.25

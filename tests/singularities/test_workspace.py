@@ -294,3 +294,15 @@ def test_slices_of_no_sense_are_refused(given: dict[str, object], message: str) 
         rp.workspace("five_bar", **{"resolution": 5, **given})
     with pytest.raises(UnsupportedRobotError, match="has no picture"):
         rp.workspace("3rrr", ())
+
+
+def test_a_grid_that_is_all_in_range_is_as_large_as_its_bounds_and_prints_in_a_line() -> None:
+    """The crank of a Grashof four-bar turns right round: 2π rad, not a step more; a block of a Gough platform's."""
+    crank = rp.workspace("four_bar", resolution=30)
+    assert crank.in_range.all()
+    assert crank.size == pytest.approx(np.ptp(crank.axes[0]), rel=1e-12)
+    block = rp.workspace("gough", bounds=[(-0.02, 0.02), (-0.01, 0.03), (0.5, 0.53)], resolution=4)
+    assert block.in_range.all()
+    assert block.size == pytest.approx(0.04 * 0.04 * 0.03, rel=1e-12)
+    assert repr(block).startswith("Workspace('gough'; x=-0.02..0.02 m, ")
+    assert len(repr(block)) < 200

@@ -248,6 +248,10 @@ def test_phases_are_shaded_from_one_to_the_next_and_named() -> None:
         np.testing.assert_allclose(ends, one.t[[*starts[1:], -1]], rtol=1e-12)
         greys = np.array([patch.get_facecolor()[:3] for patch in shades])
         assert np.ptp(greys, axis=1).max() == 0.0
+        (legend,) = drawn.legends
+        swatches = [patch for patch in legend.get_patches() if not patch.get_hatch()]
+        assert {to_hex(patch.get_edgecolor()) for patch in swatches} == {"#777777"}  # a white one is seen, too
+        assert min(patch.get_linewidth() for patch in (*swatches, *shades)) > 0.0
         assert np.abs(np.diff(greys[:, 0])).min() > 0.02  # a fiftieth from black to white, and a hairline between them
         assert set(_legend(drawn)) >= {one.phases[int(one.phase[start])].replace("_", " ") for start in starts}
 
@@ -394,7 +398,7 @@ def test_a_figure_of_ones_own_is_a_list_of_panels() -> None:
 def test_a_simulation_is_drawn_over_its_plan() -> None:
     robot, followed, simulated = run()
     drawn = rp.plot.overview(simulated, followed)
-    assert drawn.get_suptitle() == "3rrr: simulation, stepwise, ok"
+    assert drawn.get_suptitle() == "3rrr: simulation, stepwise, limit violated"
     for label, values in PANELS.items():
         axes = _panel(drawn, label)
         np.testing.assert_array_equal(_lines(axes, len(followed.t)), values(followed))
@@ -508,7 +512,7 @@ def test_snapshots_show_the_mechanism_at_each_instant_and_its_margins() -> None:
     assert {line.get_color() for line in path} == set(MARGIN_COLORS)
     np.testing.assert_allclose(np.concatenate([path[0].get_xydata(), path[1].get_xydata()[:1]])[[0, -2]],
                                scene.path[[0, len(path[0].get_xydata()) - 1], :2])  # fmt: skip
-    labels = {"driven joint", "passive joint", "closure", "track", "carrier"}
+    labels = {"driven joint", "passive joint", "loop joint", "track", "carrier"}
     assert set(_legend(drawn)) == labels | {str(line.get_label()) for line in path}
     assert sum(to_hex(patch.get_facecolor()) == "#5a5a5a" for patch in axes.patches) == 1  # the base does not move
 

@@ -72,7 +72,7 @@ REASONS = (
     "at t = {known:.6g} s the preview leads where the machine cannot go, to {place}",
     "between the nodes a carrier exceeds its speed",
     "between the nodes a carrier exceeds its force",
-    "between the nodes the efforts meet their limits",
+    "between the nodes the efforts exceed their limits",
 )
 """In the order of ``planner.c``."""
 

@@ -145,11 +145,10 @@ def draw_background(axes: Axes, behind: Curves, *, shaded: bool = True) -> None:
     if not shaded:
         return
     names = [*dict.fromkeys(name for name, _, _ in behind.phases)]
-    for i, (name, start, end) in enumerate(behind.phases):
+    for name, start, end in behind.phases:
         fill = _PHASE_FILLS[names.index(name) % len(_PHASE_FILLS)]
-        axes.axvspan(start, end, facecolor=fill, edgecolor="#777777", linewidth=0, zorder=0.2, label=name)
-        if i:
-            axes.axvline(start, color="#777777", linewidth=0.5, zorder=0.6)
+        # the line round it is a hairline between phases, and shows a white one in the legend
+        axes.axvspan(start, end, facecolor=fill, edgecolor="#777777", linewidth=0.5, zorder=0.2, label=name)
     windows = () if behind.phases else behind.windows
     for spans, style, order in ((windows, WINDOW, 0.5), (behind.without_efforts, WITHOUT_EFFORTS, 0.55)):
         for start, end in spans:

@@ -43,7 +43,7 @@ ROLE_NAMES: Mapping[Role, str] = {
     "link": "link",
     "actuated": "driven joint",
     "passive": "passive joint",
-    "closure": "closure",
+    "closure": "loop joint",
     "track": "track",
     "carrier": "carrier",
 }

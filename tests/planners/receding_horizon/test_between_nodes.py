@@ -107,7 +107,7 @@ def test_what_limits_cut_off_until_the_next_node_is_told_as_the_other_backend_ha
         size = planner.updates.last.row.max()
         if abs(worst / size - 1e-3) > 1e-5:
             assert (command.status is RELAXED) == (worst > 1e-3 * size)
-            assert ("the efforts meet their limits" in command.reason) == (worst > 1e-3 * size)
+            assert ("the efforts exceed their limits" in command.reason) == (worst > 1e-3 * size)
         cut += worst > 1e-3 * size
         ended = planner_of(name, effort=planner.resolved.effort).update(t, replace(Preview.of(motion), end=t))
         assert "between the nodes" not in ended.reason

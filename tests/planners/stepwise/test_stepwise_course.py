@@ -166,7 +166,7 @@ def test_the_small_corner_of_the_thesis_ends_with_a_carrier_that_cannot_stop_and
 
 
 def test_anticipation_keeps_a_short_track():
-    motion = reference.corner().sample(0.005, two_sided=False)
+    motion = reference.corner().sample(0.005)
     plan = plan_stepwise(dynamics_of(), motion, limits=Limits(track=(-0.3, 0.2)))
     assert plan.status is ResultStatus.OK
     assert plan.carriers.s.min() >= -0.3
