@@ -22,6 +22,7 @@ from redundancy_pin.parallel import require_jobs
 @click.option("--samples", default=2000, show_default=True, metavar="N", help="Random states for each robot.")
 @click.option("--seed", default=0, show_default=True, metavar="S", help="Seed of the random states.")
 @jobs_option(1)
+@click.option("--device", type=click.Choice(["gpu", "cpu"]), help="Check rp.GpuDynamics there, too.")
 @trust_option
 @json_option
 def validate(chosen: tuple[str, ...], samples: int, seed: int, jobs: int, as_json: bool, **given: Any) -> int:

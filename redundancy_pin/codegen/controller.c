@@ -100,17 +100,17 @@ int robot_forward_kinematics(robot_state *state, const robot_drives *given, robo
 
 int robot_jacobians_at(const robot_state *state, robot_jacobians *out) {
   Pose pose;
-  double x[NX], X[NP + 1][NP + 1], gamma[NV * N], W[N * M];
+  double x[NX], gamma[NV * N], W[N * M];
   int status = pose_of(state, &pose, x);
   if (status) return status;
-  if (!(invert_pose(NUMBERS, &pose, X, gamma, W) >= SINGULAR_MARGIN)) return ROBOT_TYPE_I;
+  if (!(invert_pose(NUMBERS, &pose, gamma, W) >= SINGULAR_MARGIN)) return ROBOT_TYPE_I;
 #if R
   const double *const numbers = NUMBERS; /* by which the macros of units read */
   double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN];
   rows(NUMBERS, pose.q, pose.trig, x, residual, K, alignment);
   clear(&out->closure[0][0], R * NV);
   for (int i = 0; i < R; ++i)
-    for (int j = 0; j < NP; ++j) out->closure[i][COLUMNS[j]] = K[i + j * NP] * (EQUATION_UNIT[i] / VELOCITY_UNIT[COLUMNS[j]]);
+    for (int j = 0; j < NP; ++j) out->closure[i][COLUMNS[j]] = K[ENTRY(i, j)] * (EQUATION_UNIT[i] / VELOCITY_UNIT[COLUMNS[j]]);
 #endif
   for (int i = 0; i < NV; ++i) copy(out->gamma[i], gamma + i * N, N);
   for (int i = 0; i < N; ++i) copy(out->W[i], W + i * M, M);
@@ -120,10 +120,10 @@ int robot_jacobians_at(const robot_state *state, robot_jacobians *out) {
 int robot_margins_at(const robot_state *state, robot_margins *out) {
   Pose pose;
   Spectrum s;
-  double x[NX], X[NP + 1][NP + 1], gamma[NV * N], W[N * M];
+  double x[NX], gamma[NV * N], W[N * M];
   int status = pose_of(state, &pose, x);
   if (status) return status;
-  double margin = invert_pose(NUMBERS, &pose, X, gamma, W);
+  double margin = invert_pose(NUMBERS, &pose, gamma, W);
   spectrum_of(NUMBERS, W, &s);
   if (!(margin >= SINGULAR_MARGIN)) return ROBOT_TYPE_I;
   out->type_I = margin;

@@ -33,7 +33,7 @@ def stack_bytes(robot: Robot) -> int:
     chain, n, m = definition.chain, robot.n, robot.m
     nq, nv, rows = chain.model.nq, chain.model.nv, len(chain.pose_columns) + 1
     short, long, state = min(n, m), max(n, m), nq + 2 * len(chain.turning)
-    matrices = 4 * rows**2  # of closures and platform: factors of two states, an inverse, what is factorised
+    matrices = 4 * rows**2  # of closures and platform: factors of three states, and one on the way
     tree = nv * (n + 4) + 3 * state + 8 * rows
     spectra = 2 * (short * long + short**2 + 2 * short + 4)
     arguments = 3 * int(chain.x.numel() + n * m + 2 * n + 2 * m + 3 * robot.k + chain.alignment.numel())

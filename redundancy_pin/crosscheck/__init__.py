@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from redundancy_pin.arrays import whole
+from redundancy_pin.arrays import one_of, whole
 from redundancy_pin.crosscheck.checks import check_states
 from redundancy_pin.crosscheck.report import SCOPE, CheckRow, CrossCheckReport, merged
 from redundancy_pin.crosscheck.states import batches, random_states
+from redundancy_pin.dynamics.compiled.gpu import Device
 from redundancy_pin.parallel import Progress, parallel, require_jobs
 from redundancy_pin.robot.shipped import shipped_robots
 
@@ -29,10 +30,12 @@ def run(
     *,
     trust: bool = False,
     settings: Mapping[str, object] | None = None,
+    device: Device | None = None,
 ) -> CrossCheckReport:
     """Check the dynamics of robots on random states and return the worst deviations.
 
     RNEA is judged by physics. Generated code, and virtual work where the robot has a closed form, are compared with it.
+    The states and RNEA are made by the processor, whatever the device.
 
     Args:
         robots: names or paths; all shipped robots when left out.
@@ -42,11 +45,13 @@ def run(
         jobs: processes that share the work, -1 for one per core; the report does not depend on it.
         trust: as for ``load_robot``.
         settings: arguments of the robots, as ``load_robot`` takes them.
+        device: "gpu" or "cpu": compare ``GpuDynamics`` there, too.
 
     Raises:
         InputError: ``samples`` is not positive or above 1e8, ``seed`` is negative, or ``jobs`` is as ``rp.sweep``
             refuses it.
-        RedundancyPinError: a robot does not load, no states of it are found, or a process died.
+        RedundancyPinError: a robot does not load, no states of it are found, a process died, or cupy is not installed.
+        CompilerError: there is no such device, or its code cannot be compiled.
 
     Example:
         >>> from redundancy_pin import crosscheck
@@ -55,10 +60,11 @@ def run(
     """
     samples, seed = whole(samples, "samples", 1, MOST_STATES), whole(seed, "seed", 0, 2**63)
     require_jobs(jobs)
+    one_of(device, "device", (None, "gpu", "cpu"))
     names = tuple(robots) if robots else shipped_robots(gallery=False)
     given = tuple((settings or {}).items())
     work = [
-        (name, size, seed + 1000 * position, index, trust, given)
+        (name, size, seed + 1000 * position, index, trust, given, device)
         for position, name in enumerate(names)
         for index, size in enumerate(batches(samples))
     ]
@@ -76,10 +82,16 @@ def run(
 
 
 def checked_batch(
-    source: str, samples: int, seed: int, index: int, trust: bool, settings: tuple[tuple[str, object], ...]
+    source: str,
+    samples: int,
+    seed: int,
+    index: int,
+    trust: bool,
+    settings: tuple[tuple[str, object], ...],
+    device: Device | None = None,
 ) -> list[CheckRow]:
     """Draw random states, as ``random_states``, and return the rows of all checks on them."""
     states = random_states(source, samples, seed, index, trust=trust, settings=settings)
     note = "those that cannot be reached are drawn again"
     drawn = CheckRow(states.robot.name, "random states", samples, 0.0, 0.0, True, note, states.skipped)
-    return sorted([*check_states(states), drawn], key=lambda row: bool(row.note))
+    return sorted([*check_states(states, device), drawn], key=lambda row: bool(row.note))

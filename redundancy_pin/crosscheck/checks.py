@@ -17,6 +17,7 @@ from redundancy_pin.crosscheck.report import CheckRow, checked_row
 from redundancy_pin.crosscheck.states import RandomStates
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
+from redundancy_pin.dynamics.compiled.gpu import Device, GpuDynamics
 from redundancy_pin.dynamics.results import ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaAlongMotion, RneaDynamics
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
@@ -42,15 +43,19 @@ BACKENDS: dict[str, Callable[[Robot], Dynamics]] = {"compiled": CompiledDynamics
 class Case:
     """Random states of a robot and what RNEA returns for them.
 
-    Attributes:
+    Args:
         states: the states.
+        device: "gpu" or "cpu": what also runs ``GpuDynamics`` on them; None leaves them out.
+
+    Attributes:
+        states, device: as given.
         along: RNEA along them.
         keep: indices of the states away from type I: those that every check judges.
         skipped: number of the others, by reason.
     """
 
-    def __init__(self, states: RandomStates) -> None:
-        self.states, self.along = states, RneaDynamics(states.robot).along(states.motion)
+    def __init__(self, states: RandomStates, device: Device | None = None) -> None:
+        self.states, self.device, self.along = states, device, RneaDynamics(states.robot).along(states.motion)
         self.keep, self.skipped = select(len(states.motion), near_type_i=~_regular(self.along))
 
     @cached_property
@@ -133,8 +138,7 @@ def parity(case: Case) -> Compared:
             yield f"parity: W and f ({label})", np.zeros(0), {"no_backend": len(case.keep)}, str(error)
             continue
         keep, skipped = select(case.keep, other_branch=_elsewhere(case.along, other.q))
-        first, second = case.reduced, other.reduce(carriers)
-        share = np.minimum(1.0, case.along.tree.serial_margin_bound / NEAR_SINGULAR_MARGIN)[keep]
+        first, second, share = case.reduced, other.reduce(carriers), _share(case)[keep]
         for quantity, a, b in (
             ("f", first.f, second.f),
             ("W", first.W, second.W),
@@ -142,6 +146,31 @@ def parity(case: Case) -> Compared:
             ("base wrench", case.along.base_wrench(carriers), other.base_wrench(carriers)),
         ):
             yield f"parity: {quantity} ({label})", share * relative(a[keep], b[keep]), skipped, ""
+    if case.device is not None:
+        yield from _device_parity(case, case.device)
+
+
+def _device_parity(case: Case, device: Device) -> Compared:
+    """W, f and carrier forces of ``GpuDynamics`` equal those of RNEA, each state closed from its own configuration."""
+    motion, carriers, first, keep = case.states.motion, case.states.carriers, case.reduced, case.keep
+    label = f"GpuDynamics, {device}"
+    try:
+        many = GpuDynamics(case.states.robot, device=device)
+    except UnsupportedRobotError as error:
+        yield f"parity: W and f ({label})", np.zeros(0), {"no_backend": len(keep)}, str(error)
+        return
+    start = np.column_stack([case.along.q, np.zeros(len(motion))])
+    track = carriers.s, carriers.sd, carriers.sdd
+    found = many.torque(motion.x, motion.xd, motion.xdd, *track, start=start, equations=True)
+    for quantity, a, b in (("f", first.f, found.f), ("W", first.W, found.W),
+                           ("carrier force", first.carrier_force, found.carrier_force)):  # fmt: skip
+        yield f"parity: {quantity} ({label})", _share(case)[keep] * relative(a[keep], b[keep]), {}, ""
+
+
+def _share(case: Case) -> Array:
+    """Return (N,) by what deviations of parity are multiplied."""
+    share: Array = np.minimum(1.0, case.along.tree.serial_margin_bound / NEAR_SINGULAR_MARGIN)
+    return share
 
 
 @dataclass(frozen=True)
@@ -188,9 +217,9 @@ CHECKS = (
 """What is checked, in the order of reports."""
 
 
-def check_states(states: RandomStates) -> Iterator[CheckRow]:
-    """Return the rows of all ``CHECKS`` on random states of a robot, those away from type I."""
-    case = Case(states)
+def check_states(states: RandomStates, device: Device | None = None) -> Iterator[CheckRow]:
+    """Return the rows of all ``CHECKS`` on random states of a robot, those away from type I; device as of ``Case``."""
+    case = Case(states, device)
     for check in CHECKS:
         for name, values, skipped, note in check.compare(case):
             reasons = {**case.skipped, **skipped}

@@ -24,6 +24,13 @@ def test_small_run_passes_and_is_the_api() -> None:
     assert facts["passed"]
 
 
+def test_a_device_has_rows_of_its_own() -> None:
+    result = call("validate", "--robot", "four_bar", "--samples", "5", "--device", "cpu", "--json")
+    assert result.exit_code == 0
+    rows = json.loads(result.stdout)["rows"]
+    assert [row["passed"] for row in rows if "GpuDynamics, cpu" in row["check"]] == [True] * 3
+
+
 def test_all_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 

@@ -2,6 +2,7 @@
 
 import io
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import cassie
 import numpy as np
 import pinocchio as pin
 import pytest
+import zoo
 from closed_forward import ClosedForward
 from command_line import call
 from examples import FACTOR
@@ -17,6 +19,7 @@ from random_robots import random_case
 from rich.console import Console
 from spatial_chains import chain_of
 
+import redundancy_pin as rp
 from redundancy_pin import CarrierMotion, PlatformMotion, crosscheck
 from redundancy_pin.crosscheck import checks, states
 from redundancy_pin.crosscheck.closures import largest_miss
@@ -26,7 +29,14 @@ from redundancy_pin.dynamics import rnea as rnea_module
 from redundancy_pin.dynamics import virtual_work
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.rnea import RneaAlongMotion, RneaDynamics
-from redundancy_pin.errors import CompilerError, InputError, ModelFileError, SingularPoseError, UnreachablePoseError
+from redundancy_pin.errors import (
+    CompilerError,
+    InputError,
+    ModelFileError,
+    RedundancyPinError,
+    SingularPoseError,
+    UnreachablePoseError,
+)
 from redundancy_pin.kinematics.assembly_modes import assembly_modes
 from redundancy_pin.kinematics.branch import Follower, follower
 from redundancy_pin.kinematics.closed_state import NEAR_RANK_LOSS, closed_around
@@ -389,6 +399,45 @@ def test_a_fault_in_one_backend_is_found(monkeypatch, name):
     report = crosscheck.run(["2rpr"], samples=4, seed=1)
     assert not report.passed
     assert expected == failed(report)
+
+
+@pytest.mark.parametrize("name", ["3rrr", "gough"])
+def test_a_device_is_compared_too(name):
+    plain = crosscheck.run([name], samples=12, seed=2)
+    report = crosscheck.run([name], samples=12, seed=2, device="cpu")
+    own = [row for row in report.rows if "GpuDynamics, cpu" in row.check]
+    assert [row.check.split(" (")[0] for row in own] == ["parity: f", "parity: W", "parity: carrier force"]
+    assert all(row.passed and row.samples == 12 for row in own)
+    assert [row for row in report.rows if row not in own] == list(plain.rows)
+
+
+@pytest.mark.parametrize(("part", "fault"), [("f", 1.0 + 1e-9), ("W", -1.0), ("carrier_force", np.nan)])
+def test_a_fault_on_a_device_is_found(monkeypatch, part, fault):
+    torque = rp.GpuDynamics.torque
+
+    def wrong(self, *args, **settings):
+        found = torque(self, *args, **settings)
+        return replace(found, **{part: fault * getattr(found, part)})
+
+    monkeypatch.setattr(rp.GpuDynamics, "torque", wrong)
+    report = crosscheck.run(["2rpr"], samples=4, seed=1, device="cpu")
+    assert failed(report) == {f"parity: {part.replace('_', ' ')} (GpuDynamics, cpu)"}
+
+
+def test_a_robot_that_a_device_does_not_take_is_left_out():
+    changing = replace(zoo.robot_of("2rpr"), loads=(Wrench("end_effector", lambda t, x, xd: np.zeros((len(t), 6))),))
+    drawn = states.walk(changing, 4, np.random.default_rng(0))
+    (row,) = (row for row in checks.check_states(drawn, "cpu") if "GpuDynamics" in row.check)
+    assert (row.verdict, row.skipped) == ("left out", {"no_backend": 4})
+    assert "changes with time" in row.note
+
+
+def test_without_a_gpu_the_error_is_one(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cupy", None)
+    with pytest.raises(RedundancyPinError, match=r"redundancy_pin\[gpu\]"):
+        crosscheck.run(["2rpr"], samples=4, device="gpu")
+    with pytest.raises(InputError, match="device"):
+        crosscheck.run(["2rpr"], samples=4, device="tpu")
 
 
 RNEA_FAULTS = {

@@ -15,6 +15,7 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
@@ -118,9 +119,10 @@ def _defined(topology: Topology) -> Definition:
     projected = [*tree, gamma, *carriers, chain.external]
     derivatives = [ca.vec(ca.jacobian(part, by).T) for part in reduced for by in carriers]
     missing = ca.vertcat(-chain.closure_rows, chain.missing) / chain.equation_unit
+    rows, columns, _ = _blocks(chain)
     K = ca.diag(1.0 / chain.equation_unit) @ chain.K @ ca.diag(chain.step_unit)
     definitions: dict[str, tuple[list[Any], list[Any]]] = {
-        "rows": ([*pose, chain.x], [missing, ca.vec(K), chain.alignment]),  # without units
+        "rows": ([*pose, chain.x], [missing, ca.vec(K[rows, columns]), chain.alignment]),  # without units
         "bias": ([*pose, chain.v], [chain.bias]),
         **tree_functions(chain),
         "coordinates": (pose, [chain.coordinates]),
@@ -195,6 +197,22 @@ def _missed(chain: SymbolicChain, positions: Any) -> Any:
     return ca.vertcat(ca.SX(0, 1), *missed)
 
 
+def _blocks(chain: SymbolicChain) -> tuple[list[int], list[int], list[tuple[int, int, int]]]:
+    """Return rows and columns of K in the order in which it is block triangular, and the blocks on its diagonal.
+
+    Of a block come the first row, the size, and the end of the rows in which its columns are not zero.
+    """
+    pattern = chain.K.sparsity()
+    _, rows, columns, starts, ends, *_ = pattern.btf()
+    if starts != ends:  # a structure that has no inverse
+        rows = columns = list(range(len(chain.pose_columns)))
+        starts = [0, len(rows)]
+    filled = np.array(ca.DM(pattern, 1.0))[np.ix_(rows, columns)] != 0.0
+    reached = [int(np.flatnonzero(filled[:, first:end].any(axis=1))[-1]) + 1 for first, end in pairwise(starts)]
+    sizes = np.diff(starts).tolist()
+    return rows, columns, list(zip(starts, sizes, reached, strict=False))
+
+
 def driver_source(definition: Definition, functions: Iterable[Any], storage: str = "") -> str:
     """Return the C that closes a robot's loops: generated functions, sizes and tables, and ``driver.c``.
 
@@ -207,6 +225,11 @@ def driver_source(definition: Definition, functions: Iterable[Any], storage: str
         f"#define TURNS {len(turns.coordinates)}",
         f"#define COUNTED_COORDINATES {{{listed}}}",
     ]
+    rows, columns, blocks = _blocks(chain)
+    places = {"static const int ROW_PLACE": np.argsort(rows), "static const int COLUMN_PLACE": np.argsort(columns)}
+    counted += [_table(name, values) for name, values in places.items()]
+    counted += [f"#define EACH_BLOCK {' '.join(f'BLOCK{block}' for block in blocks)}"]
+    counted += [f"#define PARITY {round(np.linalg.det(np.eye(len(rows))[rows] @ np.eye(len(rows))[columns]))}.0"]
     if len(turns.coordinates):
         angles = ", ".join(map(str, (turns.angles.astype(int) + turns.kept).tolist()))
         counted.append(f"static const int ANGLE[] = {{{angles}}};")

@@ -52,7 +52,7 @@ APART int begin_at(const double *numbers, double *state) {
   turns_of(state, trig);
   coordinates_of(numbers, state, trig, x);
   if (!newton_by(1.0, numbers, state, x, 0, &pose)) return 0;
-  inverse_sizes(pose.lu, pose.pivot, &all, &platform);
+  inverse_sizes(&pose, &all, &platform);
   for (int i = 0; i < NQ; ++i) moved = fmax(moved, fabs(pose.q[i] - state[i]) / POSITION_UNIT[i]);
   if (!(fmax(4.0 * moved * moved, SINGULAR_MARGIN * SINGULAR_MARGIN) * all < 1.0)) return 0; /* the margin is 1 / sqrt(all) */
   keep(&pose, state);

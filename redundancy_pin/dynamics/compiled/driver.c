@@ -31,6 +31,43 @@ static void rows(const double *numbers, const double *q, const double *trig, con
   rp_rows(arg, res);
 }
 
+/* K stands by blocks (ROW_PLACE and COLUMN_PLACE say where its rows and columns are): above those on its diagonal it is zero, as a leg's
+   closures know nothing of the other legs. So it is decomposed, and solved, block by block (Davis and Natarajan, "KLU", 2010). EACH_BLOCK
+   gives for each its place and size, and the end of the rows that its columns reach. */
+#define ENTRY(i, j) (ROW_PLACE[i] + COLUMN_PLACE[j] * NP)
+
+static double decompose_rows(double *K, int *pivot) {
+  double sign = PARITY;
+#define BLOCK(first, size, end) sign *= decompose(K + (first) * (NP + 1), size, pivot + (first));
+  EACH_BLOCK
+#undef BLOCK
+  return sign;
+}
+
+static inline void solve_block(const double *K, const int *pivot, double *x, int first, int size, int end) {
+  int any = 0;
+  for (int j = first; j < first + size; ++j) any = any || x[j] != 0.0;
+  if (!any) return;
+  solve(K + first * (NP + 1), size, pivot + first, x + first);
+  for (int j = first; j < first + size; ++j)
+    for (int i = first + size; i < end; ++i) x[i] -= x[j] * K[i + j * NP];
+}
+
+/* x = K^-1 x, both in the order of the blocks. */
+static void solve_blocks(const double *K, const int *pivot, double *x) {
+#define BLOCK(first, size, end) solve_block(K, pivot, x, first, size, end);
+  EACH_BLOCK
+#undef BLOCK
+}
+
+/* b = K^-1 b */
+static void solve_rows(const double *K, const int *pivot, double *b) {
+  double x[NP + 1];
+  for (int i = 0; i < NP; ++i) x[ROW_PLACE[i]] = b[i];
+  solve_blocks(K, pivot, x);
+  for (int i = 0; i < NP; ++i) b[i] = x[COLUMN_PLACE[i]];
+}
+
 static void bias_of(const double *numbers, const double *q, const double *trig, const double *v, double *bias) {
   const double *const arg[] = {q, trig, v, numbers};
   double *const res[] = {bias};
@@ -47,9 +84,9 @@ APART int newton_by(double ratio, const double *numbers, const double *q, const 
     if (left)
       for (int i = 0; i < N; ++i) step[R + i] -= left[i];
     out->residual = largest(step, NP);
-    out->sign = decompose(out->lu, out->pivot);
+    out->sign = decompose_rows(out->lu, out->pivot);
     if (out->sign == 0.0) return 0;
-    solve(out->lu, out->pivot, step);
+    solve_rows(out->lu, out->pivot, step);
     double size = largest(step, NP);
     int stalled = size > ratio * last && size <= FLOOR; /* at rounding, also where that is two units in the last place of a coordinate */
     int settled = size <= SETTLED || (stalled && (out->residual < TOLERANCE || size <= 2.0 * EPSILON * largest_over(out->q, POSITION_UNIT, NQ)));
@@ -93,9 +130,17 @@ static int follow_way(const double *numbers, Pose *pose, int (*close)(const doub
   return STATUS_OK;
 }
 
+/* Whether a pivot is rounding, and the determinant of K has no sign that says anything. */
+static int is_rounding(const Pose *pose) {
+  for (int i = 0; i < NP; ++i)
+    if (!(NP * EPSILON * fabs(pose->lu[i * (NP + 1)]) < 1.0)) return 1;
+  return 0;
+}
+
+/* A way must not begin its next step at a singularity, on whose other side it could take the other branch. */
 static int close_at(const double *numbers, Pose *pose, const double *x, const double *left) {
   Pose next;
-  if (!newton(numbers, pose->q, x, left, &next) || next.sign != pose->sign) return STATUS_UNREACHABLE;
+  if (!newton(numbers, pose->q, x, left, &next) || next.sign != pose->sign || (left && is_rounding(&next))) return STATUS_UNREACHABLE;
   *pose = next;
   return STATUS_OK;
 }
@@ -175,16 +220,22 @@ APART int go_far(const double *numbers, Pose *pose, const double *here, const do
   return follow(numbers, pose, x);
 }
 
-/* The inverse X of K at a pose, row by row, Γ (NV x N) and W (N x M); returns the margin, one over the norm of X. */
-static double invert_pose(const double *numbers, const Pose *pose, double X[NP + 1][NP + 1], double *gamma, double *W) {
-  double size = 0.0, inverse_unit[N];
-  invert(pose->lu, pose->pivot, X);
+/* A column of the inverse of K, in the order of the blocks; returns the sum of its squares. */
+static double inverse_column(const Pose *pose, int column, double *x) {
+  clear(x, NP);
+  x[ROW_PLACE[column]] = 1.0;
+  solve_blocks(pose->lu, pose->pivot, x);
+  return dot(x, x, NP);
+}
+
+/* Γ (NV x N) and W (N x M) at a pose; returns the margin, one over the norm of the inverse of K. */
+static double invert_pose(const double *numbers, const Pose *pose, double *gamma, double *W) {
+  double size = 0.0, x[NP + 1];
   clear(gamma, NV * N);
-  for (int j = 0; j < N; ++j) inverse_unit[j] = 1.0 / EQUATION_UNIT[R + j];
-  for (int i = 0; i < NP; ++i) {
-    double *of = gamma + COLUMNS[i] * N;
-    for (int j = 0; j < N; ++j) of[j] = X[i][R + j] * (VELOCITY_UNIT[COLUMNS[i]] * inverse_unit[j]);
-    size += dot(X[i], X[i], NP);
+  for (int j = 0; j < R; ++j) size += inverse_column(pose, j, x);
+  for (int j = 0; j < N; ++j) {
+    size += inverse_column(pose, R + j, x);
+    for (int i = 0; i < NP; ++i) gamma[COLUMNS[i] * N + j] = x[COLUMN_PLACE[i]] * (VELOCITY_UNIT[COLUMNS[i]] / EQUATION_UNIT[R + j]);
   }
   for (int i = 0; i < N; ++i)
     for (int j = 0; j < M; ++j) W[i * M + j] = gamma[ACTUATED[j] * N + i];
@@ -193,13 +244,14 @@ static double invert_pose(const double *numbers, const Pose *pose, double X[NP +
 
 /* Velocity and acceleration of the tree at a closed pose, Γ, W and the margin; K v = (0, xd), K a = (0, xdd) - bias. */
 static double rates(const double *numbers, const Pose *pose, const double *xd, const double *xdd, double *v, double *a, double *gamma, double *W) {
-  double X[NP + 1][NP + 1], bias[NP + 1], rest[NP + 1], margin = invert_pose(numbers, pose, X, gamma, W);
+  double bias[NP + 1], margin = invert_pose(numbers, pose, gamma, W);
   clear(v, NV);
   clear(a, NV);
   for (int i = 0; i < NP; ++i) v[COLUMNS[i]] = dot(gamma + COLUMNS[i] * N, xd, N);
   bias_of(numbers, pose->q, pose->trig, v, bias);
-  for (int i = 0; i < NP; ++i) rest[i] = ((i < R ? 0.0 : xdd[i - R]) - bias[i]) / EQUATION_UNIT[i];
-  for (int i = 0; i < NP; ++i) a[COLUMNS[i]] = dot(X[i], rest, NP) * VELOCITY_UNIT[COLUMNS[i]];
+  for (int i = 0; i < NP; ++i) bias[i] = ((i < R ? 0.0 : xdd[i - R]) - bias[i]) / EQUATION_UNIT[i];
+  solve_rows(pose->lu, pose->pivot, bias);
+  for (int i = 0; i < NP; ++i) a[COLUMNS[i]] = bias[i] * VELOCITY_UNIT[COLUMNS[i]];
   return margin;
 }
 
@@ -211,14 +263,14 @@ static int in_mode(const double *numbers, const Pose *pose) {
   return 1;
 }
 
-/* Squares of the Frobenius norms of the inverse of a decomposed matrix, and of its columns that belong to the platform. */
-static void inverse_sizes(const double *lu, const int *pivot, double *all, double *platform) {
-  double X[NP + 1][NP + 1];
-  invert(lu, pivot, X);
+/* Squares of the Frobenius norms of the inverse of K at a pose, and of its columns that belong to the platform. */
+static void inverse_sizes(const Pose *pose, double *all, double *platform) {
+  double x[NP + 1];
   *all = *platform = 0.0;
-  for (int i = 0; i < NP; ++i) {
-    *all += dot(X[i], X[i], NP);
-    *platform += dot(X[i] + R, X[i] + R, N);
+  for (int j = 0; j < NP; ++j) {
+    double size = inverse_column(pose, j, x);
+    *all += size;
+    if (j >= R) *platform += size;
   }
 }
 
@@ -226,7 +278,7 @@ static void inverse_sizes(const double *lu, const int *pivot, double *all, doubl
    on beyond. At a leg that is stretched, or folded, it has one, and the branch ends. */
 static int may_go_on(const Pose *pose) {
   double all, platform;
-  inverse_sizes(pose->lu, pose->pivot, &all, &platform);
+  inverse_sizes(pose, &all, &platform);
   return !(platform > PART * PART * all);
 }
 

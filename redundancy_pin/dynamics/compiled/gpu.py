@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,8 @@ from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.joint_ranges import range_table
 from redundancy_pin.robot.loads import of_kind
+
+Device: TypeAlias = Literal["gpu", "cpu"]
 
 THREADS = 128
 """Threads of a block: a multiprocessor holds two blocks where each thread has all the registers that there are, 255."""
@@ -118,9 +120,7 @@ class GpuDynamics:
         ((2, 3), [0, 0])
     """
 
-    def __init__(
-        self, robots: RobotLike | Sequence[Robot], *, device: Literal["gpu", "cpu"] = "gpu", threads: int = THREADS
-    ) -> None:
+    def __init__(self, robots: RobotLike | Sequence[Robot], *, device: Device = "gpu", threads: int = THREADS) -> None:
         several: Sequence[Any] = robots if isinstance(robots, (list, tuple)) else [robots]
         self.robots: tuple[Robot, ...] = tuple(as_robot(each) for each in several)
         one_of(device, "device", ("gpu", "cpu"))
@@ -149,6 +149,7 @@ class GpuDynamics:
         tables = vectors, wrenches, map(range_table, self.robots)
         rows = (np.array([*table], dtype=np.float64).reshape(len(self.robots), -1) for table in tables)
         self._machines, self._wrenches, self._ranges = map(self._device.xp.asarray, rows)
+        self._compiled: dict[type[_Many], Any] = {}
         self._device.wait()  # calls may be on other streams than this one
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -160,20 +161,18 @@ class GpuDynamics:
         """Return the robot, and how many machines there are."""
         return f"GpuDynamics({self.robot!r}, {len(self.robots)} machine(s))"
 
-    @cached_property
-    def _efforts(self) -> Any:
-        return self._device.compiled(_ManyEfforts, self._topology)
-
-    @cached_property
-    def _accelerations(self) -> Any:
-        return self._device.compiled(_ManyAccelerations, self._topology)
+    def _code(self, kind: type[_Many]) -> Any:
+        if kind not in self._compiled:
+            self._compiled[kind] = self._device.compiled(kind, self._topology)
+        return self._compiled[kind]
 
     @cached_property
     def _references(self) -> Any:
         """States of all machines at their references (machines, nq + 1); raises InputError where one does not close."""
         states = self._device.xp.asarray(np.array([np.append(each.q_reference, 0.0) for each in self.robots]))
         found = self._device.xp.empty(len(self.robots), dtype=np.int32)
-        self._device.launch(self._efforts, "rp_many_references", len(self.robots), self._machines, states, found)
+        code, count = self._code(_ManyEfforts), len(self.robots)
+        self._device.launch(code, "rp_many_references", count, self._machines, states, found)
         for machine in np.flatnonzero(self._device.host(found))[:1]:
             raise InputError(
                 f"The loops of machine {machine}, {self.robots[machine].name}, do not close at its reference.",
@@ -220,7 +219,7 @@ class GpuDynamics:
             "W": (n, robot.m) if equations else None, "f": (n,) if equations else None,
         }  # fmt: skip
         tables = self._machines, self._wrenches, self._references, self._ranges, np.int32(self._ranges.shape[1] // 5)
-        return ManyTorques(**self._many(self._efforts, "rp_many_efforts", given, wanted, machine, tables))
+        return ManyTorques(**self._many(_ManyEfforts, given, wanted, machine, tables))
 
     def acceleration(
         self, q: Any, v: Any, tau: Any, carrier_force: Any = 0.0, *, machine: Any = None
@@ -242,19 +241,18 @@ class GpuDynamics:
         given["carrier_force"] = carrier_force, (self.robot.k,)
         tables = self._machines, self._wrenches
         wanted: dict[str, tuple[int, ...] | None] = {"a": (model.nv,)}
-        found = self._many(self._accelerations, "rp_many_accelerations", given, wanted, machine, tables)
+        found = self._many(_ManyAccelerations, given, wanted, machine, tables)
         return ManyAccelerations(**found)
 
     def _many(
         self,
-        code: Any,
-        name: str,
+        kind: type[_Many],
         given: Mapping[str, tuple[Any, tuple[int, ...]]],
         wanted: Mapping[str, tuple[int, ...] | None],
         machine: Any,
         tables: Sequence[Any],
     ) -> dict[str, Any]:
-        """Return results by name, None where not wanted; ``given`` and ``wanted`` in the order of the columns in C."""
+        """Return results by name, None where not wanted; the first of ``given`` says how many samples there are."""
         device, first = self._device, next(iter(given.values()))[0]
         axes = first.ndim if hasattr(first, "ndim") else np.ndim(first)
         if axes != len(next(iter(given.values()))[1]) + 1:
@@ -273,7 +271,7 @@ class GpuDynamics:
         parts: list[dict[str, Any]] = []
         for part in (on_host and blocks(samples, _BLOCK)) or [slice(0, samples)]:
             now = {each: _part(array, part) for each, array in taken.items()}
-            found = self._launched(code, name, now, wanted, _part(which, part), tables, part.stop - part.start)
+            found = self._launched(kind, now, wanted, _part(which, part), tables, part.stop - part.start)
             # on the host at once: the device need not hold the results of all parts
             parts.append(
                 {each: device.host(one) if on_host and one is not None else one for each, one in found.items()}
@@ -285,9 +283,8 @@ class GpuDynamics:
 
     def _launched(
         self,
-        code: Any,
-        name: str,
-        given: Mapping[str, Any],
+        kind: type[_Many],
+        given: dict[str, Any],
         wanted: Mapping[str, tuple[int, ...] | None],
         which: Any,
         tables: Sequence[Any],
@@ -295,16 +292,16 @@ class GpuDynamics:
     ) -> dict[str, Any]:
         """Return results of samples that fit in the memory of the device, whose arrays are there or go there."""
         device, xp = self._device, self._device.xp
-        arrays = [_flat(xp, array) for array in given.values()]
         # entries of all samples stand side by side, so that the threads of a warp write to neighbours
         results = {each: None if size is None else xp.moveaxis(xp.empty((*size, samples)), -1, 0)
                    for each, size in wanted.items()}  # fmt: skip
-        flat = [*arrays, *(_flat(xp, array) for array in results.values())]  # named: the launch needs their memory
+        arrays = given | results
+        flat = [_flat(xp, arrays[each]) for each in kind.columns]  # named: the launch needs their memory
         columns = xp.asarray(np.array([device.column(array) for array in flat], dtype=np.int64))
         status = xp.empty(samples, dtype=np.int32)
         which = None if which is None else xp.ascontiguousarray(xp.asarray(which, dtype=np.int32))
         if samples:
-            device.launch(code, name, samples, columns, which, status, *tables)
+            device.launch(self._code(kind), kind.name, samples, columns, which, status, *tables)
         return {**results, "status": status}
 
 
@@ -348,41 +345,51 @@ def _taken(xp: Any, value: Any, name: str, shape: tuple[int, ...]) -> Any:
     )
 
 
-class _ManyEfforts(Code):
+class _Many(Code):
+    """A function of C that takes many samples.
+
+    Attributes:
+        name: of the function.
+        columns: its quantities, arguments and results, in the order in which it takes them.
+    """
+
+    name: ClassVar[str]
+    columns: ClassVar[tuple[str, ...]]
+
+    @classmethod
+    def loop(cls, topology: Topology) -> str:
+        """Return the text of the loop over samples."""
+        numbers = layout_of(topology).size
+        return f"#define NUMBERS {numbers}\nenum {{ {', '.join(cls.columns).upper()} }};\n{text_of('many.c')}"
+
+
+class _ManyEfforts(_Many):
     """Inverse dynamics of many samples."""
+
+    name = "rp_many_efforts"
+    columns = ("x", "xd", "xdd", "s", "sd", "sdd", "start",
+               "tau", "carrier_force", "residual", "serial_margin", "margin", "state", "W", "f")  # fmt: skip
 
     @staticmethod
     def source(topology: Topology) -> str:
         """Return the text for NVRTC and for a compiler of C."""
         definition = define(topology)
         used = [definition.functions[f"rp_{name}"] for name in _FUNCTIONS]
-        texts = map(text_of, ("sample.c", "calls.c", "many.c"))
-        return "\n".join(
-            [
-                _APART,
-                driver_source(definition, used, "APART"),
-                carried_table(topology.robot),
-                _numbers(topology),
-                *texts,
-            ]
-        )
+        driver = driver_source(definition, used, "APART"), carried_table(topology.robot)
+        return "\n".join([_APART, *driver, *map(text_of, ("sample.c", "calls.c")), _ManyEfforts.loop(topology)])
 
 
-class _ManyAccelerations(Code):
+class _ManyAccelerations(_Many):
     """Forward dynamics of many states."""
 
+    name = "rp_many_accelerations"
+    columns = ("q", "v", "tau", "carrier_force", "a")
     flags: ClassVar[tuple[str, ...]] = CompiledForward.flags
 
     @staticmethod
     def source(topology: Topology) -> str:
         """Return the text for NVRTC and for a compiler of C."""
-        return "\n".join(
-            [CompiledForward.dynamics_source(topology), _numbers(topology), "#define FORWARD", text_of("many.c")]
-        )
-
-
-def _numbers(topology: Topology) -> str:
-    return f"#define NUMBERS {layout_of(topology).size}"
+        return f"{CompiledForward.dynamics_source(topology)}\n#define FORWARD\n{_ManyAccelerations.loop(topology)}"
 
 
 # --- devices ----------------------------------------------------------------------------------------------------------

@@ -66,8 +66,8 @@ static double rank_ratio(double *S) {
 /* Determinant of a matrix (NP x NP), or of its transpose; it is overwritten. */
 static double determinant(double *A) {
   int pivot[NP + 1];
-  double result = decompose(A, pivot);
-  for (int i = 0; i < NP; ++i) result *= fabs(A[i + i * NP]);
+  double result = decompose(A, NP, pivot);
+  for (int i = 0; result != 0.0 && i < NP; ++i) result /= fabs(A[i + i * NP]);
   return result;
 }
 

@@ -12,14 +12,16 @@
 #define EVERY 1
 #endif
 
-/* One quantity of all samples: entry i of sample k is values[k * sample + i * entry]; null where it is not given, or not asked for. */
+/* One quantity of all samples, in the order of the enum that gpu.py writes: entry i of sample k is values[k * sample + i * entry]; null where it is not given, or not asked for. */
 typedef struct {
   double *values;
   long long sample, entry;
 } Column;
 
-static void fetch(const Column *column, long long k, double *to, int size) {
+/* Read a quantity, or zeros for null; returns where the next one goes. */
+static double *fetch(const Column *column, long long k, double *to, int size) {
   for (int i = 0; i < size; ++i) to[i] = column->values ? column->values[k * column->sample + i * column->entry] : 0.0;
+  return to + size;
 }
 
 /* Write a quantity, or NaN for null. */
@@ -33,26 +35,21 @@ static void store(const Column *column, long long k, const double *from, int siz
 
 #ifdef FORWARD
 
-enum { Q, V, TAU, FORCE, A };
-
 KERNEL void rp_many_accelerations(long long samples, const Column *columns, const int *which, int *statuses, const double *machines,
                                   const double *wrenches) {
   for (long long k = FIRST; k < samples; k += EVERY) {
     const int machine = which ? which[k] : 0;
-    double in[NQ + NV + M + NK + NWRENCH], a[NV], *v = in + NQ, *tau = v + NV, *force = tau + M;
-    fetch(columns + Q, k, in, NQ);
-    fetch(columns + V, k, v, NV);
-    fetch(columns + TAU, k, tau, M);
-    fetch(columns + FORCE, k, force, NK);
-    copy(force + NK, wrenches + machine * NWRENCH, NWRENCH);
+    double in[NQ + NV + M + NK + NWRENCH], a[NV], *at = fetch(columns + Q, k, in, NQ);
+    at = fetch(columns + V, k, at, NV);
+    at = fetch(columns + TAU, k, at, M);
+    at = fetch(columns + CARRIER_FORCE, k, at, NK);
+    copy(at, wrenches + machine * NWRENCH, NWRENCH);
     statuses[k] = rp_acceleration(machines + machine * NUMBERS, in, a);
     store(columns + A, k, a, NV);
   }
 }
 
 #else
-
-enum { X, XD, XDD, S, SD, SDD, START, TAU, FORCE, RESIDUAL, MARGIN_I, MARGIN_II, STATE, MATRIX, VECTOR };
 
 /* Closes the loops of every machine at its reference; STATUS_BRANCH_LOST where they do not. */
 KERNEL void rp_many_references(long long samples, const double *machines, double *references, int *statuses) {
@@ -66,13 +63,14 @@ KERNEL void rp_many_efforts(long long samples, const Column *columns, const int 
                             const double *wrenches, const double *references, const Range *ranges, int count) {
   for (long long k = FIRST; k < samples; k += EVERY) {
     const int machine = which ? which[k] : 0;
-    const int sizes[] = {NX, N, N, NK, NK, NK};
-    double state[NQ + 1], in[NX + 2 * N + 3 * NK + NWRENCH], out[N * M + N + NK + 2 + M + 1], *at = in;
+    double state[NQ + 1], in[NX + 2 * N + 3 * NK + NWRENCH], out[N * M + N + NK + 2 + M + 1];
     double *const f = out + N * M, *const force = f + N, *const residual = force + NK, *const tau = residual + 2;
-    for (int i = X; i <= SDD; ++i) {
-      fetch(columns + i, k, at, sizes[i]);
-      at += sizes[i];
-    }
+    double *at = fetch(columns + X, k, in, NX);
+    at = fetch(columns + XD, k, at, N);
+    at = fetch(columns + XDD, k, at, N);
+    at = fetch(columns + S, k, at, NK);
+    at = fetch(columns + SD, k, at, NK);
+    at = fetch(columns + SDD, k, at, NK);
     copy(at, wrenches + machine * NWRENCH, NWRENCH);
     if (columns[START].values)
       fetch(columns + START, k, state, NQ + 1);
@@ -82,13 +80,13 @@ KERNEL void rp_many_efforts(long long samples, const Column *columns, const int 
     if (status >= FOR_KINEMATICS) status -= FOR_KINEMATICS;
     const int has_equation = status <= STATUS_UNDERACTUATED || status == STATUS_OUT_OF_RANGE;
     store(columns + TAU, k, has_equation ? tau : 0, M);
-    store(columns + FORCE, k, has_equation ? force : 0, NK);
+    store(columns + CARRIER_FORCE, k, has_equation ? force : 0, NK);
     store(columns + RESIDUAL, k, has_equation ? residual : 0, 1);
-    store(columns + MARGIN_I, k, has_equation ? residual + 1 : 0, 1);
-    store(columns + MARGIN_II, k, has_equation ? tau + M : 0, 1);
+    store(columns + SERIAL_MARGIN, k, has_equation ? residual + 1 : 0, 1);
+    store(columns + MARGIN, k, has_equation ? tau + M : 0, 1);
     store(columns + STATE, k, state, NQ + 1);
-    store(columns + MATRIX, k, has_equation ? out : 0, N * M);
-    store(columns + VECTOR, k, has_equation ? f : 0, N);
+    store(columns + W, k, has_equation ? out : 0, N * M);
+    store(columns + F, k, has_equation ? f : 0, N);
     statuses[k] = status;
   }
 }

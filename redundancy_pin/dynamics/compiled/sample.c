@@ -200,46 +200,48 @@ typedef struct {
 #if M == N
 /* Newton's step (NP) for closures and actuators at once, [J_c; S] step = [residual; off] without unit; returns 0 where it is singular. */
 static int actuated_step(const double *numbers, Pose *pose, const double *off, double *step, Driven *driven) {
-  if (!driven->known) copy(driven->A, pose->lu, NP * NP);
+  if (!driven->known)
+    for (int j = 0; j < NP; ++j)
+      for (int i = 0; i < R; ++i) driven->A[i + j * NP] = pose->lu[ENTRY(i, j)];
   for (int i = 0; i < NP; ++i)
     for (int j = 0; j < M; ++j) {
       int drives_it = ACTUATED[j] == COLUMNS[i];
       if (!driven->known) driven->A[R + j + i * NP] = drives_it;
       if (drives_it) step[R + j] = off[j] / VELOCITY_UNIT[COLUMNS[i]];
     }
-  if (!driven->known && decompose(driven->A, driven->pivot) == 0.0) return 0;
+  if (!driven->known && decompose(driven->A, NP, driven->pivot) == 0.0) return 0;
   driven->known = 1;
-  solve(driven->A, driven->pivot, step);
+  solve(driven->A, NP, driven->pivot, step);
   return 1;
 }
 #else
-/* The step of Gauss and Newton's method, of more actuators than DOF: the loops close to first order by X (row by row the inverse
-   of K), then the coordinates move by dx with W^T dx nearest to what the actuators miss. Returns 0 where that is singular. */
+/* The step of Gauss and Newton's method, of more actuators than DOF: the loops close to first order, then the coordinates move by dx with
+   W^T dx nearest to what the actuators miss. Returns 0 where that is singular. */
 static int actuated_step(const double *numbers, Pose *pose, const double *off, double *step, Driven *driven) {
-  double X[NP + 1][NP + 1], closing[NV], rest[M], dx[N], gamma[NV * N], W[N * M];
+  double closing[NV] = {0.0}, rest[M], dx[N], gamma[NV * N], W[N * M];
   Spectrum s;
   Pose here = *pose;
   driven->known = 0;
-  if (decompose(here.lu, here.pivot) == 0.0) return 0;
-  invert_pose(numbers, &here, X, gamma, W);
+  if (decompose_rows(here.lu, here.pivot) == 0.0) return 0;
+  invert_pose(numbers, &here, gamma, W);
   spectrum_of(numbers, W, &s);
   if (s.rank < N) return 0;
-  clear(closing, NV);
-  for (int i = 0; i < NP; ++i) closing[COLUMNS[i]] = dot(X[i], step, R) * VELOCITY_UNIT[COLUMNS[i]];
+  clear(step + R, N);
+  solve_rows(here.lu, here.pivot, step);
+  for (int i = 0; i < NP; ++i) closing[COLUMNS[i]] = step[i] * VELOCITY_UNIT[COLUMNS[i]];
   for (int j = 0; j < M; ++j) rest[j] = off[j] - closing[ACTUATED[j]];
   back(numbers, &s, rest, dx);
-  for (int c = 0; c < N; ++c) dx[c] /= EQUATION_UNIT[R + c];
-  for (int i = 0; i < NP; ++i) step[i] = closing[COLUMNS[i]] / VELOCITY_UNIT[COLUMNS[i]] + dot(X[i] + R, dx, N);
+  for (int i = 0; i < NP; ++i) step[i] += dot(gamma + COLUMNS[i] * N, dx, N) / VELOCITY_UNIT[COLUMNS[i]];
   return 1;
 }
 #endif
 
 /* Why Newton's method failed at a pose with K not decomposed yet. */
 static int failure_at(const double *numbers, Pose *pose) {
-  double X[NP + 1][NP + 1], gamma[NV * N], W[N * M];
+  double gamma[NV * N], W[N * M];
   Spectrum s;
-  if (decompose(pose->lu, pose->pivot) == 0.0) return STATUS_TYPE_I;
-  invert_pose(numbers, pose, X, gamma, W);
+  if (decompose_rows(pose->lu, pose->pivot) == 0.0) return STATUS_TYPE_I;
+  invert_pose(numbers, pose, gamma, W);
   spectrum_of(numbers, W, &s);
   return s.rank < N ? STATUS_TYPE_II : STATUS_UNREACHABLE;
 }
@@ -264,7 +266,7 @@ static int forward(const double *numbers, Pose *pose, const double *position, co
     if (size <= SETTLED || (size <= FLOOR && size > CONTRACTION * last && pose->residual < TOLERANCE)) {
       for (int i = 0; i < NALIGN; ++i)
         if (!(alignment[i] > 0.0)) return STATUS_UNREACHABLE; /* a hinge the wrong way round */
-      pose->sign = decompose(pose->lu, pose->pivot);
+      pose->sign = decompose_rows(pose->lu, pose->pivot);
       return pose->sign != 0.0 && !(pose->sign * sign < 0.0) ? STATUS_OK : STATUS_UNREACHABLE;
     }
     if (!(size <= CONTRACTION * last)) {
@@ -289,14 +291,14 @@ typedef struct {
    Returns a status; the platform is written where it is OK or NEAR_SINGULAR. */
 static int platform_of(const double *numbers, Pose *pose, const double *position, const double *velocity, Platform *out) {
   Spectrum s;
-  double X[NP + 1][NP + 1], off[M], rate[M], W[N * M];
+  double off[M], rate[M], W[N * M];
   clear(out->x, NX);
   clear(out->xd, N);
   out->mismatch = out->residual = out->margin = out->type_I_margin = 0.0;
   int status = forward(numbers, pose, position, 0, off);
   if (status) return status;
   coordinates_of(numbers, pose->q, pose->trig, out->x);
-  out->type_I_margin = invert_pose(numbers, pose, X, out->gamma, W);
+  out->type_I_margin = invert_pose(numbers, pose, out->gamma, W);
   if (!(out->type_I_margin >= SINGULAR_MARGIN)) return STATUS_TYPE_I;
   if (!in_mode(numbers, pose)) return STATUS_BRANCH_LOST;
   spectrum_of(numbers, W, &s);

@@ -14,77 +14,50 @@ static void clear(double *values, int size) {
   for (int i = 0; i < size; ++i) values[i] = 0.0;
 }
 
-/* LU decomposition in place, columns one after the other, with partial pivoting; returns the sign of the determinant. */
-static double decompose(double *A, int *pivot) {
+/* LU decomposition in place of a square matrix (its columns NP numbers apart) with partial pivoting, one over the pivots on its diagonal;
+   returns the sign of the determinant. */
+static inline double decompose(double *A, int size, int *pivot) {
   double sign = 1.0;
-  for (int j = 0; j < NP; ++j) {
+  for (int j = 0; j < size; ++j) {
     int best = j;
-    for (int i = j + 1; i < NP; ++i)
+    for (int i = j + 1; i < size; ++i)
       if (fabs(A[i + j * NP]) > fabs(A[best + j * NP])) best = i;
     pivot[j] = best;
     double d = A[best + j * NP];
     if (!(d != 0.0)) return 0.0;
     if (best != j) {
       sign = -sign;
-      for (int k = 0; k < NP; ++k) {
+      for (int k = 0; k < size; ++k) {
         double swap = A[j + k * NP];
         A[j + k * NP] = A[best + k * NP];
         A[best + k * NP] = swap;
       }
     }
     if (d < 0.0) sign = -sign;
-    double inverse = 1.0 / d;
-    for (int i = j + 1; i < NP; ++i) A[i + j * NP] *= inverse;
-    for (int k = j + 1; k < NP; ++k) {
+    double inverse = A[j + j * NP] = 1.0 / d;
+    for (int i = j + 1; i < size; ++i) A[i + j * NP] *= inverse;
+    for (int k = j + 1; k < size; ++k) {
       double factor = A[j + k * NP];
-      if (factor != 0.0) /* most entries of a mechanism's K are zero */
-        for (int i = j + 1; i < NP; ++i) A[i + k * NP] -= factor * A[i + j * NP];
+      if (factor != 0.0) /* many entries of a mechanism's K are zero */
+        for (int i = j + 1; i < size; ++i) A[i + k * NP] -= factor * A[i + j * NP];
     }
   }
   return sign;
 }
 
-static void solve(const double *A, const int *pivot, double *b) {
-  for (int j = 0; j < NP; ++j) {
+static inline void solve(const double *A, int size, const int *pivot, double *b) {
+  for (int j = 0; j < size; ++j) {
     double swap = b[pivot[j]];
     b[pivot[j]] = b[j];
     b[j] = swap;
   }
-  for (int j = 0; j < NP; ++j)
+  for (int j = 0; j < size; ++j)
     if (b[j] != 0.0)
-      for (int i = j + 1; i < NP; ++i) b[i] -= b[j] * A[i + j * NP];
-  for (int j = NP - 1; j >= 0; --j) {
-    b[j] /= A[j + j * NP];
+      for (int i = j + 1; i < size; ++i) b[i] -= b[j] * A[i + j * NP];
+  for (int j = size - 1; j >= 0; --j) {
+    b[j] *= A[j + j * NP];
     if (b[j] != 0.0)
       for (int i = 0; i < j; ++i) b[i] -= b[j] * A[i + j * NP];
-  }
-}
-
-/* The inverse, row by row: all columns at once, so that the innermost loop runs over neighbours in memory. */
-static void invert(const double *A, const int *pivot, double X[NP + 1][NP + 1]) {
-  int from[NP + 1];
-  for (int i = 0; i < NP; ++i) from[i] = i;
-  for (int j = 0; j < NP; ++j) {
-    int swap = from[j];
-    from[j] = from[pivot[j]];
-    from[pivot[j]] = swap;
-  }
-  clear(&X[0][0], (NP + 1) * (NP + 1));
-  for (int i = 0; i < NP; ++i) X[i][from[i]] = 1.0;
-  for (int j = 0; j < NP; ++j)
-    for (int i = j + 1; i < NP; ++i) {
-      double factor = A[i + j * NP];
-      if (factor != 0.0)
-        for (int c = 0; c < NP; ++c) X[i][c] -= factor * X[j][c];
-    }
-  for (int j = NP - 1; j >= 0; --j) {
-    double inverse = 1.0 / A[j + j * NP];
-    for (int c = 0; c < NP; ++c) X[j][c] *= inverse;
-    for (int i = 0; i < j; ++i) {
-      double factor = A[i + j * NP];
-      if (factor != 0.0)
-        for (int c = 0; c < NP; ++c) X[i][c] -= factor * X[j][c];
-    }
   }
 }
 
