@@ -44,7 +44,8 @@ def works() -> bool:
 
 def elsewhere(folder: Path, number: int = NUMBER) -> str:
     """The same in a process of its own: what this one has loaded, it would get again whatever the file is."""
-    code = (
+    code = (  # a shell's background job, and all it starts, would ignore SIGINT
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from redundancy_pin import machine_code as m\n"
         f"print(m.built(lambda c: m.digest([c, '{number}']), lambda: 'int rp_answer(void) {{ return {number}; }}',"
         " lambda path: m.loaded(path).rp_answer()))"
@@ -456,7 +457,8 @@ def test_a_killed_compile_leaves_no_compiler_and_the_next_one_works(
     compiler, log = compiler_that_hangs(tmp_path)
     monkeypatch.setenv(machine_code.CACHE, str(kept) if where == "cache" else "")
     environment = {**os.environ, "CC": compiler, "TMPDIR": str(temporary)}
-    code = (
+    code = (  # a shell's background job, and all it starts, would ignore SIGINT
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from redundancy_pin import machine_code as m\n"
         "m.built(lambda compiler: 'x', lambda: 'int rp_answer(void) { return 1; }', m.loaded)"
     )
