@@ -43,12 +43,15 @@ help: ## list the targets
 test: $(STAMP) ## lint, types, import contracts, tests (five minutes on two cores)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	@if $(BIN)/python -c '$(TYPED)'; then echo "$(BIN)/mypy --strict"; $(BIN)/mypy --strict; \
-	  else echo "mypy --strict: left out, the newest numpy for Python 3.10 has types too coarse for it"; fi
 	$(BIN)/lint-imports
-	@# without pytest's rewriting of asserts, which each worker does anew; what fails is told by a second run, with it
+	@# types are checked beside the tests: mypy is one process, and alone it leaves the other cores idle for a minute.
+	@# Tests without pytest's rewriting of asserts, which each worker does anew; what fails is told by a second run, with it
+	@mkdir -p build; types=; status=0; \
+	if $(BIN)/python -c '$(TYPED)'; then $(BIN)/mypy --strict >build/mypy.txt 2>&1 & types=$$!; \
+	  else echo "mypy --strict: left out, the newest numpy for Python 3.10 has types too coarse for it"; fi; \
 	$(COMPILED) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal --assert=plain \
-	  || { $(COMPILED) $(BIN)/python -m pytest --last-failed --last-failed-no-failures none; false; }
+	  || { $(COMPILED) $(BIN)/python -m pytest --last-failed --last-failed-no-failures none || true; status=1; }; \
+	if [ -n "$$types" ]; then echo "$(BIN)/mypy --strict"; wait "$$types" || status=1; cat build/mypy.txt; fi; exit $$status
 
 reproduce: $(STAMP) ## run the experiments of the thesis into OUT (default: results)
 	$(BIN)/redundancy-pin reproduce --out "$(OUT)"

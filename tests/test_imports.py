@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import graphlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TypeGuard
@@ -85,18 +86,12 @@ def graph_of(root: Path) -> dict[str, set[str]]:
 
 
 def circle(graph: Mapping[str, set[str]]) -> list[str]:
-    """Return modules of which each can be reached from itself; none where imports point one way."""
-
-    def reached(start: str) -> set[str]:
-        seen: set[str] = set()
-        to_do = [start]
-        while to_do:
-            new = graph[to_do.pop()] - seen
-            seen |= new
-            to_do += new
-        return seen
-
-    return sorted(name for name in graph if name in reached(name))
+    """Return modules of which each imports itself through the others; none where imports point one way."""
+    try:
+        graphlib.TopologicalSorter(graph).prepare()
+    except graphlib.CycleError as error:
+        return sorted(set(error.args[1]))
+    return []
 
 
 def test_no_file_imports_itself_through_others() -> None:

@@ -161,6 +161,16 @@ def singular_state(machine: Machine, mode: Mode) -> States:
 # --- Pinocchio by itself -------------------------------------------------------------------------------------------
 
 
+@functools.cache
+def bare_model(name: str, arguments: tuple[tuple[str, object], ...]) -> pin.Model:
+    """Return the upright tree that Pinocchio makes of a shipped file, expanded by the library xacro."""
+    source = ROOT / "models" / name / f"{name}.urdf.xacro"
+    mappings = {argument: str(value).lower() for argument, value in arguments}
+    model = pin.buildModelFromXML(xacro.process_file(str(source), mappings=mappings).toxml())
+    model.gravity.linear = np.array(GRAVITY)
+    return model
+
+
 class BarePinocchio:
     """W, f and carrier forces by Pinocchio alone: RNEA on the cut tree, its Jacobians, its frame accelerations.
 
@@ -169,10 +179,7 @@ class BarePinocchio:
     """
 
     def __init__(self, machine: Machine) -> None:
-        source = ROOT / "models" / machine.name / f"{machine.name}.urdf.xacro"
-        mappings = {name: str(value).lower() for name, value in machine.arguments.items()}
-        self.model = pin.buildModelFromXML(xacro.process_file(str(source), mappings=mappings).toxml())
-        self.model.gravity.linear = np.array(GRAVITY)
+        self.model = bare_model(machine.name, tuple(machine.arguments.items()))
         self.data, self.machine = self.model.createData(), machine
         model = self.model
         self.loops = [tuple(model.getFrameId(link) for link in pair) for pair in machine.closures]

@@ -139,12 +139,13 @@ class Tags(html.parser.HTMLParser):
             self.texts.append(data)
 
 
-def page_of(one: Named) -> str:
-    return show(one.plan, robot=one.robot).html()
+@functools.cache
+def page_of(one: Named) -> Tags:
+    return Tags(show(one.plan, robot=one.robot).html())
 
 
 def in_html(one: Named, folder: Path, harmless: Named) -> None:
-    page, usual = Tags(page_of(one)), Tags(page_of(harmless))
+    page, usual = page_of(one), page_of(harmless)
     assert page.tags == usual.tags
     assert page.scripts[0] == usual.scripts[0]  # the viewer
     title = f"{one.name}: parked, ok"

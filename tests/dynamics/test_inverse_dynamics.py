@@ -17,7 +17,6 @@ from scipy.optimize import brentq
 import redundancy_pin as rp
 from redundancy_pin import CarrierMotion, PlatformMotion
 from redundancy_pin.errors import InputError
-from redundancy_pin.singularities.crossings import SPACING
 from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory, reference
 
@@ -233,6 +232,10 @@ def test_bounds_and_preference_are_kept() -> None:
     off = rp.inverse_dynamics(dynamics, motion, preferred=preferred).efforts.tau - preferred
     free = np.linalg.svd(reduced.W[0])[2][6:] / reduced.column_scale**2
     np.testing.assert_allclose(off @ free.T, 0.0, atol=1e-9)
+
+
+SPACING = 0.01
+"""Of the search for crossings, characteristic lengths."""
 
 
 def shallow(steps: float, depth: float = 0.9) -> PlatformMotion:

@@ -31,7 +31,7 @@ def corner() -> rp.trajectory.Trajectory:
 
 @functools.cache
 def stepwise_plan() -> Plan:
-    return rp.plan_stepwise(rp.CompiledDynamics(zoo.robot_of("3rrr")), corner())
+    return rp.plan_stepwise(rp.CompiledDynamics(zoo.robot_of("3rrr")), corner(), mesh=rp.Mesh(dt=0.01))
 
 
 @functools.cache
@@ -42,7 +42,7 @@ def whole_plan() -> Plan:
 @functools.cache
 def off_plan() -> Plan:
     circle = rp.trajectory.reference.circle(speed=0.5)
-    return rp.plan_switch_off(rp.CompiledDynamics(zoo.robot_of("2rpr")), circle, threshold=5.0, mesh=rp.Mesh(dt=0.005))
+    return rp.plan_switch_off(rp.CompiledDynamics(zoo.robot_of("2rpr")), circle, threshold=5.0, mesh=rp.Mesh(dt=0.02))
 
 
 def inside(plan: Plan, seed: int = 0) -> Array:

@@ -10,32 +10,29 @@ As a program it prints what went wrong, by class: ``python tests/support/malform
 
 from __future__ import annotations
 
-import os
 import random
 import re
-import resource
-import shutil
 import signal
 import sys
 import tempfile
-import traceback
-import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import click
 import yaml
-from forked import import_all
-from mutated import saved, stepwise_plan
-
-SECONDS = 2.0
-"""Of the processor, for what is refused."""
-
-MEGABYTES = 500.0
-"""Beyond what the process has when it starts, for what is refused."""
+from forked import MEGABYTES, SECONDS, fork, import_all
+from mutated import (
+    NUMBERS,
+    PROBLEM,
+    motion_csv,
+    saved,
+    spoiled_bytes,
+    spoiled_motion,
+    spoiled_problem,
+    stepwise_plan,
+)
 
 HANGS = 8, 60
 """Seconds of the processor, and of the clock, after which a case is ended. Right ones may run on: they are no fault."""
@@ -97,90 +94,27 @@ class Outcome:
 def run(invocation: Invocation, program: Callable[[Sequence[str]], object]) -> Outcome:
     """Run an invocation in a forked process, in a temporary folder with its files.
 
-    ``program`` takes the arguments and ends by ``SystemExit``; 4 GB of memory is all it gets.
+    ``program`` takes the arguments and ends by ``SystemExit``.
     """
-    folder = Path(tempfile.mkdtemp(prefix="malformed-"))
-    try:
-        work = folder / "work"
-        work.mkdir()
-        for name, content in invocation.files.items():
-            (work / name).write_bytes(content)
-        out, err, base = folder / "out", folder / "err", folder / "base"
-        sys.stdout.flush()
-        sys.stderr.flush()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of threads: the child has none of its own to wait for
-            child = os.fork()
-        if child == 0:
-            _in_child(invocation, program, work, out, err)
-        _, status, usage = os.wait4(child, 0)
-        with suppress(ProcessLookupError, PermissionError):
-            os.killpg(child, signal.SIGKILL)  # workers it may have left
+
+    def body() -> int:
+        program(list(invocation.arguments))
+        return 0
+
+    with tempfile.TemporaryDirectory(prefix="malformed-") as name:
+        work = Path(name)
+        for file, content in invocation.files.items():
+            (work / file).write_bytes(content)
+        ended = fork(body, work, *HANGS)
         left = sorted({entry.name for entry in work.iterdir()} - set(invocation.files))
-        return Outcome(
-            os.waitstatus_to_exitcode(status),
-            out.read_text(encoding="utf-8", errors="replace"),
-            err.read_text(encoding="utf-8", errors="replace"),
-            usage.ru_utime + usage.ru_stime,
-            max(usage.ru_maxrss / 1024.0 - float(base.read_text(encoding="ascii")), 0.0),
-            tuple(left),
-        )
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _megabytes(column: int) -> float:
-    """Return the virtual (0) or resident (1) memory of this process."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[column])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
-
-
-def _in_child(
-    invocation: Invocation, program: Callable[[Sequence[str]], object], work: Path, out: Path, err: Path
-) -> None:
-    code = 99
-    try:
-        os.setsid()  # so that workers of the command are no workers of the test
-        os.chdir(work)
-        for path, stream in ((out, 1), (err, 2)):
-            handle = os.open(path, os.O_WRONLY | os.O_CREAT)
-            os.dup2(handle, stream)
-        null = os.open(os.devnull, os.O_RDONLY)
-        os.dup2(null, 0)
-        sys.stdin, sys.stdout, sys.stderr = (
-            os.fdopen(number, mode, encoding="utf-8", errors="backslashreplace", closefd=False)
-            for number, mode in ((0, "r"), (1, "w"), (2, "w"))
-        )
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(HANGS[1])
-        resource.setrlimit(resource.RLIMIT_CPU, (HANGS[0], resource.RLIM_INFINITY))
-        # pages of the parent that a child shares without having read them do not count for it
-        work.with_name("base").write_text(repr(_megabytes(1)), encoding="ascii")
-        most = int((_megabytes(0) + 4096.0) * 2**20)
-        resource.setrlimit(resource.RLIMIT_AS, (most, resource.RLIM_INFINITY))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        try:
-            program(list(invocation.arguments))
-            code = 0
-        except SystemExit as leaving:
-            code = leaving.code if isinstance(leaving.code, int) else 0 if leaving.code is None else 1
-        except BaseException:
-            traceback.print_exc()
-            code = 1
-        sys.stdout.flush()
-        sys.stderr.flush()
-    finally:
-        os._exit(code)
+    return Outcome(ended.code, ended.out, ended.err, ended.seconds, ended.megabytes, tuple(left))
 
 
 # --- values --------------------------------------------------------------------------------------------------------
 
-NUMBERS = (
-    "", " ", "-", "+", ".", "nan", "-nan", "inf", "-inf", "0", "-0", "-1", "1e400", "-1e400", "1e-400", "1e308",
-    "1e-308", "9" * 5000, "-" + "9" * 400, "2**1000000", "9**9**9", "10**12", "1,2", "1;2", "0x10", "1_000", "٣", "½",
-    "1e", "true", "None", "[]", "1 2;1e200 1e200",
-    "1 2", "1\n2", "\x1b[31m", "%s", "{0}", "$(id)", "100000", "99999", "1000000000000",
-    "1.5", "-2", "1e9", "1e-9", "1e18", "4294967296", "9223372036854775808", "\udcff",
+VALUES = (
+    *NUMBERS, "-", "+", ".", "-1e400", "-" + "9" * 400, "10**12", "1,2", "1;2", "1 2;1e200 1e200", "$(id)", "99999",
+    "1000000000000", "1e9", "4294967296", "\udcff",
 )  # fmt: skip
 PATHS = (
     "", " ", ".", "a" * 300, "a" * 5000, "é" * 200, "x/" * 3000, "no/such/folder/x", "~nobody-of-that-name/x",
@@ -193,127 +127,7 @@ SUFFIXES = (".npz", ".csv", ".png", ".svg", ".pdf", ".html", ".txt", "", ".NPZ",
 
 ROBOTS = ("2rpr", "3rrr", "five_bar", "four_bar", "gough")
 MOTION = ("--motion", "motion.csv")
-
-
-def _motion_rows(n: int, samples: int = 30) -> tuple[list[str], list[list[float]]]:
-    """Return names and rows of a motion along x, which the 2-RPR can follow."""
-    import math
-
-    names = ["t", *(f"{name}{i}" for name in ("x", "xd", "xdd") for i in range(n))]
-    rows = []
-    for k in range(samples):
-        t = k * 0.01
-        wave = (0.05 * math.sin(t), 0.05 * math.cos(t), -0.05 * math.sin(t))
-        start = (1.0, 0.5, 0.0)
-        still = [0.0] * (n - 1)
-        rows.append([t, start[0] + wave[0], *start[1:n], wave[1], *still, wave[2], *still])
-    return names, rows
-
-
-def motion_csv(n: int = 2) -> bytes:
-    """Return a motion of ``n`` coordinates as CSV."""
-    names, rows = _motion_rows(n)
-    return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in rows)]).encode() + b"\n"
-
-
-def broken_csv(dice: random.Random) -> bytes:
-    """Return a motion with one thing wrong with it."""
-    names, rows = _motion_rows(dice.choice((1, 2, 3)))
-    text = [names, *([repr(value) for value in row] for row in rows)]
-    column, row = dice.randrange(len(names)), dice.randrange(1, len(text))
-    header = dice.choice(
-        (
-            "x00",
-            "x٣",
-            "x99999999999999999999",
-            "x" + "9" * 5000,
-            "",
-            "t",
-            " t ",
-            "xd",
-            "x-1",
-            "x1.0",
-            "\x00",
-            "X0",
-            "s0",
-        )
-    )
-    cell = dice.choice(NUMBERS)
-    kinds: dict[str, Callable[[], object]] = {
-        "header": lambda: text[0].__setitem__(column, header),
-        "cell": lambda: text[row].__setitem__(column, cell),
-        "short row": lambda: text[row].pop(),
-        "long row": lambda: text[row].append("1"),
-        "no rows": lambda: b",".join(name.encode() for name in names),
-        "empty": lambda: b"",
-        "zeros": lambda: b"\x00" * dice.choice((1, 100, 10**6)),
-        "noise": lambda: dice.randbytes(dice.choice((10, 1000, 10**5))),
-        "one line": lambda: b"t," + b"x" * 200_000 + b"\n1,2\n",
-        "quote": lambda: b'"' + b",".join(name.encode() for name in names) + b"\n1,2\n",
-        "utf-16": lambda: "\n".join(map(",".join, text)).encode("utf-16"),
-        "times back": lambda: text.__setitem__(slice(1, None), text[:0:-1]),
-        "times equal": lambda: [line.__setitem__(0, "0.0") for line in text[1:]],
-        "swapped columns": lambda: text.__setitem__(0, dice.sample(names, len(names))),
-        "other units": lambda: [
-            line.__setitem__(i, repr(1000.0 * float(line[i]))) for line in text[1:] for i in range(1, 2)
-        ],
-        "many columns": lambda: (",".join(f"c{i}" for i in range(20_000)) + "\n" + "1," * 20_000 + "\n").encode(),
-    }  # fmt: skip
-    done = kinds[dice.choice(list(kinds))]()
-    return done if isinstance(done, bytes) else "\n".join(map(",".join, text)).encode("utf-8", "surrogateescape")
-
-
-VALUES = (
-    "2001-12-14t21:59:43.10-05:00", "2001-12-14", "9" * 5000, "-" + "9" * 400, "1e400", ".inf", ".nan",
-    "0x" + "f" * 2000, "null", "true", "[]", "{}", "[[[[]]]]", "!!binary aGFsbG8=", "!!set {a, b}",
-    "!!python/object:os.system x", "*a", "&a 1", "'text'", '"\\u0000"', "~", "<<", "[1, [2]]", "{a: {b: c}}",
-    "2**1000000", "1:30:00", "0o17", "1_000", "- 1", "=", "?", "100000", "1000000000000", "-1", "0", "1.5",
-    "[" * 3000 + "]" * 3000, "é" * 300, "~nobody-of-that-name/x", "1e-320",
-)  # fmt: skip
-PROBLEM = {
-    "planner": "switch-off",
-    "robot": "2rpr",
-    "set": {"carrier_mass": 2.0},
-    "working_mode": "++",
-    "gravity": [0, 0, 0],
-    "backend": "rnea",
-    "motion": {"name": "circle", "speed": 0.5},
-    "parameters": {"threshold": 7, "dt": 0.01},
-}
-
-
-def broken_yaml(dice: random.Random) -> bytes:
-    """Return a problem file with one thing wrong with it."""
-    data = {key: dict(value) if isinstance(value, dict) else value for key, value in PROBLEM.items()}
-    data["planner"] = dice.choice(("switch-off", "stepwise", "whole-trajectory"))
-    mark, value = "MALFORMED", dice.choice(VALUES)
-    inside = dice.choice([data, *(entry for entry in data.values() if isinstance(entry, dict))])
-    key = dice.choice([*inside, "motion", "baseline", "backend", "set"])
-    inside[key] = mark
-    text = yaml.safe_dump(data, sort_keys=False)
-    whole: tuple[Callable[[], bytes], ...] = (
-        lambda: text.replace(f": {mark}", f": {value}").encode("utf-8", "surrogateescape"),
-        lambda: text.replace(f"{key}: {mark}", f"{value}: 1").encode("utf-8", "surrogateescape"),
-        lambda: dice.randbytes(1000),
-        lambda: _bomb().encode(),
-        lambda: b"a: &a [" + b"1," * 10**6 + b"]\n",
-        lambda: text.encode() + text.encode(),
-        lambda: b"# " + b"x" * 5 * 10**7,
-    )
-    return dice.choices(whole, weights=(12, 6, 1, 1, 1, 1, 1))[0]()
-
-
-def broken(content: bytes, dice: random.Random) -> bytes:
-    """Return a file with some of its bytes changed, cut off, or repeated."""
-    at, much = dice.randrange(len(content)), dice.choice((1, 8, 200))
-    changed = content[:at] + dice.randbytes(much) + content[at + much :]
-    return dice.choice((changed, content[:at], content[at:], content + content, content[:at] * 3))
-
-
-def _bomb() -> str:
-    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
-    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 12)]
-    return "\n".join(lines) + "\nplanner: *a11\nrobot: *a11\n"
+PLANNERS = ("switch-off", "stepwise", "whole-trajectory")
 
 
 # --- commands ------------------------------------------------------------------------------------------------------
@@ -360,14 +174,15 @@ def invocation(dice: random.Random) -> Invocation:
     """Return one malformed invocation."""
     command = dice.choice(list(known := commands(dice)))
     arguments = known[command]
-    files = {"motion.csv": motion_csv(), "p.yaml": yaml.safe_dump(PROBLEM).encode()}
+    motion = motion_csv("2rpr")
+    files = {"motion.csv": motion.encode(), "p.yaml": yaml.safe_dump(PROBLEM).encode()}
     kind = dice.choice(("number", "number", "path", "file", "word"))
     if command == "problem" and kind in ("number", "file"):
-        files["p.yaml"] = broken_yaml(dice)
+        files["p.yaml"] = spoiled_problem(PROBLEM | {"planner": dice.choice(PLANNERS)}, dice)
     elif command == "plan" and kind in ("number", "file"):
-        files["plan.npz"] = broken(saved(stepwise_plan), dice)
+        files["plan.npz"] = spoiled_bytes(saved(stepwise_plan), dice)
     elif kind == "file" and command in ("inverse-dynamics", "stepwise", "whole", "switch-off", "show", "singularities"):
-        files["motion.csv"] = broken_csv(dice)
+        files["motion.csv"] = spoiled_motion(motion, dice)
         arguments = [
             each for each in arguments if not each.startswith(("--motion", "line", "corner", "circle", MOTION[1]))
         ]
@@ -375,7 +190,7 @@ def invocation(dice: random.Random) -> Invocation:
     elif kind in ("number", "path"):
         fitting = [flag for flag in options_of(arguments) if (flag in PATH_FLAGS) is (kind == "path")]
         flag = dice.choice(fitting or ["--robot"])
-        value = dice.choice(NUMBERS) if kind == "number" else dice.choice(PATHS) + dice.choice(SUFFIXES)
+        value = dice.choice(VALUES) if kind == "number" else dice.choice(PATHS) + dice.choice(SUFFIXES)
         if flag in ("--robot", "--motion", "--problem", "--plan") and dice.random() < 0.3:
             value = dice.choice(DEVICES)
         if flag in ("--set", "--motion") and dice.random() < 0.7:
@@ -386,7 +201,7 @@ def invocation(dice: random.Random) -> Invocation:
         else:
             arguments = [*arguments, flag, value]
     else:
-        word = dice.choice((*NUMBERS, *PATHS, "--", "--help=", "-h1", "---", "--no-such", "plan", "-j", "--json=1"))
+        word = dice.choice((*VALUES, *PATHS, "--", "--help=", "-h1", "---", "--no-such", "plan", "-j", "--json=1"))
         at = dice.randrange(len(arguments) + 1)
         arguments = [*arguments[:at], word, *arguments[at + dice.randrange(2) :]]
     return Invocation(tuple(arguments), files)

@@ -56,6 +56,15 @@ VALUES: tuple[Any, ...] = (
 )  # fmt: skip
 
 
+YAML_TEXTS = (
+    "2001-12-14t21:59:43.10-05:00", "2001-12-14", ".inf", ".nan", "0x" + "f" * 2000, "null", "[[[[]]]]", "[1, [2]]",
+    "!!binary aGFsbG8=", "!!set {a, b}", "!!python/object:os.system x", "!!python/name:os.system", "*a", "&a 1",
+    "&a *a", "'text'", '"\\u0000"', "~", "<<", "{a: {b: c}}", "1:30:00", "0o17", "- 1", "- -", "=", "?", "1e-320",
+    "[" * 3000 + "]" * 3000, "é" * 300, "~nobody-of-that-name/x",
+)  # fmt: skip
+"""What YAML may make something else of than it looks like."""
+
+
 # ------------------------------------------------------------------------------------------------------ what is right
 
 
@@ -200,11 +209,9 @@ def spoiled_lines(text: str, dice: Dice) -> str:
         elif kind == 3:
             lines[at] = lines[at].lstrip()
         elif kind == 4 and ":" in lines[at]:
-            lines[at] = (
-                lines[at].partition(":")[0]
-                + ": "
-                + dice.choice((*NUMBERS, *EXPRESSIONS, "&a *a", "!!python/name:os.system", "- -"))
-            )
+            key, _, value = lines[at].partition(":")
+            texts = (*NUMBERS, *EXPRESSIONS, *YAML_TEXTS)
+            lines[at] = f"{dice.choice(texts)}:{value}" if dice.random() < 0.1 else f"{key}: {dice.choice(texts)}"
         else:
             words = lines[at].split(" ")
             words[dice.randrange(len(words))] = dice.choice(NUMBERS)
@@ -550,30 +557,21 @@ def xacros(dice: Dice) -> Files:
 
 
 HEADERS = (
-    "x00",
-    "x٣",
-    "x99999999999999999999",
-    "",
-    "t",
-    " t ",
-    "xd",
-    "x-1",
-    "x1.0",
-    "\x00",
-    "X0",
-    "s0",
-    "sd0",
-    "x" * 70_000,
-    "x7",
-)
+    "x00", "x٣", "x99999999999999999999", "", "t", " t ", "xd", "x-1", "x1.0", "\x00", "X0", "s0", "sd0", "x" * 70_000,
+    "x" + HUGE, "x7",
+)  # fmt: skip
 
 
 def motions(dice: Dice) -> Files:
     """A motion as CSV that is spoiled."""
-    text = motion_csv(dice.choice(("2rpr", "3rrr", "gough", "four_bar")))
+    return {"motion.csv": spoiled_motion(motion_csv(dice.choice(("2rpr", "3rrr", "gough", "four_bar"))), dice)}
+
+
+def spoiled_motion(text: str, dice: Dice) -> bytes:
+    """Return a motion as CSV with cells, rows or columns wrong, or that is none."""
     cells = [line.split(",") for line in text.splitlines()]
     kind = dice.random()
-    if kind < 0.7:
+    if kind < 0.6:
         for _ in range(dice.choice((1, 1, 2))):
             row, column = dice.randrange(1, len(cells)), dice.randrange(len(cells[0]))
             done = dice.randrange(10)
@@ -593,24 +591,28 @@ def motions(dice: Dice) -> Files:
                 dice.shuffle(cells[0])
             else:
                 cells = [[value for i, value in enumerate(line) if i != column] or [""] for line in cells]
-        spoiled = "\n".join(map(",".join, cells)).encode("utf-8", "surrogatepass")
-    elif kind < 0.93:
-        spoiled = spoiled_bytes(text.encode(), dice)
-    else:
-        spoiled = dice.choice(
-            (
-                lambda: b"",
-                lambda: text.encode("utf-16"),
-                lambda: b"\x00" * 10**6,
-                lambda: dice.randbytes(10**5),
-                lambda: b"t," + b"x" * 10**7 + b"\n1,2\n",
-                lambda: b'"' + text.encode(),
-                lambda: text.splitlines()[0].encode(),
-                lambda: b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode(),
-                lambda: text.replace(",", ";").encode(),
-            )
-        )()
-    return {"motion.csv": spoiled}
+        return "\n".join(map(",".join, cells)).encode("utf-8", "surrogatepass")
+    if kind < 0.7:
+        which = dice.randrange(3)
+        for line in cells[1:] if which else ():
+            line[which - 1] = ("0.0", repr(1000.0 * float(line[1])))[which - 1]  # times that stand, other units
+        return "\n".join(map(",".join, cells if which else [cells[0], *cells[:0:-1]])).encode()
+    if kind < 0.93:
+        return spoiled_bytes(text.encode(), dice)
+    return dice.choice(
+        (
+            lambda: b"",
+            lambda: text.encode("utf-16"),
+            lambda: b"\x00" * 10**6,
+            lambda: dice.randbytes(10**5),
+            lambda: b"t," + b"x" * 10**7 + b"\n1,2\n",
+            lambda: b'"' + text.encode(),
+            lambda: text.splitlines()[0].encode(),
+            lambda: b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode(),
+            lambda: text.replace(",", ";").encode(),
+            lambda: (",".join(f"c{i}" for i in range(20_000)) + "\n" + "1," * 20_000 + "\n").encode(),
+        )
+    )()
 
 
 PROBLEM = {
@@ -620,7 +622,7 @@ PROBLEM = {
     "working_mode": "++",
     "gravity": [0, 0, 0],
     "backend": "rnea",
-    "trajectory": {"name": "circle", "speed": 0.5},
+    "motion": {"name": "circle", "speed": 0.5},
     "parameters": {"threshold": 7, "dt": 0.01},
 }
 CORNER = {
@@ -628,7 +630,7 @@ CORNER = {
     "robot": "3rrr",
     "working_mode": "+++",
     "backend": "virtual-work",
-    "trajectory": {"name": "corner", "radius": 0.02, "speed": 0.3},
+    "motion": {"name": "corner", "radius": 0.02, "speed": 0.3},
     "parameters": {"dt": 0.02, "lam": 0.5},
     "baseline": {"set": {"carriers": False}},
 }
@@ -642,15 +644,18 @@ WHOLE = {
 
 def problems(dice: Dice) -> Files:
     """A problem file that is spoiled."""
-    data = dice.choice((PROBLEM, CORNER, WHOLE))
+    return {
+        "problem.yaml": spoiled_problem(dice.choice((PROBLEM, CORNER, WHOLE)), dice),
+        "motion.csv": motion_csv("2rpr").encode(),
+    }
+
+
+def spoiled_problem(data: Any, dice: Dice) -> bytes:
+    """Return a problem as YAML with something wrong with it."""
     kind = dice.random()
     text = yaml.safe_dump(data, sort_keys=False)
     if kind < 0.7:
-        spoiled = yaml_text(data, dice)
-    elif kind < 0.85:
-        spoiled = spoiled_lines(text, dice).encode("utf-8", "surrogatepass")
-    elif kind < 0.95:
-        spoiled = spoiled_bytes(text.encode(), dice)
-    else:
-        spoiled = _rare_yaml(text, dice)
-    return {"problem.yaml": spoiled, "motion.csv": motion_csv("2rpr").encode()}
+        return yaml_text(data, dice)
+    if kind < 0.85:
+        return spoiled_lines(text, dice).encode("utf-8", "surrogatepass")
+    return spoiled_bytes(text.encode(), dice) if kind < 0.95 else _rare_yaml(text, dice)

@@ -92,9 +92,16 @@ class Ahead:
         self.dynamics, self.preview, self.row_scale = dynamics, preview, row_scale(dynamics.robot)
         robot = dynamics.robot
         self._turning = bool(turning_velocities(robot)[robot.carrier_velocity].any())
+        self._read: dict[bytes, Table] = {}
 
     def at(self, times: Array) -> Table:
-        """Return what is at times, s."""
+        """Return what is at times, s; the same times are asked for again and again."""
+        key = times.tobytes()
+        if key not in self._read:
+            self._read[key] = self._table(times)
+        return self._read[key]
+
+    def _table(self, times: Array) -> Table:
         once, places = np.unique(times, return_inverse=True)
         along = self.dynamics.along(self.preview.motion(once), unreachable="mark")
         model, own = carrier_model(along, turning=self._turning), np.arange(self.dynamics.robot.k)
@@ -399,8 +406,8 @@ class Written:
         P, q = np.zeros((len(self.nothing),) * 2), self.nothing.copy()
 
         def add(weight: float, *expressions: Array) -> None:
-            for e in expressions:
-                P[:] += 2.0 * weight * np.outer(e, e)
+            rows = np.reshape(expressions, (-1, len(q)))
+            P[:] += 2.0 * weight * rows.T @ rows
 
         us, ud, ua = (unit[:, None] for unit in (self.us, self.ud, self.ua))
         for i in range(self.nodes):

@@ -167,9 +167,12 @@ def test_a_pose_turns_as_fast_however_short_the_way_of_its_origin() -> None:
     assert motion.duration < SLOWEST * motion.timing.least_duration
 
 
-@pytest.mark.parametrize("radius", [1e-4, pytest.param(0.03, marks=pytest.mark.long)])
+@pytest.mark.parametrize("radius", [1e-4, 1e-3, pytest.param(0.03, marks=pytest.mark.long)])
 def test_sharp_corners_of_a_square_cost_a_fraction_of_their_own_time(radius: float) -> None:
-    """With corners of 0.1 mm the law took five times the least time: it blended over 2 % of the duration."""
+    """With corners of 0.1 mm the law took five times the least time: it blended over 2 % of the duration.
+
+    With corners of 1 mm it takes 3.8 % more than the least time where nodes do not come closer before a bend.
+    """
     path = rounded_polygon([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], radius)
     law = fastest_law(path, 1.0, 2.0)
     assert largest_use(path, law, 1.0, 2.0) <= 1.0
@@ -209,6 +212,14 @@ def test_the_least_time_is_that_of_closed_forms(path: Any, speed: Any, accelerat
     law = fastest_law(path, speed, acceleration)
     assert expected < law.duration < 1.02 * expected
     np.testing.assert_allclose(law.evaluate([0.0, law.duration]).pd, 0.0, atol=1e-12)
+
+
+def test_the_least_time_round_many_corners_is_that_of_toppra_on_a_grid_that_resolves_them() -> None:
+    """Steps that turn by more than 0.1 rad see the limits of coordinates at too few angles: 2 % too much time."""
+    path = rounded_polygon([[0.01 * i, 0.02 * (i % 2)] for i in range(25)], 1e-3, closed=False)
+    speed, acceleration = np.array([[9.0, 9.0], [2.0, 3.0]])
+    expected = toppra_duration(path, speed, acceleration)
+    assert least_duration(path, speed, acceleration) == pytest.approx(expected, rel=5e-3)
 
 
 def test_the_least_time_is_the_same_backwards() -> None:

@@ -39,7 +39,7 @@ def test_end_effector_mass_needs_a_force_along_the_legs(mass):
     needed = mass * abs(trajectory.evaluate(t).xdd[0])
     for backend in (VirtualWork, RneaDynamics):
         with pytest.raises(InfeasiblePlanError, match="nothing can carry the inertial force") as caught:
-            plan_switch_off(backend(zoo.robot_of("2rpr", end_effector_mass=mass)), trajectory)
+            plan_switch_off(backend(zoo.robot_of("2rpr", end_effector_mass=mass)), trajectory, mesh=Mesh(dt=0.02))
         details = caught.value.details
         assert details["constraint"] == "singular_pose"
         assert details["amount"] == pytest.approx(needed, rel=1e-8)

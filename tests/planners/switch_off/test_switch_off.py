@@ -108,6 +108,7 @@ def test_singular_instants_are_on_the_line_of_the_hinges():
     plan = circle_plan()
     (window,) = plan.diagnostics["windows"]
     assert len(window["singular_instants"]) == 2
+    assert 0.9e-3 < np.diff(plan.t).max() < 1e-3 + 1e-12  # s, where nothing is said of the mesh
     assert np.abs(trajectory.sample_at(window["singular_instants"]).x[:, 1]).max() < 1e-12
     assert plan.diagnostics["worst_measure"] == np.inf
 
