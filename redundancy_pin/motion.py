@@ -166,7 +166,9 @@ def parked_place(at: ArrayLike, carriers: int, name: str) -> Array:
     """
     place = checked(np.atleast_1d(at) if _dimensions(at) == 0 else at, name, ("k",))
     if not carriers and place.any():
-        raise InputError(f"{name} is {at}, but the robot has no carriers.", remedy="Leave it out.", name="park")
+        raise InputError(
+            f"{name} is {place.tolist()}, but the robot has no carriers.", remedy="Leave it out.", name="park"
+        )
     if len(place) not in (1, carriers):
         raise InputError(
             f"{name} has {len(place)} values for {carriers} carrier{'s' * (carriers != 1)}.",

@@ -37,7 +37,7 @@ def info(robot: RobotOptions, as_json: bool) -> None:
         for name in shipped_robots()
     ]
     listed = {"robots": [{"name": name, "description": text} for name, text in robots]}
-    report(as_json, Summary(listed, TextTable("shipped robots", [*robots], ("robot", "description"))))
+    report(as_json, Summary(listed, TextTable("shipped robots", robots, ("robot", "description"))))
 
 
 def _facts(robot: RobotOptions) -> Summary:

@@ -115,8 +115,9 @@ def inverse_dynamics(
 
         plot, failed = output.drawn(plot, draw)
         advance(len(samples), len(samples), "dynamics")
-    facts = result.summary()
-    facts.tables[0].title = f"{loaded.name}, {backend_of(dynamics)}: {len(samples)} samples"
-    more = {"backend": backend_of(dynamics), "motion": motion.described, "ends": getattr(followed, "ends", None)}
-    output.report(as_json, facts, files={"out": ("efforts", out), "plot": ("picture", plot)}, failed=failed, **more)
+    facts, by = result.summary(), backend_of(dynamics)
+    more = {"backend": by, "motion": motion.described, "ends": getattr(followed, "ends", None)}
+    output.report(
+        as_json, facts, by=by, files={"out": ("efforts", out), "plot": ("picture", plot)}, failed=failed, **more
+    )
     return output.EXIT_CODES[result.status]

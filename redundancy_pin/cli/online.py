@@ -68,9 +68,8 @@ def online(
             run.plan.save(out)
         html, failed = output.drawn(html, lambda path: show(run.plan, robot=planner.robot).save(path))
     facts = run.summary()
-    facts.tables[0].title += f", {backend_of(dynamics)}"
-    ends = getattr(followed, "ends", None)
-    more = {"backend": backend_of(dynamics), "motion": motion.described, "ends": ends}
-    output.report(as_json, facts, files={"out": ("plan", out), "html": ("page", html)}, failed=failed, **more)
+    by, ends = backend_of(dynamics), getattr(followed, "ends", None)
+    more = {"backend": by, "motion": motion.described, "ends": ends}
+    output.report(as_json, facts, by=by, files={"out": ("plan", out), "html": ("page", html)}, failed=failed, **more)
     left = sum(run.counts[status.value] for status in NOT_PLANNED)
     return output.EXIT_CODES[run.plan.status] or (4 if left else 0)

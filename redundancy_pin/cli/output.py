@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,11 +44,10 @@ EXIT_CODES = {
 """Exit codes by the status of a result."""
 
 
-def console(*, markup: bool = False) -> Console:
+def console() -> Console:
     """Return a console on stdout; plain text of a fixed width when that is not a terminal.
 
-    With ``markup`` a ``[green]`` in a text is a colour; without, texts of users are shown as they stand. In either
-    ``:a:`` in a name is no picture.
+    Texts of users are shown as they stand: ``[green]`` in a name is no colour, ``:a:`` no picture.
     """
     from rich.console import Console
 
@@ -56,7 +56,7 @@ def console(*, markup: bool = False) -> Console:
             raise  # rich handles the error by this, and would end with 1: a reader that has seen enough is no fault
 
     plain: dict[str, Any] = {} if _is_terminal(sys.stdout) else {"width": WIDTH, "color_system": None}
-    return Printer(markup=markup, emoji=False, highlight=False, **plain)
+    return Printer(markup=False, emoji=False, highlight=False, **plain)
 
 
 def _is_terminal(stream: Any) -> bool:
@@ -72,15 +72,17 @@ def report(
     as_json: bool,
     facts: Mapping[str, Any],
     *lines: str,
+    by: str = "",
     files: Mapping[str, tuple[str, str | None]] | None = None,
     failed: RedundancyPinError | None = None,
     **more: Any,
 ) -> None:
     """Print facts, and ``more`` of them, as one JSON document; or the tables of a ``Summary``, and lines.
 
-    The first table gets rows for ``motion`` and for each file that was written: ``files`` has by key of the facts what
-    it is, and its path. Facts with ``ends``, those of a motion through points, get a line. Each warning of a summary is
-    a line on stderr. ``failed``, of a picture, is raised when all is printed.
+    The first table is printed with ``by``, such as a backend, in its title, and with rows for ``motion`` and for each
+    file that was written: ``files`` has by key of the facts what it is, and its path. Facts with ``ends``, those of a
+    motion through points, get a line. Each warning of a summary is a line on stderr. ``failed``, of a picture, is
+    raised when all is printed.
     """
     summary = facts if isinstance(facts, Summary) else Summary(facts)
     written = dict(files or {})
@@ -91,12 +93,14 @@ def report(
         if known.get("ends"):
             start, end = ("at rest" if one == "rest" else "with the rates of the samples" for one in known["ends"])
             click.echo(f"The motion through the points starts {start} and ends {end} (set by `ends`).")
-        for table in summary.tables[:1]:
+        tables = [*summary.tables]
+        for first in tables[:1]:
+            rows = [*first.rows, *((f"{what} written to", path) for what, path in written.values() if path)]
             if more.get("motion"):
-                table.rows.insert(1, ("motion", more["motion"]))
-            table.rows += [(f"{what} written to", path) for what, path in written.values() if path]
-        for each in summary.tables:
-            console().print(each.terminal())
+                rows.insert(1, ("motion", str(more["motion"])))
+            tables[0] = replace(first, title=", ".join(filter(None, (first.title, by))), rows=rows)
+        for table in tables:
+            console().print(table.terminal())
         for line in lines:
             click.echo(printable(line))  # names come from files of strangers
     for text in summary.warnings:

@@ -152,7 +152,9 @@ def _run(read: Callable[[], PlanProblem], source: str | None, out: str | None, p
             result.save(out)
         plot, failed = output.drawn(plot, lambda path: save(overview(result), path))
     facts = result.summary(task.dynamics)
-    facts.tables[0].title += f", {backend_of(task.dynamics)}"
-    more = {"backend": backend_of(task.dynamics), "motion": task.followed, "ends": task.ends}
-    output.report(as_json, facts, files={"out": ("plan", out), "plot": ("picture", plot)}, failed=failed, **more)
+    backend = backend_of(task.dynamics)
+    more = {"backend": backend, "motion": task.followed, "ends": task.ends}
+    output.report(
+        as_json, facts, by=backend, files={"out": ("plan", out), "plot": ("picture", plot)}, failed=failed, **more
+    )
     return output.EXIT_CODES[result.status]

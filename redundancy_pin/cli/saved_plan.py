@@ -41,8 +41,8 @@ def check(path: str, source: str | None, backend: str | None, trust: bool, as_js
     dynamics = dynamics_of(load_robot_of(plan, source, trust=trust), backend)
     result = check_plan(plan, dynamics)
     facts = result.summary(plan)
-    facts.tables[0].title += f", by {backend_of(dynamics)}"
-    report(as_json, facts, plan=path, backend=backend_of(dynamics))
+    backend = backend_of(dynamics)
+    report(as_json, facts, by=f"by {backend}", plan=path, backend=backend)
     for deviation in result.deviations:
         print_line("error", deviation.message)
     return EXIT_CODES[result.status] if result.passed else FAILED_CHECK

@@ -119,11 +119,10 @@ def simulate(
         plot, undrawn = output.drawn(plot, lambda path: save(overview(run, plan, robot=machine, title=title), path))
         video, unfilmed = output.drawn(video, film)
     facts = run.summary(reference, machine)
-    facts.tables[0].title += f", {controller}"
     files = {"out": ("simulation", out), "plot": ("picture", plot), "video": ("video", video)}
     followed = f"the plan {plan_path}" if plan_path else motion.described
     more = {"motion": followed, "controller": given["controller"], "ends": ends}
-    output.report(as_json, facts, files=files, failed=undrawn or unfilmed, **more)
+    output.report(as_json, facts, by=controller, files=files, failed=undrawn or unfilmed, **more)
     return output.EXIT_CODES[run.status]
 
 

@@ -44,7 +44,7 @@ def validate(chosen: tuple[str, ...], samples: int, seed: int, jobs: int, as_jso
     if as_json:
         print_json(report.as_dict())
     else:
-        console(markup=True).print(report.table())
+        console().print(report.table().terminal())
     if report.passed:
         return 0
     checks = [row for row in report.rows if not row.note]

@@ -8,11 +8,10 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from rich.markup import escape
-from rich.table import Table
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
 from redundancy_pin.crosscheck.states import REASONS
+from redundancy_pin.io.summary import TextTable
 
 SCOPE = (
     "The checks compare the dynamics with the model as it is declared. They do not say whether its lengths, masses "
@@ -26,7 +25,7 @@ PARITY_SCALE = (
 )
 """How deviations of parity are scaled; printed below a report with such rows."""
 
-_COLOURED = {"ok": "[green]ok[/green]", "FAILED": "[red]FAILED[/red]"}
+_HEADINGS = ("robot", "check", "states", "worst", "allowed", "")
 
 
 @dataclass(frozen=True)
@@ -112,19 +111,16 @@ class CrossCheckReport:
         rows = [row.as_dict() for row in self.rows]
         return {"passed": self.passed, "seed": self.seed, "rows": rows, "notes": list(self.notes)}
 
-    def table(self) -> Table:
-        """Return the report as a table for the terminal."""
-        table = Table("robot", "check", title=f"cross-check, seed {self.seed}", caption="\n".join(self.notes))
-        table.caption_justify = "left"
-        for heading in ("states", "worst", "allowed", ""):
-            table.add_column(heading, justify="right")
+    def table(self) -> TextTable:
+        """Return the report as a table for people."""
+        rows = list[tuple[str, ...]]()
         for row in self.rows:
             states = f"{row.samples} of {row.total}" if row.skipped else str(row.samples)
             numbers = ("", "") if row.note else (f"{row.worst:.1e}", f"{row.tolerance:.0e}")
-            table.add_row(row.robot, escape(row.title), states, *numbers, _COLOURED.get(row.verdict, row.verdict))
-            for reason, count in row.skipped.items():
-                table.add_row("", f"  skipped: {REASONS[reason]}", str(count), "", "", "")
-        return table
+            rows.append((row.robot, row.title, states, *numbers, row.verdict))
+            rows += [("", f"  skipped: {REASONS[why]}", str(count), "", "", "") for why, count in row.skipped.items()]
+        title, colours = f"cross-check, seed {self.seed}", {"ok": "green", "FAILED": "red"}
+        return TextTable(title, rows, _HEADINGS, left=2, caption="\n".join(self.notes), colours=colours)
 
 
 def checked_row(

@@ -19,7 +19,7 @@ from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Load, Robot
 from redundancy_pin.robot.checks import too_few_motors
 from redundancy_pin.robot.joint_ranges import all_ranges
-from redundancy_pin.robot.scales import is_revolute
+from redundancy_pin.robot.scales import effort_unit, is_revolute
 
 _ONLY_WITH = {"friction_speed": "friction", "gear": "rotor_inertia", "rest": "stiffness"}
 """Parameters of loads that say nothing where another one is zero."""
@@ -117,7 +117,7 @@ def _reference(robot: Robot) -> dict[str, Any]:
         "holding": {
             "status": distribution.status_labels[0],
             "efforts": [
-                {"joint": name, "effort": effort, "unit": "N·m" if is_revolute(robot, name) else "N"}
+                {"joint": name, "effort": effort, "unit": effort_unit([is_revolute(robot, name)])}
                 for name, effort in efforts
             ],
         },
@@ -169,7 +169,7 @@ def _general(facts: Mapping[str, Any]) -> TextTable:
         ("type II margin there", f"{reference['type_ii_margin']:.4g}"),
         ("condition number there", f"{reference['condition']:.4g}"),
     ]
-    return TextTable(": ".join(filter(None, (facts["name"], facts["description"]))), [*rows])
+    return TextTable(": ".join(filter(None, (facts["name"], facts["description"]))), rows)
 
 
 def _tables(facts: Mapping[str, Any]) -> Iterator[TextTable]:
@@ -189,12 +189,12 @@ def _tables(facts: Mapping[str, Any]) -> Iterator[TextTable]:
         f"moving bodies, with all links fixed to them: {total}",
         [*bodies],
         ("body", "mass [kg]", "centre in its frame [m]", "principal moments [kg·m²]"),
-        numbers=True,
+        left=1,
     )
     texts = _texts([each["effort"] for each in holding["efforts"]])
     efforts = [(each["joint"], f"{text} {each['unit']}") for each, text in zip(holding["efforts"], texts, strict=True)]
     rows: list[Sequence[str]] = [*efforts, ("status", holding["status"])]
-    yield TextTable("efforts that hold the reference", rows, ("joint", "effort at rest"), numbers=True)
+    yield TextTable("efforts that hold the reference", rows, ("joint", "effort at rest"), left=1)
     rows = [(joint["name"], joint["type"], joint["role"], *_range(joint)) for joint in facts["joints"]]
     yield TextTable("joints of the tree", rows, ("joint", "type", "role", "limits", "reference"))
     rows = [
@@ -217,16 +217,16 @@ def _tables(facts: Mapping[str, Any]) -> Iterator[TextTable]:
     columns = ["value", *(["default"] if any("default" in entry for entry in parameters.values()) else [])]
     rows = [(name, *(_text(entry.get(key, "")) for key in columns)) for name, entry in parameters.items()]
     headings = ("parameter", *columns)
-    yield from [TextTable("parameters (--set NAME=VALUE)", rows, headings, numbers=True)] if rows else []
+    yield from [TextTable("parameters (--set NAME=VALUE)", rows, headings, left=1)] if rows else []
     rows = [
         (name, row(own["position"], " … "), *(f"{own[key]:g}" for key in ("speed", "acceleration", "force")))
         for name, own in facts["carrier_limits"].items()
     ]
     headings = ("carrier", "position [m]", "speed [m/s]", "acceleration [m/s²]", "force [N]")
-    yield from [TextTable("carrier limits", rows, headings, numbers=True)] if rows else []
+    yield from [TextTable("carrier limits", rows, headings, left=1)] if rows else []
     rows = [(name, row(own["effort"], " … "), f"{own['speed']:g}") for name, own in facts["motor_limits"].items()]
     headings = ("motor", "effort [N] or [N·m]", "speed [m/s] or [rad/s]")
-    yield TextTable("limits of motors, which plans keep", rows, headings, numbers=True)
+    yield TextTable("limits of motors, which plans keep", rows, headings, left=1)
     rows = [_load_row(load) for load in facts["loads"]]
     yield from [TextTable("active loads (SI units)", rows, ("kind", "where", "what"))] if rows else []
 

@@ -28,7 +28,7 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consist
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import JointExcess, beyond_limits
 from redundancy_pin.robot.loads import Load, Wrench
-from redundancy_pin.robot.scales import is_revolute, row_scale
+from redundancy_pin.robot.scales import effort_unit, is_revolute, row_scale
 from redundancy_pin.singularities.classify import SingularityKind, signed_margin
 from redundancy_pin.singularities.crossings import SPACING, Crossing, find_crossings
 from redundancy_pin.spectrum import scaled
@@ -180,8 +180,7 @@ class InverseDynamics(Frozen):
             "unresolved": self.unresolved or None,
         }
         main, moved = (
-            " or ".join(sorted({"N·m" if is_revolute(robot, name) else "N" for name in names}))
-            for names in (robot.actuated, robot.carriers)
+            effort_unit(is_revolute(robot, name) for name in names) for names in (robot.actuated, robot.carriers)
         )
         rows = [
             ("status", self.status.value.replace("_", " ")),
@@ -191,7 +190,7 @@ class InverseDynamics(Frozen):
             ("smallest margin", f"{facts['smallest_margin']:.6g}"),
             *([("singular at t [s]", row(one.t for one in self.instants))] if self.instants else []),
         ]
-        return Summary(facts, TextTable(robot.name, [*rows]), warnings=self.warnings())
+        return Summary(facts, TextTable(f"{robot.name}: {len(self.efforts)} samples", rows), warnings=self.warnings())
 
     def warnings(self) -> Iterator[str]:
         """Give where no finite efforts exist, and what the samples do not show, a sentence each."""

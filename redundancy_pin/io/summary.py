@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # rich is imported where something is printed
@@ -16,24 +16,42 @@ WIDTH = 140
 _ROUNDING = 1e-12  # coordinates and directions below this are shown as zero
 
 
-@dataclass
+@dataclass(frozen=True)
 class TextTable:
-    """Rows of text, without a head where there are no headings; columns of ``numbers`` stand to the right."""
+    """Rows of text, shown as they stand.
+
+    Attributes:
+        title: above the table.
+        rows: cells of each row; any iterable is kept as a tuple.
+        headings: of the columns; no head when left out.
+        left: how many of the columns with a heading are aligned to the left; all when left out.
+        caption: below the table.
+        colours: names of colours of rich by the cell that has one on a terminal.
+    """
 
     title: str
-    rows: list[Sequence[str]]
+    rows: Iterable[Sequence[str]]
     headings: Sequence[str] = ()
-    numbers: bool = False
+    left: int | None = None
+    caption: str = ""
+    colours: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Keep the rows of an iterator."""
+        object.__setattr__(self, "rows", tuple(self.rows))
 
     def terminal(self) -> Table:
         """Return the table for a rich console."""
         from rich.table import Table
+        from rich.text import Text
 
-        table = Table(title=self.title, show_header=bool(self.headings))
+        caption = Text(self.caption) if self.caption else None
+        table = Table(title=Text(self.title), show_header=bool(self.headings), caption=caption)
+        table.caption_justify = "left"
         for place, heading in enumerate(self.headings):
-            table.add_column(heading, justify="right" if self.numbers and place else "left")
+            table.add_column(heading, justify="left" if self.left is None or place < self.left else "right")
         for cells in self.rows:
-            table.add_row(*cells)
+            table.add_row(*(Text(cell, self.colours.get(cell, "")) for cell in cells))
         return table
 
 
@@ -50,7 +68,7 @@ class Summary(dict[str, Any]):
 
     def __init__(self, facts: Mapping[str, Any], *tables: TextTable, warnings: Iterable[str] = ()) -> None:
         super().__init__(facts)
-        self.tables, self.warnings = list(tables), list(warnings)
+        self.tables, self.warnings = tables, list(warnings)
 
     def __str__(self) -> str:
         """Return the tables as plain text, and the warnings."""

@@ -164,7 +164,7 @@ class PlanCheck:
         for loss in losses:
             where = f"at t = {loss['time']:.6g} s, x = {row(np.ravel(loss['x']))}"
             rows.append(("closures lose rank", f"{where}: solution branches meet there"))
-        return Summary(facts, TextTable(f"{plan.robot.name}, {plan.planner.replace('_', ' ')}", [*rows]))
+        return Summary(facts, TextTable(f"{plan.robot.name}, {plan.planner.replace('_', ' ')}", rows))
 
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do

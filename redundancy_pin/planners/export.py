@@ -27,7 +27,7 @@ from redundancy_pin.planners.reference import plan_reference
 from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint
-from redundancy_pin.trajectory.csv_file import csv_rows, effort_unit, motion_columns, unit_of
+from redundancy_pin.trajectory.csv_file import csv_rows, heading_unit, motion_columns, unit_of
 from redundancy_pin.trajectory.trajectory import MOST_SAMPLES, sample_times
 
 if TYPE_CHECKING:
@@ -293,7 +293,7 @@ def _units(robot: Robot, names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
         quantity: tuple(unit_of(robot, f"q:{name}", order) for name in names)
         for order, quantity in enumerate(QUANTITIES[:3])
     }
-    return {**motion, "effort": tuple(effort_unit(robot, name) for name in names)}
+    return {**motion, "effort": tuple(heading_unit(robot, name) for name in names)}
 
 
 def joint_trajectory(table: PlanTable) -> dict[str, Any]:

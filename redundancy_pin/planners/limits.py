@@ -14,6 +14,7 @@ from redundancy_pin.arrays import Array, ByValue, IntArray, each, frozen, runs
 from redundancy_pin.errors import InfeasiblePlanError, InputError, shown
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.robot.joint_ranges import joint_ranges
+from redundancy_pin.robot.scales import effort_unit
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 BINDING = 1e-6
@@ -74,7 +75,7 @@ def _motion_unit(per: str) -> Callable[[bool], str]:
 
 
 def _effort_unit(turns: bool) -> str:
-    return "N·m" if turns else "N"
+    return effort_unit([turns])
 
 
 QUANTITIES: dict[str, Quantity] = {

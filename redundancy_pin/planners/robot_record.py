@@ -26,7 +26,7 @@ from redundancy_pin.robot.declaration import read_declaration
 from redundancy_pin.robot.formats.xacro_file import known_values
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.model_files import is_model_file
-from redundancy_pin.robot.scales import is_revolute
+from redundancy_pin.robot.scales import effort_unit, is_revolute
 from redundancy_pin.robot.shipped import declaration_path, shipped_sources
 
 _SAME_NUMBERS = 1e-9
@@ -154,8 +154,7 @@ class RobotRecord(Frozen):
 
     def effort_unit(self, *joints: str) -> str:
         """Return the unit of the efforts of joints: N, N·m, or both where some slide and some rotate."""
-        turning = [name in self.rotating for name in joints]
-        return "N·m" if turning and all(turning) else "N or N·m" if any(turning) else "N"
+        return effort_unit(name in self.rotating for name in joints)
 
     @property
     def effort_units(self) -> tuple[str, str]:

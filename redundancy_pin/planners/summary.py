@@ -112,7 +112,7 @@ def _table(plan: Plan, facts: Mapping[str, Any]) -> TextTable:
     for name, events in (("limits broken", plan.limits.violated), ("limits touched", plan.limits.binding)):
         texts = event_texts(plan.robot, events, broken=events is plan.limits.violated)
         rows.append((name, listed(texts, _LISTED, "\n") or "none"))
-    return TextTable(f"{plan.robot.name}, {plan.planner.replace('_', ' ')}", [*rows])
+    return TextTable(f"{plan.robot.name}, {plan.planner.replace('_', ' ')}", rows)
 
 
 def _optimum(plan: Plan) -> Iterator[tuple[str, str]]:

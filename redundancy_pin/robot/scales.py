@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeVar
@@ -126,6 +127,12 @@ def closure_tolerance(robot: Robot) -> float:
 def is_revolute(robot: Robot, name: str) -> bool:
     """Return whether a joint of one freedom turns."""
     return not slides(find_joint(robot.model, name))
+
+
+def effort_unit(turning: Iterable[bool]) -> str:
+    """Return the unit of efforts of joints that turn or slide: N·m, N, or both where there are both."""
+    turns = set(turning)
+    return "N or N·m" if len(turns) == 2 else "N·m" if turns == {True} else "N"
 
 
 def turning_coordinates(robot: Robot) -> list[bool]:

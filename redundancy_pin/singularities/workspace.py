@@ -149,7 +149,7 @@ class Workspace(Frozen):
             islands = f", {one['islands']} island(s) not reached from the reference" if one["islands"] else ""
             counts = f"{one['reachable']} of {facts['nodes']} reachable, {one['in_range']} in range{islands}"
             rows.append((mode or "nodes", counts))
-        return Summary(facts, TextTable(f"{self.robot.name}: workspace over {', '.join(self.names)}", [*rows]))
+        return Summary(facts, TextTable(f"{self.robot.name}: workspace over {', '.join(self.names)}", rows))
 
     def to_csv(self, path: str | Path) -> None:
         """Write a row for each node and working mode to a CSV file.

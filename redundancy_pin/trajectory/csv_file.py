@@ -38,7 +38,7 @@ from redundancy_pin.io.reading import open_text, read_text
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
 from redundancy_pin.robot import AXES, Robot
-from redundancy_pin.robot.scales import is_revolute
+from redundancy_pin.robot.scales import effort_unit, is_revolute
 from redundancy_pin.trajectory.quaternions import poses_of, quaternions_of
 
 _QUATERNION_TOLERANCE = 1e-6
@@ -143,9 +143,9 @@ def motion_columns(
     return columns
 
 
-def effort_unit(robot: Robot, joint: str) -> str:
-    """Return the unit of the effort of a joint."""
-    return "N*m" if is_revolute(robot, joint) else "N"
+def heading_unit(robot: Robot, joint: str) -> str:
+    """Return the unit of the effort of a joint as headings of columns have it."""
+    return effort_unit([is_revolute(robot, joint)]).replace("·", "*")
 
 
 def unit_of(robot: Robot, name: str, order: int = 0) -> str:
@@ -165,7 +165,7 @@ def effort_columns(
     joints: Sequence[str], efforts: Array, robot: Robot, symbol: str = "tau"
 ) -> dict[str, tuple[str, Array]]:
     """Return the columns of efforts (N, c) of joints."""
-    return {f"{symbol}:{name}": (effort_unit(robot, name), efforts[:, k]) for k, name in enumerate(joints)}
+    return {f"{symbol}:{name}": (heading_unit(robot, name), efforts[:, k]) for k, name in enumerate(joints)}
 
 
 def csv_rows(columns: Columns, *, digits: int | None = None) -> str:

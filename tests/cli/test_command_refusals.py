@@ -204,7 +204,7 @@ export plan.npz --to plan.npz => --to plan.npz does not end in .csv or .json or 
 {RUN} --plot run.txt => Cannot write run.txt
 simulate => There is nothing to simulate
 simulate --robot 3rrr => A simulation without a plan needs a motion
-simulate --robot five_bar --motion circle --park 0.1 => is 0.1, but the robot has no carriers
+simulate --robot five_bar --motion circle --park 0.1 => is [0.1], but the robot has no carriers
 simulate --robot 2rpr --motion circle --park 0,0,0 => The place of parked carriers has 3 values for 2 carriers
 simulate --robot 2rpr --motion circle => The motion has no finite efforts at t = 0.519414238 s
 simulate --robot gough --motion circle => The motion has 2 coordinates

@@ -293,12 +293,12 @@ def test_what_could_not_be_checked_is_named_and_does_not_fail():
     assert not CrossCheckReport((agree, note), 0).passed
     assert CrossCheckReport((agree, good, note), 0).passed
     shown = io.StringIO()
-    Console(file=shown, width=150).print(CrossCheckReport((good, note), 0).table())
+    Console(file=shown, width=150).print(CrossCheckReport((good, note), 0).table().terminal())
     assert "a closure [red]is[/red] about one axis" in shown.getvalue()
     assert "FAILED" not in shown.getvalue()
     assert SCOPE.split(".")[0] in " ".join(shown.getvalue().split())
     assert "below 0.05" not in shown.getvalue()
-    Console(file=shown, width=150).print(CrossCheckReport((good, agree), 0).table())
+    Console(file=shown, width=150).print(CrossCheckReport((good, agree), 0).table().terminal())
     assert "is multiplied by the margin over 0.05" in " ".join(shown.getvalue().split())
     assert CrossCheckReport((good, agree), 0).as_dict()["notes"] == [SCOPE, PARITY_SCALE]
     blind = replace(good, does_not_show="Wrong masses pass.")

@@ -290,7 +290,7 @@ def test_exported_plans_and_simulations_are_motions(tmp_path: Path) -> None:
 @pytest.mark.parametrize("command", ["singularities", "show", "simulate", "plan"])
 def test_every_command_reads_the_file(command: str, tmp_path: Path) -> None:
     robot = rp.load_robot("3rrr")
-    motion = reference.corner().sample(0.05)
+    motion = reference.corner().sample(0.005)
     path = written(tmp_path / "m.csv", robot, motion)
     millimetres = {f"x{d} [m{u}]": (f"x{d} [mm{u}]", 1e3) for d, u in (("", ""), ("d", "/s"), ("dd", "/s^2"))}
     more = {

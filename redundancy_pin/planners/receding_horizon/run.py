@@ -67,7 +67,7 @@ class OnLineRun(Frozen):
             ("force missing there [N]", number(found["missing_force"])),
             (f"peak main effort [{plan.robot.effort_units[0]}]", row(plan.peak_effort)),
         ]
-        table = TextTable(f"{plan.robot.name}, on line", [*rows])
+        table = TextTable(f"{plan.robot.name}, on line", rows)
         return Summary({**facts, "ticks": self.counts, "milliseconds": times}, table, warnings=facts.warnings)
 
     def __repr__(self) -> str:

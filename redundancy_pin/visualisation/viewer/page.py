@@ -26,6 +26,7 @@ import jinja2
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.io.files import require_suffix, write_text
+from redundancy_pin.robot.scales import effort_unit
 from redundancy_pin.visualisation.viewer.meshcat_scene import (
     arrow_path,
     import_meshcat,
@@ -151,7 +152,7 @@ def _data(scene: Scene) -> dict[str, Any]:
             "unit": "rad" if joint.turning else "m",
             "position": _digits(joint.position),
             "effort": None if joint.effort is None else _digits(joint.effort),
-            "effort_unit": "N·m" if joint.turning else "N",
+            "effort_unit": effort_unit([joint.turning]),
         }
         for joint in scene.joints
     ]
