@@ -14,8 +14,8 @@ import numpy as np
 import pinocchio as pin
 
 import redundancy_pin as rp
-from redundancy_pin.dynamics.compiled import gpu
 from redundancy_pin.dynamics.compiled.build import define
+from redundancy_pin.dynamics.compiled.gpu import _ManyEfforts
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.robot.checks import is_pose
 
@@ -152,7 +152,7 @@ def attributes(device, name, cold):
     if device.name != "gpu":
         return f"{row} | | | | |"
     dynamics = rp.GpuDynamics(name)
-    kernel = dynamics._code(gpu._ManyEfforts).get_function(gpu._ManyEfforts.name)
+    kernel = dynamics._code(_ManyEfforts).get_function(_ManyEfforts.name)
     kernel.compile()
     # registers are given to warps by the 256
     chip = cupy.cuda.Device()

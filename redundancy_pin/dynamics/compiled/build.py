@@ -229,7 +229,6 @@ def driver_source(definition: Definition, functions: Iterable[Any], storage: str
     places = {"static const int ROW_PLACE": np.argsort(rows), "static const int COLUMN_PLACE": np.argsort(columns)}
     counted += [_table(name, values) for name, values in places.items()]
     counted += [f"#define EACH_BLOCK {' '.join(f'BLOCK{block}' for block in blocks)}"]
-    counted += [f"#define PARITY {round(np.linalg.det(np.eye(len(rows))[rows] @ np.eye(len(rows))[columns]))}.0"]
     if len(turns.coordinates):
         angles = ", ".join(map(str, (turns.angles.astype(int) + turns.kept).tolist()))
         counted.append(f"static const int ANGLE[] = {{{angles}}};")

@@ -120,8 +120,8 @@ class _Branch:
     Attributes:
         numbers: (P,) the robot's, as the C takes them. The signs of its working mode are those of the branch, so that
             the C keeps every leg on its side.
-        state: (nq + 1,) the last configuration, and the sign of the determinant of K, 0 where that is not known; NaN at
-            a rank loss of the closures.
+        state: (nq + 1,) the last configuration, and a sign that changes across type I, 0 where that is not known; NaN
+            at a rank loss of the closures.
         known: whether a start or a sample has determined the branch; before that it is the reference's.
         passed: the last sample at a rank loss of the closures, q and its state: Γ determines the branch, q does not.
         refused: what kinematics refused last, and from where: None once a sample is solved.

@@ -21,7 +21,7 @@ typedef struct {
   double trig[2 * NT + 1]; /* cosine and sine of what turns, computed once a configuration */
   double lu[NP * NP + 1];
   int pivot[NP + 1];
-  double sign; /* of det K: it changes across a type I singularity */
+  double sign; /* of the determinant of K in the order of its blocks: it changes across a type I singularity */
   double residual; /* largest residual, in characteristic lengths or rad */
 } Pose;
 
@@ -33,11 +33,12 @@ static void rows(const double *numbers, const double *q, const double *trig, con
 
 /* K stands by blocks (ROW_PLACE and COLUMN_PLACE say where its rows and columns are): above those on its diagonal it is zero, as a leg's
    closures know nothing of the other legs. So it is decomposed, and solved, block by block (Davis and Natarajan, "KLU", 2010). EACH_BLOCK
-   gives for each its place and size, and the end of the rows that its columns reach. */
+   gives for each its place and size, and the end of the rows that its columns reach. Returns the sign of the determinant in this order,
+   0 where it vanishes. */
 #define ENTRY(i, j) (ROW_PLACE[i] + COLUMN_PLACE[j] * NP)
 
 static double decompose_rows(double *K, int *pivot) {
-  double sign = PARITY;
+  double sign = 1.0;
 #define BLOCK(first, size, end) sign *= decompose(K + (first) * (NP + 1), size, pivot + (first));
   EACH_BLOCK
 #undef BLOCK

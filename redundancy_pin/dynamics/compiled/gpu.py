@@ -62,7 +62,7 @@ class ManyTorques:
         residual: (N,) closure residual, m.
         serial_margin: (N,) lower bound of the distance to a type I singularity, no unit.
         state: (N, nq + 1) what the next call takes as ``start`` to go on along the branch of each sample: the
-            configuration, carriers as at the reference, and the sign of the determinant of K (0: not known).
+            configuration, carriers as at the reference, and a sign that changes across type I (0: not known).
         W, f: (N, n, m) and (N, n) the equation W τ = f that tau solves; None unless they were asked for.
     """
 
