@@ -43,14 +43,6 @@ def along(start: Any, end: Any) -> Trajectory:
     return Trajectory(path, SpeedProfile(path.length, 0.3, 0.2))
 
 
-def yawed(degrees: float) -> np.ndarray:
-    """Return a pose of the Gough platform, which is singular at 90 degrees of yaw."""
-    pose, yaw = np.eye(4), np.radians(degrees)
-    pose[2, 3] = 0.6
-    pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-    return pose
-
-
 SETTINGS: list[tuple[str, Callable[[], object]]] = [
     ("lam", lambda: rp.plan_stepwise(three(), samples(), objective=rp.Objective(lam=1.1))),
     ("lam", lambda: rp.plan_stepwise(three(), samples(), objective=rp.Objective(lam="half"))),  # type: ignore[arg-type]
@@ -189,7 +181,7 @@ REFUSED: dict[str, Row] = {
         {"time": pytest.approx(0.5)},
         lambda: rp.plan_stepwise(
             rp.RneaDynamics(zoo.robot_of("gough", carriers=True)),
-            reference.pose(yawed(70.0), yawed(110.0), 1.0),
+            zoo.gough_crossing(),
             mesh=rp.Mesh(dt=0.05),
         ),
         None,

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin import CarrierMotion, PlatformMotion, load_robot
+from redundancy_pin import CarrierMotion, PlatformMotion, load_robot, trajectory
 from redundancy_pin.arrays import Array
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.closure import ConstraintSystem
@@ -199,3 +199,11 @@ def _turning(angle: Array, rate: Array, second: Array) -> tuple[Array, Array, Ar
         alpha += second[:, column, None] * axis + rate[:, column, None] * np.cross(omega, axis)
         omega = omega + rate[:, column, None] * axis
     return turn, omega, alpha
+
+
+def gough_crossing() -> trajectory.Trajectory:
+    """The platform of the shipped Gough robot, level and 0.6 m high, turns from 70 to 110 degrees: singular at 90."""
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[:, :3, :3] = Rotation.from_euler("z", [[70.0], [110.0]], degrees=True).as_matrix()
+    poses[:, 2, 3] = 0.6
+    return trajectory.reference.pose(*poses, 1.0)

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
+import zoo
 from point_masses import delta_points
 from scipy.spatial.transform import Rotation
 
@@ -31,17 +32,10 @@ def test_carriers_on_the_end_effector_cross_and_are_replayed(mass):
         assert np.abs(run.x - circle.evaluate(np.minimum(run.t, circle.duration)).x).max() < FOLLOWED
 
 
-def yawed(degrees):
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
-    pose[2, 3] = 0.6
-    return pose
-
-
 @cache
 def crossing(dt):
     robot = rp.load_robot("gough", carriers=True)
-    trajectory = rp.trajectory.reference.pose(yawed(70.0), yawed(110.0), 1.0)
+    trajectory = zoo.gough_crossing()
     return robot, trajectory, rp.plan_whole_trajectory(rp.RneaDynamics(robot), trajectory, mesh=rp.Mesh(dt=dt))
 
 

@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+import zoo
 from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
@@ -18,22 +19,12 @@ RISE = Line((-0.04, 0.02, -0.25), (0.05, 0.0, -0.05))
 """Up through the plane of a delta's elbows, where weight acts along the lost direction."""
 
 
-def yawed(degrees):
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
-    pose[2, 3] = 0.6
-    return pose
-
-
 def arms(name, **masses):
     return rp.load_robot(name, arm_length=0.3, **masses)
 
 
 CASES = {
-    "gough": lambda: (
-        rp.load_robot("gough", carriers=True),
-        rp.trajectory.reference.pose(yawed(70.0), yawed(110.0), 1.0),
-    ),
+    "gough": lambda: (rp.load_robot("gough", carriers=True), zoo.gough_crossing()),
     "delta": lambda: (
         rp.load_robot("delta", rod_length=0.35, rod_carriers=True),
         Trajectory(RISE, RestToRest(RISE.length, 0.5, "4-5-6-7")),
