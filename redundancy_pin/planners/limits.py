@@ -141,7 +141,7 @@ class ResolvedLimits(ByValue):
 
     @property
     def of_carriers(self) -> tuple[CarrierLimits, ...]:
-        """(k,) those of each carrier, as a robot declares them."""
+        """(k,) limits of each carrier, as a robot declares them."""
         rows = zip(*self.track.T, self.speed, self.acceleration, self.carrier_force, strict=True)
         return tuple(CarrierLimits(*map(float, row)) for row in rows)
 
@@ -300,7 +300,7 @@ def motion_quantities(
     Args:
         limits: of the carriers.
         position: of the carriers.
-        samples: (N,) further times, s: extremes tell how much is exceeded, these from when to when.
+        samples: (N,) further times, s: extremes determine the largest excess, samples its start and end.
     """
     inside = np.linspace(0.0, 1.0, 5)[:-1]
     edges, step = position.edges, np.diff(position.edges)

@@ -1,7 +1,7 @@
-"""Options of the planners, in groups: limits, what is minimised, nodes, and the work of the solver.
+"""Options of the planners, in groups: limits, objective, nodes, and solver.
 
-A planner takes the groups that say something to it. Of a group it takes every field that is given, or raises an
-``InputError`` that says why it cannot; nothing is passed over.
+A planner accepts the groups that apply to it. It uses every field that is given, or raises an
+``InputError`` with the reason why it cannot; no field is ignored silently.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Limits(ByValue):
-    """Limits of a plan; what is None is what the robot declares, ``numpy.inf`` takes a limit away.
+    """Limits of a plan; None takes the robot's declared limit, ``numpy.inf`` removes a limit.
 
     Example:
         >>> rp.plan_whole_trajectory("3rrr", motion, limits=rp.Limits(effort=2.5, jerk=200.0))
@@ -209,7 +209,7 @@ class Mesh:
     """The nodes of a plan, or its samples.
 
     Attributes:
-        dt: largest step between nodes in time, or between samples, s; when left out 0.005, or what the planner says.
+        dt: largest step between nodes in time, or between samples, s; when left out 0.005, or the planner's default.
         refinements: how often the mesh may be refined where efforts between the nodes exceed those at the nodes.
         steps: least number of steps along a path whose timing is planned; 100 when left out.
     """
@@ -237,8 +237,8 @@ class Solver:
 
     Attributes:
         starts: number of first guesses; the first is parked carriers, the others are random swings (seeded).
-        seconds: time bound of the search, s: all first guesses and meshes, and why there is no plan. What was found by
-            then is the plan.
+        seconds: time bound of the search, s, for all first guesses, meshes and the explanation of infeasibility. The
+            plan is the best one found by then.
         progress: called with a line of text at each stage, and during it where the plan has 1000 nodes or more. What it
             raises ends the planning.
     """
@@ -267,7 +267,7 @@ Planned = TypeVar("Planned")
 def takes_groups(
     refused: Mapping[str, str],
 ) -> Callable[[Callable[Parameters, Planned]], Callable[Parameters, Planned]]:
-    """Return a decorator: the planner says of a field given as a keyword of its own in which group it belongs.
+    """Return a decorator that names the group of a field when a planner gets the field as a keyword.
 
     Args:
         refused: fields that the planner takes in no group, as for ``refuse_fields``.

@@ -42,8 +42,8 @@ def calmed(planning: Planning, planned: Planned, seconds: float) -> tuple[Planne
         seconds: time bound, s; none is tried without any left.
 
     Returns:
-        The plan, that of least cost unless one with fewer reversals passes the check; and ``tried``, ``kept``, and
-        where it was tried ``reversals`` before and after, and ``solver``, ``iterations`` and ``seconds`` of the
+        The plan, the least-cost plan unless one with fewer reversals passes the check; and ``tried``, ``kept``, and,
+        if it was tried, ``reversals`` before and after, and ``solver``, ``iterations`` and ``seconds`` of the
         solution.
     """
     task, best = planning.task, planned.best

@@ -1,4 +1,4 @@
-"""Why there is no plan: the smallest relaxation of the limits that admits one."""
+"""Explain infeasibility: find the smallest relaxation of the limits that admits a plan."""
 
 from __future__ import annotations
 
@@ -77,10 +77,10 @@ class Relaxation:
 
 
 def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str, deadline: float) -> Outcome:
-    """Find the smallest relaxation of the limits that admits a plan; where it is none, return the solution.
+    """Find the smallest relaxation of the limits that admits a plan; if none is needed, return the solution.
 
     First all limits may give way at once, at a few of the nodes (``coarser``). Then each of those that did, or that are
-    touched, may by itself, as far as ``SPARED`` and ``AGAIN`` go: a limit that does by itself is found in one or two
+    touched, may by itself, within ``SPARED`` and ``AGAIN``: a limit that does by itself is found in one or two
     times the iterations of the first, one that does not in ten times as many. Efforts come first: where carriers can
     move at all, they do. What is named is then relaxed once more, exactly, at all nodes and between them.
 
@@ -89,7 +89,7 @@ def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str
 
     Raises:
         InfeasiblePlanError: limits have to give way. It carries ``constraint`` (the limit of the smallest relaxation),
-            ``time`` (along a path, of a slow motion) and ``joint`` where it is exceeded most, ``amount`` of that,
+            ``time`` (along a path, of a slow motion) and ``joint`` of the largest excess, ``amount`` of it,
             and ``limit`` that would suffice;
             ``relaxations``, the same for every limit that gave way; ``together``, whether all of these are needed
             or one of them is enough; and ``untried``, limits of which it is not known whether they do by themselves.
@@ -147,8 +147,8 @@ def _hidden_share(problem: Problem, sought: Relaxation, relaxed: Mapping[str, Ou
 class _Search:
     """The search for the smallest relaxation.
 
-    ``untried``: limits of which it is not known whether they do by themselves; ``in_vain``: those of which a search
-    that came no closer tells that they hardly do.
+    ``untried``: limits that were not yet relaxed alone; ``in_vain``: limits whose search came no closer, so relaxing
+    them alone hardly suffices.
     """
 
     def __init__(self, problem: Problem, robot: RobotRecord, kinds: tuple[str, ...], deadline: float) -> None:
@@ -165,7 +165,7 @@ class _Search:
     def together(self, sought: Relaxation) -> Outcome:
         """Return the smallest relaxation of all limits at once, with limits at the nodes.
 
-        Most often one limit does by itself, and is held between the nodes then.
+        Most often one limit suffices by itself; it is then enforced between the nodes.
         """
         most = None if self.problem.timing is None else ITERATIONS_OF_TIMING
         for nodes in (coarser(self.problem), self.problem):
@@ -213,7 +213,7 @@ class _Search:
         return relaxed
 
     def exactly(self, problem: Problem, found: Outcome, kinds: tuple[str, ...]) -> Outcome:
-        """Return a relaxation at all nodes and between them; the one found where none is."""
+        """Return a relaxation at all nodes and between them; if none is found, the one passed in."""
         kept = {slack_name(kind) for kind in kinds}
         values = found.problem.resampled(found.values, problem)
         values = {name: value for name, value in values.items() if name in kept or not name.startswith(slack_name(""))}
@@ -296,7 +296,7 @@ def _exceeded(elastic: Solution) -> list[str]:
 
 
 def coarser(problem: Problem) -> Problem:
-    """Return a problem on at most ``ENOUGH`` of its nodes, beside those on jumps, singular instants and both ends.
+    """Return a problem on at most ``ENOUGH`` of its nodes, plus the nodes on jumps, singular instants and both ends.
 
     Along a path, and where f is an expression, these are all nodes.
     """
@@ -361,7 +361,7 @@ def nothing_helps(outcome: Outcome, message: str) -> InfeasiblePlanError:
 
 
 def elastic_event(elastic: Outcome, robot: RobotRecord, kind: str) -> dict[str, object]:
-    """Return what is exceeded most, where, and what would suffice."""
+    """Return the limit with the largest excess, its time and joint, and the limit that would suffice."""
     problem, fraction = elastic.problem, slack(elastic.solution, kind)
     t = problem.times(elastic.values)
     if kind == "at_most":

@@ -127,8 +127,8 @@ rounding, and backends agree."""
 class NLP:
     """minimise f(x) subject to l ≤ x ≤ u and b ≤ g(x) ≤ c, put together block by block.
 
-    ``blocks``: the variables by name, matrices; ``cost``: the expression f, to be added to; ``size``: what the solver
-    multiplies f by; ``rows``: the options of ``transcribe`` that say which rows there are.
+    ``blocks``: the variables by name, matrices; ``cost``: the expression f, to be added to; ``size``: the solver's
+    scaling factor of f; ``rows``: the options of ``transcribe`` that select the rows.
     """
 
     def __init__(self) -> None:
@@ -278,8 +278,8 @@ def solve_nlp(
 def _observer(bounds: Mapping[str, Array], progress: Progress | None, patience: float) -> Any:
     """Return what the solver calls at every iteration: it reports now and then, and ends a search that stalls.
 
-    What ``progress`` raises stops the solver and is kept in the attribute ``error``; ``stalled`` says whether the
-    violation of the rows did not shrink for ``patience`` iterations.
+    An exception raised by ``progress`` stops the solver and is kept in the attribute ``error``; ``stalled``: whether
+    the violation of the rows did not shrink for ``patience`` iterations.
     """
     variables, rows = len(bounds["lbx"]), len(bounds["lbg"])
     sizes = {"x": variables, "f": 1, "g": rows, "lam_x": variables, "lam_g": rows, "lam_p": 0}

@@ -75,7 +75,7 @@ def plan_time_optimal(
         dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
             The robot need not have carriers, and may have more actuators than degrees of freedom.
         path: a path; of a trajectory its path.
-        limits: in place of the robot's own. Without a limit of efforts or of the actuators' rates there is no least
+        limits: in place of the robot's limits. Without a limit of efforts or of the actuators' rates no least time
             time.
         mesh: ``steps`` and ``refinements``: how often steps may be halved whose efforts or rates exceed their limits
             inside.

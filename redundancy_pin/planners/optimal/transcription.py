@@ -299,7 +299,7 @@ class Transcription(Quantities):
 
     @staticmethod
     def _exact_at(nodes: Sequence[SingularNode], u: Array, *motion: Expression) -> list[tuple[Expression, Expression]]:
-        """Return uᵀ f and its derivative by time, the carriers held, for each row of the carriers' motion."""
+        """Return uᵀ f and its time derivative at fixed carriers, for each row of the carriers' motion."""
         loads = []
         for row, (node, lost) in enumerate(zip(nodes, u, strict=True)):
             if node.exact is None:
@@ -350,7 +350,7 @@ class Transcription(Quantities):
         self.equal(after * ydd[at - 1, :] + before * ydd[at + 1, :] - (before + after) * ydd[at, :], 0.0, sizes[2])
 
     def _start(self) -> None:
-        """Require position and speed of the carriers at the start, as far as they are given."""
+        """Constrain position and speed of the carriers at the start, if given."""
         settings, u = self._problem.settings, self.scales
         if settings.begin == "datum":
             self.equal(self.s[0, :], settings.start[None], u.s)
@@ -521,7 +521,7 @@ def transcribe(
 
     ``elastic``: kinds of limits (``KINDS``) that may be exceeded, at a price, to find out which of them are in the way;
     ``between`` (M − 1,): steps in which track and speed limits hold between the nodes as well; all when left out;
-    ``limit_force``: whether the limits of the carriers' forces are held.
+    ``limit_force``: whether the limits of the carriers' forces are enforced.
     """
     programme = (Transcription if problem.timing is None else PathTranscription)(problem, elastic)
     programme.nlp.rows = {"elastic": tuple(elastic), "between": between, "limit_force": limit_force}

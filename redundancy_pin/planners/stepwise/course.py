@@ -64,8 +64,8 @@ class Course:
             that begins there.
         position: s as functions of time, one after the other.
         optimised: first step and result of each segment of the optimiser.
-        returns: start and end of each return, s; the end is that of its polynomial.
-        braking: when the carriers are braked, s; NaN where none moved.
+        returns: start and end of each return, s; its polynomial ends there.
+        braking: when the carriers are braked, s; NaN if none moved.
     """
 
     t: Array
@@ -163,7 +163,7 @@ _LATE = 1e-9
 def _braked(settings: StepwiseSettings, course: Course, first: int, platform_rests: bool) -> Course:
     """Return the course with the carriers braked from instant ``first`` until all are at rest.
 
-    Each is braked by a constant deceleration within ``brake_time``, sooner where its track is too short for that.
+    Each is braked by a constant deceleration within ``brake_time``, or less if its track is too short.
     ``platform_rests``: at the end of the motion; the steps added after it are the median of its steps.
     """
     limits, within = settings.limits, settings.stop == "within"
@@ -197,7 +197,7 @@ def _braked(settings: StepwiseSettings, course: Course, first: int, platform_res
 
 
 def _braking_times(speed: Array, room: Array, deceleration: Array, wanted: float) -> Array:
-    """Return (k,) the time, s, each carrier takes to stop: as wanted, sooner where the track ends before.
+    """Return (k,) the time, s, each carrier takes to stop: as requested, less if the track ends before.
 
     Never below |v|/a, even where the ``room`` (k,) to the end of the track, m, is too short for it.
     """
