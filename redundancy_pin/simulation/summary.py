@@ -32,7 +32,7 @@ def platform_error(run: Simulation, reference: MotionReference, robot: Robot) ->
 
 
 def summary(run: Simulation, reference: MotionReference, robot: Robot) -> Summary:
-    """Return what is worth knowing of a simulation, SI units: a mapping, whose ``print`` is a table with warnings.
+    """Return a summary of a simulation, SI units: a mapping, whose ``print`` is a table with warnings.
 
     Args:
         run: the simulation.

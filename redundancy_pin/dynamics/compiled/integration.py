@@ -100,7 +100,7 @@ class CompiledIntegration:
 
     Args:
         forward: the forward dynamics of the robot.
-        rules: what it must keep to.
+        rules: tolerances, limits and events of the integration.
     """
 
     def __init__(self, forward: Code, rules: Rules) -> None:

@@ -110,7 +110,7 @@ class LoadSymbols:
         return total
 
     def _line(self, line: SX) -> tuple[SX, SX]:
-        """Return length and direction; none at length zero, as in C a quotient of zeros is no number."""
+        """Return length and direction; the direction is zero at length zero, to avoid 0/0."""
         length = self.ca.sqrt(self.ca.dot(line, line))
         return length, line / (length + (length == 0.0))
 
@@ -129,7 +129,7 @@ def constant_wrenches(robot: Robot) -> Array:
     """Return (6 w,) the wrenches of a robot as numbers.
 
     Raises:
-        UnsupportedRobotError: one is no constant.
+        UnsupportedRobotError: a wrench is not constant.
     """
     values = []
     for load in of_kind(robot.loads, Wrench):

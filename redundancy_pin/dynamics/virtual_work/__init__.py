@@ -46,7 +46,7 @@ class VirtualWork(Dynamics):
 
     Raises:
         UnsupportedRobotError: the robot declares no closed form, or one that is not known here; or its model was
-            replaced by one of another mass than its arguments say (other changes of the model are not seen).
+            replaced by one with another mass than its arguments (other changes of the model are not detected).
     """
 
     def __init__(self, robot: RobotLike) -> None:
