@@ -123,7 +123,7 @@ class Limits(ByValue):
         for key in given:
             if key not in known:
                 remedy = "Add an entry to planners.limits.QUANTITIES. "
-                remedy += f"Entries are {', '.join(known)}." if known else "It has none beside the other limits."
+                remedy += f"Entries are {', '.join(known)}." if known else "No further quantities are defined."
                 raise InputError(f"further limits {shown(key)}, which is no quantity.", remedy=remedy, name=key)
             name = QUANTITIES[key].name
             if [one.name for one in QUANTITIES.values() if one is not QUANTITIES["actuator_speed"]].count(name) > 1:
@@ -190,7 +190,7 @@ class Objective(ByValue):
         named = [self.weights] if isinstance(self.weights, str) else self.weights
         if aims and isinstance(named, (list, tuple, Mapping)) and "tracking" not in named:
             raise InputError(
-                "lam and baseline say what to track, but the objective does not have tracking.",
+                "lam and baseline define the tracked efforts, but the objective does not have tracking.",
                 remedy="Leave them out, or add tracking to the objective.",
                 name="lam",
             )

@@ -433,7 +433,7 @@ def _check(plan: Plan) -> None:
     for key in judged.further:
         if key not in QUANTITIES:
             raise InputError(
-                f"it limits {shown(key)}, which is no entry of planners.limits.QUANTITIES (add it before loading)"
+                f"it limits {shown(key)}, which is not in planners.limits.QUANTITIES (add it before loading)"
             )
     for name, shape in shapes.items():
         _require_array(name, attrgetter(name)(plan), "f", shape)
@@ -461,4 +461,4 @@ def _require_array(name: str, value: NDArray[Any], kind: str, shape: tuple[int, 
 def _require_codes(name: str, codes: NDArray[Any], known: Sequence[int]) -> None:
     foreign = codes[~np.isin(codes, list(known))]
     if len(foreign):
-        raise InputError(f"{name} holds {int(foreign[0])}, which stands for nothing (known: 0 to {len(known) - 1})")
+        raise InputError(f"{name} holds {int(foreign[0])}, which is not defined (known: 0 to {len(known) - 1})")

@@ -300,7 +300,7 @@ def _own_source(record: RobotRecord) -> str:
     """Return the location of the robot if the record may set it; PlanFileError if the user must."""
     if not record.source:
         raise PlanFileError(
-            f"The plan does not say where its robot {shown(record.name)} was loaded from: it was made in Python.",
+            f"The plan has no file of its robot {shown(record.name)}: the robot was made in Python.",
             remedy=f"Pass the robot itself: {_PASS_ROBOT}",
         )
     if record.folder is None or record.source in shipped_sources():
@@ -317,8 +317,8 @@ def _own_source(record: RobotRecord) -> str:
 def _require_inside(place: Path, folder: str) -> None:
     if not place.is_relative_to(folder):
         raise PlanFileError(
-            f"The plan names {place} for its robot, outside its own folder {folder}: a file does not choose "
-            "what is loaded from elsewhere.",
+            f"The plan names {place} for its robot, outside its own folder {folder}: a file must not "
+            "load a robot from elsewhere.",
             remedy=f"Where you trust that robot, load it and pass it: {_load_and_pass(str(place))}",
             source=str(place),
         )

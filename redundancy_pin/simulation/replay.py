@@ -220,7 +220,7 @@ def _sample_efforts(plan: Plan, reference: MotionReference) -> FeedForward:
         t = float(plan.t[int(bad.argmax())])
         raise InfeasiblePlanError(
             f"The plan states no finite efforts at its sample at t = {t:.6g} s.",
-            remedy="Replay the continuous motion that it stands for: drive 'open loop'.",
+            remedy="Replay the continuous motion of the plan: drive 'open loop'.",
             constraint="effort",
             time=t,
         )

@@ -144,9 +144,7 @@ class Simulation(Frozen):
         instants = checked(np.atleast_1d(np.asarray(times)), "times", ("T",))
         if self.x.ndim == 3 or instants.min() < self.t[0] or instants.max() > self.t[-1]:
             what = "it moves a pose" if self.x.ndim == 3 else f"it lasts from {self.t[0]:.6g} to {self.t[-1]:.6g} s"
-            raise InputError(
-                f"The simulation cannot be asked for x at these times: {what}.", remedy="Simulate with a finer dt."
-            )
+            raise InputError(f"The simulation has no x at these times: {what}.", remedy="Simulate with a finer dt.")
         kept = np.append(np.diff(self.t) > 0.0, True)
         spline = CubicHermiteSpline(self.t[kept], self.x[kept], self.xd[kept])
         return spline(instants), spline(instants, 1)

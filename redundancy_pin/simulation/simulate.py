@@ -226,7 +226,7 @@ def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None, sampl
     if isinstance(made_for, Sampling) and made_for != sampling:
         raise InputError(
             f"{controller.class_name()} was made for {made_for}, and the simulation has {sampling}.",
-            remedy=f"Pass sampling={made_for} to simulate, or make the controller for what it has.",
+            remedy=f"Pass sampling={made_for} to simulate, or make the controller for the sampling of the simulation.",
         )
     return controller
 
@@ -252,7 +252,7 @@ def _times(
     elif controller.end is not None:
         last = float(controller.end)
     else:
-        raise InputError("Nothing says how long to simulate.", remedy="Pass duration=, in seconds.")
+        raise InputError("No duration given.", remedy="Pass duration=, in seconds.")
     if not (np.isfinite(last) and last > start):
         raise InputError(
             f"The simulation would last from {start} to {last} s.", remedy="Pass a positive, finite duration."

@@ -286,7 +286,7 @@ class CompiledAlongMotion(Frozen):
             if not isinstance(wrench.value, np.ndarray):
                 raise UnsupportedRobotError(
                     f"{wrench!r} is a function whose own derivatives are not known.",
-                    remedy="Pass its values at the samples, and add what it changes by x and xd.",
+                    remedy="Pass its values at the samples, and add its derivatives by x and xd.",
                     frame=wrench.frame,
                 )
         tree = self._tree.with_carriers(carriers)

@@ -100,7 +100,7 @@ def _state_of(robot: Robot, start: Start | None) -> ClosedState | None:
     if closed is not None and closed.margin > 0.0:
         return closed
     if evaluated(constraint_system(robot), start[None]).singular[0]:
-        raise SingularPoseError(f"The start of {robot.name} is singular: no branch goes on from it.", remedy=remedy)
+        raise SingularPoseError(f"The start of {robot.name} is singular: no branch continues from it.", remedy=remedy)
     raise WorkingModeError(f"The chains of {robot.name} do not close at the start.", remedy=remedy)
 
 

@@ -126,7 +126,7 @@ class GpuDynamics:
         one_of(device, "device", ("gpu", "cpu"))
         one_of(threads, "threads", range(32, 257, 32))
         if not self.robots:
-            raise InputError("There is no robot.", remedy="Pass at least one.")
+            raise InputError("No robot given.", remedy="Pass at least one.")
         self.robot = robot = self.robots[0]
         if not robot.m:
             raise UnsupportedRobotError(f"{robot.name} has no main actuators.", remedy="Declare which are actuated.")
@@ -339,7 +339,7 @@ def _taken(xp: Any, value: Any, name: str, shape: tuple[int, ...]) -> Any:
             return xp.broadcast_to(array, shape)
     except (TypeError, ValueError, RuntimeError, BufferError) as error:
         raise InputError(
-            f"{name} is no array of numbers on the device of the first argument: {error}.",
+            f"{name} is not an array of numbers on the device of the first argument: {error}.",
             remedy="Pass all arrays from one device, in real numbers.",
             name=name,
         ) from error

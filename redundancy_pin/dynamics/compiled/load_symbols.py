@@ -135,7 +135,7 @@ def constant_wrenches(robot: Robot) -> Array:
     for load in of_kind(robot.loads, Wrench):
         if not isinstance(load.value, np.ndarray) or load.value.ndim != 1:
             raise UnsupportedRobotError(
-                f"{load!r} is no constant, which is all that these expressions can hold.",
+                f"{load!r} is not constant; these expressions allow constant wrenches only.",
                 remedy="Pass six numbers, or the robot without that wrench, and take its share by its Jacobian.",
                 frame=load.frame,
             )

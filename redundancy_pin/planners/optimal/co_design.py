@@ -310,7 +310,7 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
             raise InputError(f"A task has {len(one)} entries.", remedy=remedy)
     tasks = tuple(one if isinstance(one, DesignTask) else DesignTask(*one) for one in given)
     if not tasks:
-        raise InputError("There is no task to design for.", remedy=remedy)
+        raise InputError("No task given to design for.", remedy=remedy)
     for task in tasks:
         require_type(task.options, Mapping, "A mapping of a task's options", remedy)
         positive(task.weight, "weight", "")
@@ -322,7 +322,7 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
             if name not in known:
                 raise InputError(
                     f"A task has the option {shown(name)}.",
-                    remedy=f"{did_you_mean(name, known)}Options are objective and those of {planner.__name__}.",
+                    remedy=f"{did_you_mean(name, known)}Options are objective and the keywords of {planner.__name__}.",
                     name=name,
                 )
     return tasks

@@ -118,7 +118,7 @@ def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str
     text = ("; or " if alone else "; and ").join(str(event.pop("text")) for event in events)
     untried, in_vain = ([name_of(kind) for kind in kinds] for kinds in (search.untried, search.in_vain))
     rest = f" Not tried to the end: {', '.join(untried)} alone." if untried else ""
-    rest += f" Tried without a motion, which is no proof: {', '.join(in_vain)} alone." if in_vain else ""
+    rest += f" Tried without finding a motion, which proves nothing: {', '.join(in_vain)} alone." if in_vain else ""
     ratio = _hidden_share(problem, sought, relaxed)
     if problem.timing is None and any(found.problem is not problem for found in relaxed.values()):
         rest += " The numbers are of a coarser mesh: all nodes may need a little more."

@@ -78,7 +78,7 @@ def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
             deviation = float(np.abs(split @ np.array([1.0, 0.7, 0.49, -1.3]) - last).max(initial=0.0)) / size
             parts[name] = split / unit[..., None] * np.array([1.0, 1.0, 1.0, length])
             if deviation > OTHER_TERMS:
-                message = f"f of {robot.name} is no sum of 1, ṗ, ṗ² and p̈ along the path alone: "
+                message = f"f of {robot.name} is not a sum of 1, ṗ, ṗ² and p̈ along the path: "
                 raise UnsupportedRobotError(
                     f"{message}it deviates by {deviation:.2g}.",
                     remedy="Leave dry friction and loads that depend on time out, or plan at a given speed.",

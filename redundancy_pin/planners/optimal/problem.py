@@ -339,8 +339,8 @@ def _require_crossing(rate: Array, source: Motion, t: float) -> None:
     speed, most = (float(np.abs(source.sample_at(at).xd).max()) for at in (np.array([t]), _spread(source)))
     how = "rests in" if speed <= CROSSED * most else "touches, or follows,"
     message = (
-        f"At t = {t:.6g} s the motion {how} a type II singularity without crossing it: what f and its rate say there "
-        "does not determine the efforts, and no condition on s, ṡ and s̈ keeps them finite near it."
+        f"At t = {t:.6g} s the motion {how} a type II singularity without crossing it: f and its rate there do "
+        "not determine the efforts, and no condition on s, ṡ and s̈ keeps them finite near it."
     )
     remedy = "Lead the motion across the singularity with a speed, or keep a distance from it."
     raise InfeasiblePlanError(

@@ -110,9 +110,9 @@ def design_gradient(task: Task, outcome: Outcome, platform: Motion, designed: De
     problem, solution, timing = outcome.problem, outcome.solution, outcome.problem.timing
     if problem.exact is not None or solution.rows["elastic"]:
         raise UnsupportedRobotError(
-            f"f of {task.dynamics.robot.name} has other terms than those of carriers that slide or turn on a link: how "
-            "the optimum changes with the machine is not known.",
-            remedy="Design with carriers that stand on links.",
+            f"f of {task.dynamics.robot.name} has other terms than carriers that slide or turn on a link give: the "
+            "derivative of the optimum by the machine is not known.",
+            remedy="Design with carriers that are on links.",
         )
     carriers, motion = problem.carriers(outcome.values), platform.sample_at(problem.times(outcome.values))
     at_nodes, per_time = designed.slopes(motion, carriers), task.source.sample_at(problem.grid.t).xd

@@ -289,7 +289,7 @@ class CompiledPlanner:
         if status == STOPPED:
             raised, self._raised = self._raised, None
             raise raised or InputError(
-                "The preview is not finite in what is in sight.", remedy="Pass a motion of finite numbers.", time=t
+                "The preview is not finite within its window.", remedy="Pass a motion of finite numbers.", time=t
             )
         if status == UNSOLVED:
             raise InfeasiblePlanError(

@@ -120,7 +120,7 @@ class RecedingHorizon:
         t = self._time(t)
         if abs(t) > LATEST:
             raise InputError(
-                f"The update is at t = {t:.6g} s, where a clock no longer tells instants {SAME:g} s apart.",
+                f"The update is at t = {t:.6g} s, where a clock cannot resolve {SAME:g} s.",
                 remedy="Count time from the start of the run.",
             )
         known = self._preview if preview is self._source and self._preview is not None else Preview.of(preview)
@@ -129,12 +129,12 @@ class RecedingHorizon:
             where = "" if own == t else f", {own:.6g} s of the preview (Command.scaling)"
             raise InputError(
                 f"The update is at t = {t:.6g} s{where}, and the preview begins at {known.start:.6g} s.",
-                remedy="Pass what is known of the motion from the update on.",
+                remedy="Pass a preview that begins at the update or before.",
             )
         if own > known.end + SAME:
             raise InputError(
                 f"The update is at t = {t:.6g} s, and the preview ends at {known.end:.6g} s.",
-                remedy="Pass what is known of the motion from the update on, or go on with the last plan by skip(t).",
+                remedy="Pass a preview that extends beyond the update, or continue with the last plan by skip(t).",
             )
         self._source, self._preview = preview, known
         given = tuple(
@@ -163,7 +163,7 @@ class RecedingHorizon:
             InputError: no plan exists yet.
         """
         if self.updates.last is None:
-            raise InputError("There is no plan to go on with.", remedy="Call update first.")
+            raise InputError("No plan exists to continue.", remedy="Call update first.")
         reason = "the update was missed"
         return replace(self.updates.last.command, t=self._time(t), status=UpdateStatus.FALLBACK, reason=reason)
 

@@ -95,7 +95,7 @@ def _answers(source: Callable[[Array], PlatformMotion]) -> Callable[[Array], Pla
 
     def answer(times: Array) -> PlatformMotion:
         motion = source(times)
-        require_type(motion, PlatformMotion, "A PlatformMotion of the preview", "Return one at the times asked for.")
+        require_type(motion, PlatformMotion, "A PlatformMotion of the preview", "Return one at the requested times.")
         if len(motion.t) != len(times) or np.abs(motion.t - times).max() > SAME:
             raise InputError(
                 f"The preview was asked for {len(times)} instants from t = {times[0]:.6g} s on, and answers for "

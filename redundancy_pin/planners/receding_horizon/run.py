@@ -212,7 +212,7 @@ def _require_progress(command: Command, source: Motion, planner: RecedingHorizon
             first = int(beyond.argmax())
             where = place_of(np.asarray(ahead.x[first]))
             raise InfeasiblePlanError(
-                f"The platform stands at t = {t:.6g} s, where the motion is at {reached:.6g} s: at "
+                f"The platform is at rest at t = {t:.6g} s, where the motion is at {reached:.6g} s: at "
                 f"{ahead.t[first]:.6g} s it leads where the machine cannot go, to {where}.",
                 remedy="Lead the platform along another path.",
                 constraint="preview",

@@ -60,7 +60,7 @@ GOALS = ("effort", "tracking")
 
 REFUSED = {
     **NO_NODES,
-    "calm": "each step has one minimum, and there is none that is calmer",
+    "calm": "each step has one minimum, so no calmer one exists",
     "base_point": "the stepwise planner minimises no moment on the base",
     "jerk": "the carriers' accelerations jump from step to step; use plan_whole_trajectory",
 }
@@ -175,7 +175,7 @@ def plan_stepwise(
     resolved = given.resolved(robot)
     if stop == "within" and np.isinf(resolved.acceleration).any():
         raise InputError(
-            'stop="within" needs acceleration limits: without them nothing says when to brake.',
+            'stop="within" needs acceleration limits: without them the time to brake is not defined.',
             remedy='Declare or pass acceleration limits, or use stop="after".',
         )
     settings = StepwiseSettings(

@@ -96,7 +96,7 @@ class Controller(ABC):
             InputError: nothing defines the motion of the carriers.
         """
         raise InputError(
-            f"{self.class_name()} does not say how the carriers move.",
+            f"{self.class_name()} does not define the motion of the carriers.",
             remedy="Give it carrier_motion(t) -> (s, sd, sdd), or drive the carriers by force.",
         )
 
@@ -317,8 +317,8 @@ def kernel_of(robot: Robot, dynamics: DynamicsLike | None) -> ForwardKernel | No
         given = dynamics.robot.name
         which = f"another {given}, with other parameters" if given == robot.name else given
         raise InputError(
-            f"dynamics are those of {which}, and {robot.name} is the robot they are for.",
-            remedy="simulate takes those of the robot that is simulated, a controller those of the robot it knows.",
+            f"dynamics are for {which}, but {robot.name} is required.",
+            remedy="simulate needs the dynamics of the simulated robot, a controller the dynamics of the robot it knows.",
         )
     kernel: ForwardKernel | None = getattr(dynamics, "forward", lambda: None)()
     return kernel

@@ -113,7 +113,7 @@ class Encoders(Controller):
         if t < self._last:
             raise InputError(
                 f"The encoders are read at {t:.6g} s, after they were read at {self._last:.6g} s.",
-                remedy="Make new Encoders for each simulation: they are homed where it starts.",
+                remedy="Make new Encoders for each simulation: they are homed at its start.",
             )
         planned, speed, _ = self.reference.tree(t)
         first = not np.isfinite(self._last)
