@@ -22,7 +22,7 @@ from redundancy_pin.robot.joint_ranges import all_ranges
 from redundancy_pin.robot.scales import is_revolute
 
 _ONLY_WITH = {"friction_speed": "friction", "gear": "rotor_inertia", "rest": "stiffness"}
-"""Parameters of loads that say nothing where another one is zero."""
+"""Parameters of loads that have no effect if another one is zero."""
 
 _ROUNDING = 1e-12
 """Part of the largest of some numbers that is rounding."""

@@ -156,7 +156,7 @@ def base_wrench(along: DynamicsAlongMotion, rest: Array, point: Array, *, turnin
 
 
 _SLIDING = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1]], dtype=float).T
-"""(3, 5) s, ṡ and s̈ that tell the terms of a sliding carrier apart."""
+"""(3, 5) s, ṡ and s̈ that separate the terms of a sliding carrier."""
 
 _TURNING = np.concatenate(
     [

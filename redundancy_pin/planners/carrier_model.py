@@ -40,11 +40,11 @@ W_TOLERANCE = 1e-11
 """Of the interpolated W, relative to its largest entry: the times of a window are then exact to about 1e-11 of it."""
 
 SAMPLED_TOLERANCE = 1e-9
-"""Of what is interpolated along a sampled motion: the quintics between samples a few milliseconds apart meet with kinks
+"""Tolerance of interpolation along a sampled motion: the quintics between samples a few milliseconds apart have kinks
 below this, and resolving every one of them would be of no use."""
 
 SAMPLES_A_PIECE = 33
-"""A piece is a polynomial of degree 15: its singular values have few dips, and a dip shows in the samples beside it."""
+"""A piece is a polynomial of degree 15: its singular values have few dips, and a dip shows in the adjacent samples."""
 
 LARGEST_CONDITION = 1e6
 """Beyond it the times at which W reaches a threshold are lost in the rounding of W."""
@@ -416,7 +416,7 @@ COEFFICIENT_TOLERANCE = 1e-12
 """Of each group of coefficients, relative to its largest entry."""
 
 _LEAST_GROUP = 1e-4
-"""A group smaller than this fraction of the largest is held to the tolerance of this size: the rounding of a backend
+"""A group smaller than this fraction of the largest uses the tolerance for this size: the rounding of a backend
 does not shrink with the group."""
 
 

@@ -76,7 +76,7 @@ RESOLVED = 1e-3
 """Last coefficients of a piece, relative to the largest value of the motion, from which it is halved."""
 
 EXACT = 1e-6
-"""The same in pieces whose values come near the largest, which decide what is reported."""
+"""The same in pieces whose values come near the largest, which decide the reported peaks."""
 
 NEAR_PEAK = 0.9
 """Fraction of the largest value from which a piece is one of those."""

@@ -25,8 +25,8 @@ EXCEEDING = 1e-9
 
 LIMIT_TOLERANCE = 1e-3
 """Relative excess up to which an effort, a force, a rate of an actuator or a jerk keeps its limit, at samples and
-between them: no plan with more counts as within its limits. What comes as near from below touches its limit. Position,
-speed and acceleration of carriers are polynomials, which planners keep within limits to rounding (``EXCEEDING``)."""
+between them: no plan with more counts as within its limits. A value this close below its limit touches it. Position,
+speed and acceleration of carriers are polynomials, which planners limit to machine precision (``EXCEEDING``)."""
 
 
 @dataclass(frozen=True)

@@ -39,16 +39,16 @@ CALM = 0.01
 for another."""
 
 LARGEST_STEP = 0.005
-"""Largest step between the nodes of a plan over a given time, s, unless the user asks for another."""
+"""Default of the largest step between the nodes of a plan over a given time, s."""
 
 FEWEST_STEPS = 100
-"""Least number of steps along a path whose timing is planned, unless the user asks for another."""
+"""Default of the least number of steps along a path whose timing is planned."""
 
 # Each start is solved, and each refinement doubles nodes: more of them would never end
 MOST_STARTS, MOST_REFINEMENTS, MOST_STEPS = 1000, 30, 100_000
 
 Progress = Callable[[str], None]
-"""Called with a line of text at each stage of a plan; what it raises ends the planning."""
+"""Called with a line of text at each stage of a plan; an exception from it ends the planning."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,7 +74,7 @@ def choose(relative: Array, pose_columns: IntArray, free: IntArray, q: Array) ->
 
 
 _POOR_CHOICE = 1e-2
-"""Ratio of the pivots of the dependent block of J_c below which the independent velocities are chosen anew."""
+"""Ratio of the pivots of the dependent block of J_c below which the independent velocities are chosen again."""
 
 
 @dataclass(frozen=True, eq=False)

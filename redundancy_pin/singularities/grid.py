@@ -34,7 +34,7 @@ _MOST_NODES = 200_000
 """Nodes of a grid at most: about a minute."""
 
 _REACH = 4.0
-"""Half width of the search for the workspace, characteristic lengths; twice that if the workspace goes on beyond it."""
+"""Half width of the search for the workspace, characteristic lengths; doubled if the workspace extends beyond it."""
 
 _COARSE = {1: 61, 2: 61, 3: 15}
 """Nodes along each axis of the search grid, by the number of axes: horns of a twentieth of the workspace are met."""
@@ -47,8 +47,8 @@ _SHORTEST_STEP = 2.0**-3
 reach, and without this bound maps take two to five times as long."""
 
 _TRUSTED_STEP = 0.1
-"""Longest step, characteristic lengths or rad, that tells the branch by continuity alone. Without this bound an
-eleventh of a delta's nodes are on another branch; with it, or one of 0.15, none."""
+"""Longest step, characteristic lengths or rad, at which continuity alone determines the branch. Without this bound one
+node in eleven of a delta is on another branch; with it, or with 0.15, none."""
 
 _STARTS = 360
 """Random configurations from which islands are searched, with a fixed seed. They meet all islands of fifteen random

@@ -60,7 +60,7 @@ _LONGEST_CHORD = 3.0
 vanish, and Newton's method for one of them fails."""
 
 _SPACING = 0.05
-"""Shortest distance between neighbouring points, cells. Contours that pass beside a node cross two edges there."""
+"""Shortest distance between neighbouring points, cells. Contours that pass near a node cross two edges there."""
 
 
 @dataclass(frozen=True, eq=False)

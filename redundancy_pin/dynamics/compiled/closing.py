@@ -32,8 +32,8 @@ _PER_THREAD = 400
 
 
 Start: TypeAlias = ClosedState | Array
-"""Where kinematics go on from: a closed state, or a configuration (nq,) at which the chains close. At a rank loss it
-takes a state, whose Γ determines the branch."""
+"""Start of the branch for kinematics: a closed state, or a configuration (nq,) at which the chains close. A rank loss
+requires a state, whose Γ determines the branch."""
 
 
 class ClosedMotion(NamedTuple):

@@ -42,7 +42,7 @@ _STATUSES = tuple(SampleStatus)
 """By code: an index takes a fifth of the time of ``SampleStatus(code)``."""
 
 _FOR_KINEMATICS = len(_STATUSES)
-"""Code of what the C does not follow: kinematics may follow it, or say why its branch ends."""
+"""Code for samples that the C does not follow: kinematics may follow them, or report why their branch ends."""
 
 _WITHOUT_RESULT = frozenset(
     {
@@ -63,7 +63,7 @@ _LEFT_OUT: tuple[()] = ()
 """Default of arguments of carriers; there is one empty tuple."""
 
 _NEEDS_CONVERTING = (TypeError, ValueError)
-"""What arguments raise that are no plain arrays of doubles: lists, other numbers, masked arrays, what is left out."""
+"""Errors for arguments other than plain arrays of doubles: lists, other numbers, masked arrays, omitted arguments."""
 
 
 def _plain(value: Any, none: Array) -> Array:

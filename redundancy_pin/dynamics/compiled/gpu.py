@@ -32,10 +32,10 @@ THREADS = 128
 """Threads of a block: a multiprocessor holds two blocks where each thread has all the registers that there are, 255."""
 
 _MOST_BLOCKS = 1 << 20
-"""Blocks of one launch; threads go on to further samples."""
+"""Blocks of one launch; each thread computes further samples in a loop."""
 
 _FUNCTIONS = ("rows", "bias", "turns", "moved", "modes", "coordinates", "drives", "project")
-"""Generated functions that ``calls.c`` and what stands in front of it call."""
+"""Generated functions called by ``calls.c`` and the sources before it."""
 
 _NVRTC = (
     "#define INFINITY __longlong_as_double(0x7ff0000000000000)\n#define NAN __longlong_as_double(0x7ff8000000000000)\n"

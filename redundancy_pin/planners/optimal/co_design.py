@@ -51,7 +51,7 @@ from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 from redundancy_pin.trajectory.paths import Path
 
 NO_MACHINE = (InfeasiblePlanError, UnreachablePoseError, SingularPoseError, WorkingModeError, DeclarationError)
-"""What tells that a machine cannot carry out a task."""
+"""Errors that show that a machine cannot carry out a task."""
 
 _STATIONARY = 3e-4
 """Relative decrease of the cost that the model promises, from which the search ends."""
@@ -72,7 +72,7 @@ _ON_BOUND = 1e-9
 """Of the ranges: nearer to a bound is on it."""
 
 _CONVEX = 0.01
-"""Curvature by which slopes of other machines are taken for less than they say, where the cost is not convex."""
+"""Curvature by which the slopes of other machines are reduced where the cost is not convex."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,10 +28,10 @@ from redundancy_pin.planners.optimal.transcription import (
 from redundancy_pin.planners.robot_record import RobotRecord
 
 NOTHING = 1e-5
-"""A relaxation below this fraction of a limit is none: the objective and the reserve leave as much."""
+"""Relaxation, as a fraction of a limit, below which it counts as zero: objective and reserve leave as much."""
 
 NOISE = 1e-4
-"""Relaxations below this fraction beside larger ones are what the barrier of a rough solution leaves: at most 2e-5."""
+"""Relaxations below this fraction of larger ones are residues of the barrier of a rough solution: at most 2e-5."""
 
 SPARED = 15_000
 """Iterations, times nodes, for finding out whether one limit does by itself: a second of the processor."""
@@ -49,7 +49,7 @@ SAME = 1e-3
 """Relative difference of two relaxations on meshes of which the finer one shows nothing new."""
 
 ENOUGH = 150
-"""Nodes, beside those of events, that tell which limits are in the way."""
+"""Number of nodes, in addition to those at events, that suffices to find the conflicting limits."""
 
 TOUCHED = 2e-3
 """Fraction of its range within which a limit counts as reached: the barrier of a rough solution keeps off by 2e-4."""

@@ -156,7 +156,7 @@ RIPPLE = 1e-2
 """Size of a ripple, as a fraction of the sizes of τ and s̈: what least efforts on the circle of the 2-RPR have."""
 
 CARRIER_RIPPLE = 0.1
-"""Weight of the ripple of s̈ beside that of τ. Without it s̈ zigzags from node to node, and W⁻¹ magnifies that between
+"""Weight of the ripple of s̈ relative to τ. Without it s̈ zigzags from node to node, and W⁻¹ magnifies this between
 the nodes; with weight 1 the efforts keep more reversals (docs/whole_trajectory.md, *Calm plans*)."""
 
 

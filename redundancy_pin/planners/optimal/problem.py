@@ -52,7 +52,7 @@ Reader = Callable[[DynamicsAlongMotion], CarrierModel]
 """Reads the coefficients off a backend along a platform motion."""
 
 INSTANTS = 3
-"""Instants of a motion at which f is asked for other terms: f has them nearly everywhere, or nowhere."""
+"""Number of instants of a motion at which f is tested for other terms: f has them nearly everywhere, or nowhere."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,7 +53,7 @@ class Outcome:
 
 
 Stop = Callable[[Outcome], bool]
-"""Says of an optimum with limits at the nodes that it will do, as where it asks for other nodes anyway."""
+"""Returns whether an optimum with limits at the nodes suffices, for example if other nodes are needed anyway."""
 
 
 def solve(

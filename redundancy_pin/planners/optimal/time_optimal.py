@@ -43,10 +43,10 @@ HALVED_AGAIN = (0.0, 1.5, 8.0, 64.0)
 three and four times: at a cusp of the path, where the platform nearly stops, 1000 is usual on the first mesh."""
 
 LONGEST_STEP = 0.05
-"""Of the whole time, that a step may last when others are refined: where the platform nearly stands still."""
+"""Largest step of a refined mesh, as a fraction of the whole time; it matters where the platform nearly rests."""
 
 NEVER_KEPT = ("effort", "carrier_force", "track")
-"""Limits that a motion may exceed however slow it is, as under gravity beside a singularity."""
+"""Limits that a motion may exceed at any speed, for example under gravity near a singularity."""
 
 
 @takes_groups(REFUSED_ON_A_PATH)

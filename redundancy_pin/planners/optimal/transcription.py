@@ -38,23 +38,23 @@ VARIABLES = {"track": "s", "speed": "sd", "acceleration": "sdd", "effort": "tau"
 """The variable that each of ``QUANTITIES`` limits; others are limited by rows."""
 
 KINDS = ("track", "speed", "acceleration", "jerk", "effort", "carrier_force", "end", "at_most")
-"""Limits that an elastic programme lets go, beside those of further ``QUANTITIES``."""
+"""Limits that an elastic programme relaxes, in addition to further ``QUANTITIES``."""
 
 ELASTIC_OBJECTIVE = 1e-6
-"""Weight of the objective beside the fractions by which limits are exceeded: it decides only between equal ones."""
+"""Weight of the objective relative to the excess fractions of limits: it decides only between equal ones."""
 
 ELASTIC_DURATION = 1e-3
 """The same of the duration, over its size, where that is the objective. Under gravity efforts come near those at rest
 as the duration grows: it ends at a few times its size, and what would suffice is 1e-4 to 1e-3 more than at rest."""
 
 REGULARISATION = 1e-5
-"""Weight of the mean square of s̈ over its limit beside an objective of size one: where the objective leaves the
-carriers open they take the gentlest motion, and the plan is unique. It is also that of the part of τ that W τ = f
-leaves open, over its size, which the solver's barrier would choose: of efforts of equal cost the smallest are taken.
-The shipped objectives grow by less than 1e-8 of themselves by that."""
+"""Weight of the mean square of s̈ over its limit, relative to an objective of size one: if the objective does not
+determine the carriers, they take the gentlest motion, and the plan is unique. The part of τ that W τ = f leaves
+undetermined, over its size, has this weight too: the smallest of equivalent efforts, not the barrier's choice.
+It increases the shipped objectives by less than 1e-8 of themselves."""
 
 REGULARISATION_OF_TIME = 1e-3
-"""Weight of the mean square of s̈, scaled, relative to that of the duration, scaled."""
+"""Weight of the mean square of s̈, scaled, relative to the duration, scaled."""
 
 LEAST_STEP = 1e-3
 """Fraction of its size that a step lasts at least."""

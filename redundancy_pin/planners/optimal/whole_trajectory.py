@@ -27,8 +27,8 @@ from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory,
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 NEIGHBOURS = 4
-"""Steps on both sides of one with a middle node that get one as well: the next plan would have its kink just beside the
-refined steps, and the grid would follow it one step at a time."""
+"""Steps on both sides of one with a middle node that get one as well: otherwise the kink of the next plan would be next
+to the refined steps, and the grid would follow it one step at a time."""
 
 
 TWICE = 1.08

@@ -54,7 +54,7 @@ from redundancy_pin.trajectory.time_scaling import TimeScaling, scaled_rates
 SOURCES = "window.c", "nodes.c", "programme.c", "solver.c", "update.c", "planner.c"
 
 OK, UNSOLVED, RELAXED, REFUSED, FALLBACK, TIME_SCALED, STOPPED = range(7)
-"""What ``rp_planner_update`` returns; ``UNSOLVED``: there is no plan yet; ``STOPPED``: by an error of Python's."""
+"""Return values of ``rp_planner_update``; ``UNSOLVED``: no plan yet; ``STOPPED``: by an exception in Python."""
 
 STATUSES = {
     OK: UpdateStatus.OK,

@@ -22,7 +22,7 @@ Active = Literal["always", "accelerating"]
 """When the optimiser works: at every step, or only while the platform accelerates."""
 
 Stop = Literal["after", "within"]
-"""When the carriers are brought to rest: after the motion, with the platform held, or by its last sample."""
+"""When the carriers are brought to rest: after the motion, with the platform at rest, or by its last sample."""
 
 PHASES = ("parked", "optimise", "return", "brake")
 """What the carriers do: stand, follow the optimiser, follow the degree-seven polynomial, are braked."""

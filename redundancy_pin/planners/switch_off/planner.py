@@ -36,7 +36,7 @@ from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory,
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 SPACING = 1e-3
-"""Distance of the samples of a plan, s, unless the user asks for another: a ramp of the thesis has 30."""
+"""Default distance of the samples of a plan, s: a ramp of the thesis has 30."""
 
 MOST_SAMPLES = 1_000_000
 """Largest number of samples of a plan; each takes kilobytes of memory while it is evaluated."""

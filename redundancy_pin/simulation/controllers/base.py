@@ -260,7 +260,7 @@ class Amplifiers:
         polynomials = _open_loop(controller)
         fits = polynomials is not None and polynomials.coefficients.shape[2] == len(self.limits)
         self.open_loop = polynomials if polynomials is not None and fits else None
-        """What the controller commands as polynomials of time, before it saturates; None where it heeds the state."""
+        """The controller's output as polynomials of time, before it saturates; None if it depends on the state."""
 
     def command(self, state: State) -> Command:
         """Return the efforts that act at a state.
@@ -318,7 +318,7 @@ def kernel_of(robot: Robot, dynamics: DynamicsLike | None) -> ForwardKernel | No
         which = f"another {given}, with other parameters" if given == robot.name else given
         raise InputError(
             f"dynamics are for {which}, but {robot.name} is required.",
-            remedy="simulate needs the dynamics of the simulated robot, a controller the dynamics of the robot it knows.",
+            remedy="simulate needs the dynamics of the simulated robot, a controller the dynamics of its own robot.",
         )
     kernel: ForwardKernel | None = getattr(dynamics, "forward", lambda: None)()
     return kernel
