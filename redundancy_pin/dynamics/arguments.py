@@ -29,10 +29,10 @@ SampleArrays: TypeAlias = tuple[Array, Array, Array, Array, Array, Array]
 def sample_arrays(robot: Robot, given: SampleArguments) -> SampleArrays:
     """Return the arguments of one sample as arrays of doubles; they need not be finite, nor x a pose.
 
-    Arguments of the carriers that are empty are zero; one number is that of all carriers.
+    Empty arguments of the carriers are zero; one number applies to all carriers.
 
     Raises:
-        InputError: wrong shapes, or what is no real number.
+        InputError: wrong shapes, or values that are not real numbers.
     """
     x, xd, xdd, *tracks = given
     n, k = robot.n, robot.k
@@ -52,7 +52,7 @@ def one_sample(robot: Robot, given: SampleArguments, t: float) -> tuple[Platform
     """Return motions of one sample; arguments as of ``Dynamics.sample``.
 
     Raises:
-        InputError: wrong shapes, values that are not finite, or a matrix that is no pose.
+        InputError: wrong shapes, values that are not finite, or a matrix that is not a pose.
     """
     x, xd, xdd, s, sd, sdd = (part[None] for part in sample_arrays(robot, given))
     return PlatformMotion([t], x, xd, xdd), CarrierMotion(s, sd, sdd)

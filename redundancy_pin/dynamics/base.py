@@ -185,7 +185,7 @@ class Dynamics(Protocol):
     ) -> ReducedSample:
         """Return W, f and carrier forces at one sample: ``reduce`` for those who ask sample after sample.
 
-        Arguments are those of ``torque``. Tracks are not checked.
+        Arguments as of ``torque``. Tracks are not checked.
 
         Raises:
             InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
@@ -211,10 +211,10 @@ class Dynamics(Protocol):
         The sample lies on the branch of ``start``, otherwise of the last sample that this thread solved, at first of
         the reference. The branch is followed along the straight line to x. Where that fails, the efforts are NaN with
         the status unreachable, type_i or branch_lost, and the next sample starts from the same configuration as this
-        one: the reference is not returned to. Numbers that are not finite have the status not_finite,
-        and so have those beyond 1e100, except in generated code, which takes any whose forces do not overflow where it
-        reaches the sample. There a sample takes microseconds, and one that is refused some milliseconds, once while its
-        x is held. A carrier beyond its track is out_of_range like any other joint.
+        one, not from the reference. Numbers that are not finite have the status not_finite,
+        and so have numbers beyond 1e100, except in generated code, which accepts any whose forces do not overflow if it
+        reaches the sample. There a sample takes microseconds; a refused sample takes some milliseconds, but only once
+        for repeated calls at the same x. A carrier beyond its track is out_of_range like any other joint.
 
         Args:
             x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
@@ -276,7 +276,7 @@ class Dynamics(Protocol):
     ) -> JointStateSample:
         """Return all joints and the platform from the main actuators, on the branch, with a status.
 
-        A sample takes microseconds. One that is refused takes some milliseconds, once while its position is held.
+        A sample takes microseconds. A refused sample takes some milliseconds, once for repeated calls at its position.
 
         Args:
             position: (m,) positions of the main actuators, m and rad.
@@ -317,7 +317,7 @@ class Dynamics(Protocol):
     def terms_call(self) -> tuple[int, int, int] | None:
         """``carrier_terms`` as C, as ``rp_terms`` of ``dynamics/compiled/batch.c``; None if the backend has none.
 
-        Addresses of the function, of the robot's numbers, and of configurations that this thread goes on from.
+        Addresses of the function, of the robot's numbers, and of the configurations where this thread continues.
         """
         return None
 

@@ -61,9 +61,9 @@ def as_dynamics(dynamics: DynamicsLike) -> Dynamics:
 
 
 def as_cached_dynamics(dynamics: DynamicsLike) -> Dynamics:
-    """Return ``as_dynamics`` with a cache for one task: RNEA solves each sample once, however often it is asked for.
+    """Return ``as_dynamics`` with a cache for one task: RNEA solves each sample once, for any number of calls.
 
-    Errors and warnings are those of ``as_dynamics``.
+    Errors and warnings as of ``as_dynamics``.
     """
     own = as_dynamics(dynamics)
     return own.with_cache() if type(own) is RneaDynamics else own

@@ -22,7 +22,7 @@ from redundancy_pin.robot.joint_ranges import all_ranges
 from redundancy_pin.robot.scales import effort_unit, is_revolute
 
 _ONLY_WITH = {"friction_speed": "friction", "gear": "rotor_inertia", "rest": "stiffness"}
-"""Parameters of loads that say nothing where another one is zero."""
+"""Parameters of loads that have no effect if another one is zero."""
 
 _ROUNDING = 1e-12
 """Part of the largest of some numbers that is rounding."""
@@ -94,7 +94,7 @@ def describe(robot: Robot, description: str = "", defaults: Mapping[str, object]
 
 
 def _load(load: Load) -> Mapping[str, Any]:
-    """Return a load as plain data: its kind, where it acts, and what of it is not zero."""
+    """Return a load as plain data: its kind, its point of action, and its nonzero numbers."""
     values = {field.name: json_data(getattr(load, field.name)) for field in fields(load)}
     hidden = {name for name, of in _ONLY_WITH.items() if not values.get(of)}
     own = {name: value for name, value in values.items() if np.asarray(value, dtype=object).any()}
@@ -173,7 +173,7 @@ def _general(facts: Mapping[str, Any]) -> TextTable:
 
 
 def _tables(facts: Mapping[str, Any]) -> Iterator[TextTable]:
-    """Give the tables of bodies, joints and motors, and those of what only some robots have."""
+    """Give the tables of bodies, joints and motors, and the tables that only some robots have."""
     platform, holding = facts["independent"]["platform"], facts["reference"]["holding"]
     bodies = [
         (
@@ -239,7 +239,7 @@ def _load_row(load: Mapping[str, Any]) -> tuple[str, str, str]:
 
 
 def _range(joint: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the limits of a joint, and where it is at the reference configuration, marked where that is outside."""
+    """Return the limits of a joint and its reference position, marked if outside the limits."""
     if joint["reference"] is None:
         return "", ""
     shown = f"{round(joint['reference'], 9) + 0.0:.4g}{' (outside)' if joint['outside'] else ''}"
@@ -262,7 +262,7 @@ def _coordinates(values: Sequence[Any]) -> str:
 
 
 def _texts(values: Any) -> list[str]:
-    """Return numbers with six digits, in any unit; what is rounding of the largest is zero."""
+    """Return numbers with six digits, in any unit; numbers at the rounding error of the largest are zero."""
     size = float(np.abs(values).max(initial=0.0))
     return [f"{0.0 if abs(value) < _ROUNDING * size else value:.6g}" for value in values]
 

@@ -164,7 +164,7 @@ class ForwardKernel(Protocol):
     ) -> Accelerations | None:
         """Return what acts at a closed state under generalised forces (nv,).
 
-        None where the closures have lost rank or a free motion has no inertia; ``ForwardDynamics`` tells them apart.
+        None if the closures have lost rank or a free motion has no inertia; ``ForwardDynamics`` distinguishes them.
         """
 
     def project(self, y: Array, tolerance: float) -> tuple[Array, float, float] | None:

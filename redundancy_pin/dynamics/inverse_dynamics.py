@@ -158,7 +158,7 @@ class InverseDynamics(Frozen):
         return crossings, unresolved
 
     def summary(self) -> Summary:
-        """Return what is worth knowing of the efforts, SI units: a mapping, whose ``print`` is a table with warnings.
+        """Return a summary of the efforts, SI units: a mapping, whose ``print`` is a table with warnings.
 
         NaN is left out of the largest efforts.
         """
@@ -217,7 +217,7 @@ class InverseDynamics(Frozen):
     def to_csv(self, path: str | Path) -> None:
         """Write the motion and its efforts to a CSV file, which ``from_csv`` reads as a motion again.
 
-        Columns with units in their names: those of the motion, ``tau:JOINT`` for each actuator and carrier, N or N·m,
+        Columns with units in their names: the motion's columns, ``tau:JOINT`` for each actuator and carrier, N or N·m,
         ``status``, ``margin``, ``residual``.
 
         Raises:
@@ -300,7 +300,7 @@ def inverse_dynamics(
 
 
 def _may_meet(robot: Robot, motion: PlatformMotion, margin: Array, nearest: float) -> bool:
-    """Return whether a singularity may lie between samples; true for samples too far apart to tell.
+    """Return whether a singularity may lie between samples; true for samples too far apart to decide.
 
     Between neighbouring samples at most ``nearest`` characteristic lengths apart the margin (N,) has at most one dip,
     less than twice as deep as the fall outside of them (``roots``).

@@ -43,7 +43,7 @@ class Refusal(NamedTuple):
 
 
 def refusal_of(error: RedundancyPinError) -> Refusal:
-    """Return what one of ``REFUSALS`` says of a sample."""
+    """Return the status and residual for one of the errors ``REFUSALS``."""
     if isinstance(error, UnreachablePoseError):
         residual = error.details.get("residual")
         return Refusal(SampleStatus.UNREACHABLE, residual if isinstance(residual, float) else math.nan)

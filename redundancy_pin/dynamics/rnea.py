@@ -98,7 +98,7 @@ class RneaDynamics(Dynamics):
         """Holds ``last``: the closed state of this thread where the next ``torque`` starts."""
 
     def __reduce__(self) -> tuple[Callable[[Robot], RneaDynamics], tuple[Robot]]:
-        """Build it again where it is copied or sent to; the state of a thread stays in its thread."""
+        """Rebuild it when it is copied or sent; the state of a thread stays in its thread."""
         return partial(RneaDynamics, progress=self._progress), (self._robot,)
 
     @property
@@ -117,7 +117,7 @@ class RneaDynamics(Dynamics):
     def with_cache(self) -> RneaDynamics:
         """Return this backend with a cache of the samples that it solves along one motion, some kilobytes each.
 
-        To close them takes most of the time. The cache belongs to what is returned, and goes with it.
+        Closing takes most of the time. The cache belongs to the returned backend, and is freed with it.
         """
         own = self.for_robot(self._robot)
         own._cache = {}

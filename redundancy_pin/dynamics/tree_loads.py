@@ -242,7 +242,7 @@ class _Changes:
         return effort
 
     def span(self, end_a: _Point, end_b: _Point) -> tuple[Array, Array]:
-        """Return (3, k) derivatives of d = p_b − p_a by s, equal to those of ḋ by ṡ, and of ḋ by s; world axes."""
+        """Return (3, k) derivatives by s of d = p_b − p_a (equal to ∂ḋ/∂ṡ) and of ḋ; world axes."""
         (speed_a, place_a), (speed_b, place_b) = (
             pin.getPointVelocityDerivatives(
                 self.model, self.data, end.joint, pin.SE3(np.eye(3), end.position), _ALIGNED

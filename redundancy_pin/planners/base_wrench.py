@@ -1,8 +1,8 @@
 """The wrench on the base as planners need it: about a point, less the load at rest, by the carriers' terms.
 
-Gravity of all moving bodies less the rate of change of their momentum (``DynamicsAlongMotion.base_wrench``) is, as f
-is, a sum of ``carrier_model.terms`` over carriers that slide or turn, each on a link of its own. Its coefficients
-follow from as many carrier motions as there are terms, for any backend.
+The base wrench (``DynamicsAlongMotion.base_wrench``) is the gravity of all moving bodies minus the rate of change of
+their momentum. Like f, it is a sum of ``carrier_model.terms`` over independent carriers that slide or turn. Its
+coefficients follow from as many carrier motions as there are terms, for any backend.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class BaseWrench:
 
     @property
     def felt(self) -> BoolArray:
-        """(6,) whether there is anything of a component: what no carrier changes counts too where it is bounded."""
+        """(6,) whether a component is nonzero; components without carrier influence count: they can be bounded."""
         size = np.abs(self.w0).max(axis=0, initial=0.0)
         return np.asarray(self.changed | (size > _TOLERANCE * size.max(initial=0.0)))
 
@@ -120,8 +120,8 @@ class BaseWrench:
 def base_wrench(along: DynamicsAlongMotion, rest: Array, point: Array, *, turning: bool = False) -> BaseWrench:
     """Read the coefficients off a backend along a platform motion.
 
-    ``rest`` (1, 6) what is taken off (``load_at_rest``), about the ``point`` (3,), m, too; ``turning``: some carriers
-    turn.
+    ``rest`` (1, 6): wrench to subtract (``load_at_rest``), about the ``point`` (3,), m; ``turning``: whether some
+    carriers turn.
 
     Raises:
         UnsupportedRobotError: it has other terms, as where a carrier carries another.
@@ -156,7 +156,7 @@ def base_wrench(along: DynamicsAlongMotion, rest: Array, point: Array, *, turnin
 
 
 _SLIDING = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1]], dtype=float).T
-"""(3, 5) s, ṡ and s̈ that tell the terms of a sliding carrier apart."""
+"""(3, 5) s, ṡ and s̈ that separate the terms of a sliding carrier."""
 
 _TURNING = np.concatenate(
     [

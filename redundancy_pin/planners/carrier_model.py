@@ -1,13 +1,13 @@
 """What planners read off a backend along a motion: W as a function of time, and how f depends on the carriers.
 
-A carrier on a straight track of its link stands at r = r₀ + s u, so its acceleration is r̈₀ + s ü + 2 ṡ u̇ + s̈ u and
+A carrier on a straight track of its link has its centre at r = r₀ + s u. Its acceleration is r̈₀ + s ü + 2 ṡ u̇ + s̈ u,
 its velocity per unit of ẋ is J₀ + s J_u. With J_uᵀ u = 0 its share of f is a combination of s, s², ṡ, s ṡ and s̈:
 quadratic in (s, ṡ), affine in s̈, and carriers do not mix. The same holds for its own force. The coefficients, which
 depend on time alone, are read off a backend in a fixed number of evaluations, so they are exact for whatever backend it
-is; as functions of time they are interpolated to rounding, so that root finding and integration need no further call.
+is; as functions of time they are interpolated to machine precision: root finding and integration need no more calls.
 
-A carrier that turns stands at r₀ + a cos s + b sin s, and its axes likewise. Of these f has products of two at most: a
-combination of 1, cos s, sin s, cos 2s and sin 2s, of the same with ṡ, with ṡ² and with s̈.
+The centre of a carrier that turns is r₀ + a cos s + b sin s, and its axes rotate likewise. f contains products of at
+most two of these: a combination of 1, cos s, sin s, cos 2s and sin 2s, of the same with ṡ, with ṡ² and with s̈.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ W_TOLERANCE = 1e-11
 """Of the interpolated W, relative to its largest entry: the times of a window are then exact to about 1e-11 of it."""
 
 SAMPLED_TOLERANCE = 1e-9
-"""Of what is interpolated along a sampled motion: the quintics between samples a few milliseconds apart meet with kinks
+"""Tolerance of interpolation along a sampled motion: the quintics between samples a few milliseconds apart have kinks
 below this, and resolving every one of them would be of no use."""
 
 SAMPLES_A_PIECE = 33
-"""A piece is a polynomial of degree 15: its singular values have few dips, and a dip shows in the samples beside it."""
+"""A piece is a polynomial of degree 15: its singular values have few dips, and a dip shows in the adjacent samples."""
 
 LARGEST_CONDITION = 1e6
 """Beyond it the times at which W reaches a threshold are lost in the rounding of W."""
@@ -96,7 +96,7 @@ class Actuation:
     def windows(self, measure: Measure, threshold: float) -> list[Interval]:
         """Return the intervals in which W is nearer to singular than a threshold.
 
-        ``measure``: "condition": where the condition number of the scaled W exceeds the threshold (that of the Jacobian
+        ``measure``: "condition": where the condition number of the scaled W exceeds the threshold (of the Jacobian
         for the 2-RPR, Parsa 2014, section 3.2); "margin": where its smallest singular value is below it; ``threshold``:
         for the condition number above 1, for the margin positive.
         """
@@ -264,7 +264,7 @@ def carrier_model(along: DynamicsAlongMotion, *, turning: bool = False, check: b
 
     Args:
         along: the dynamics along the motion.
-        turning: some carriers turn: f has all terms of ``TERM_NAMES``; else those of straight tracks.
+        turning: whether some carriers turn; f then has all terms of ``TERM_NAMES``, otherwise only the sliding ones.
         check: whether to look that there are carriers, and that f has no other terms. Of a robot without carriers the
             model is W and f.
 
@@ -316,7 +316,7 @@ def turns(robot: Robot) -> bool:
 
 
 def has_other_terms(along: DynamicsAlongMotion) -> bool:
-    """Return whether f has other terms than those of carriers that slide or turn, each on a link of its own."""
+    """Return whether f has terms other than those for independent carriers that slide or turn."""
     model = carrier_model(along, turning=turns(along.robot), check=False)
     return _deviation(along, model) > OTHER_TERMS
 
@@ -363,7 +363,7 @@ class EffortModel:
 def effort_model(along: DynamicsAlongMotion, least_margin: float) -> EffortModel:
     """Read the coefficients of the main efforts off a backend.
 
-    With more actuators than freedoms the efforts are those of least norm, as ``distribute`` defines it: they too are
+    With more actuators than degrees of freedom the efforts have least norm, as ``distribute`` defines it: they too are
     linear in f.
 
     ``least_margin`` is the smallest margin of W along the motion that is accepted.
@@ -416,7 +416,7 @@ COEFFICIENT_TOLERANCE = 1e-12
 """Of each group of coefficients, relative to its largest entry."""
 
 _LEAST_GROUP = 1e-4
-"""A group smaller than this fraction of the largest is held to the tolerance of this size: the rounding of a backend
+"""A group smaller than this fraction of the largest uses the tolerance for this size: the rounding of a backend
 does not shrink with the group."""
 
 

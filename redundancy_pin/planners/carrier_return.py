@@ -24,7 +24,7 @@ SAMPLES = 65
 """Samples of a candidate, which is also evaluated at its extremes."""
 
 ALLOWED = 1.0 + 1e-12
-"""Largest use of a limit that keeps it: the shortest return lies on one, to rounding."""
+"""Largest use of a limit that keeps it: the shortest return lies on a limit, to machine precision."""
 
 _TIME_TOLERANCE = 1e-11
 """Relative, of the shortest duration."""

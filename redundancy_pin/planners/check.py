@@ -1,7 +1,7 @@
-"""One judgement of plans: of a new one as its planner hands it over, and of one that says something of itself already.
+"""Validation of plans: of a new plan as its planner returns it, and of a plan with recorded results.
 
 ``finish_plan`` judges: W τ = f at the samples, limits at the samples and between them, the peaks of the continuous
-motion, and the status that follows. ``check_plan`` has it judge a plan anew and compares.
+motion, and the status that follows. ``check_plan`` validates a plan again and compares the results.
 """
 
 from __future__ import annotations
@@ -93,11 +93,11 @@ def finish_plan(planned: PlannedMotion, check: IntersampleCheck | None = None) -
 
 @dataclass(frozen=True)
 class Deviation:
-    """Where a plan says something else than the dynamics of its robot.
+    """A difference between the values recorded in a plan and the dynamics of its robot.
 
     Attributes:
         quantity: what deviates, such as "main efforts" or "status".
-        time: where it does most, s; NaN for what has no time.
+        time: time of the largest deviation, s; NaN for a quantity without a time.
         amount: by how much, in the unit of the quantity; NaN for what has none.
         message: the same in words.
     """
@@ -110,14 +110,14 @@ class Deviation:
 
 @dataclass(frozen=True, eq=False)
 class PlanCheck:
-    """What the dynamics of the robot say of a plan.
+    """Result of evaluating a plan by the dynamics of its robot.
 
     Attributes:
         status: status by this evaluation.
         violated: limits that are broken, by time.
         peak_effort: (m,) largest |τ| of the continuous motion, N or N·m.
         imbalance: largest |W τ − f| at a sample, relative to the largest f.
-        deviations: where the plan says something else; none if it is what it says.
+        deviations: differences between the recorded and the evaluated plan; empty if they agree.
         wider_limits: notes of limits that are wider than the robot's own, in words: a plan is judged by the limits it
             was made with, which its user may have chosen.
         closure_rank: "time", s, and pose "x" of each rank loss of the closures on the way: branches meet there, and the
@@ -134,11 +134,11 @@ class PlanCheck:
 
     @property
     def passed(self) -> bool:
-        """Whether the plan is what it says; a plan that says that it breaks limits may be."""
+        """Whether the recorded and the evaluated plan agree; a plan whose status reports broken limits can pass."""
         return not self.deviations
 
     def summary(self, plan: Plan) -> Summary:
-        """Return what is worth knowing of it: a mapping, whose ``print`` is a table. ``plan``: what was checked.
+        """Return a summary of the check: a mapping, whose ``print`` is a table. ``plan``: the plan that was checked.
 
         Example:
             >>> print(check_plan(plan, robot).summary(plan))
@@ -169,10 +169,10 @@ class PlanCheck:
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
-    """Judge a plan anew from its motion: W τ = f, limits, efforts between the samples, and the status that follows.
+    """Validate a plan again from its motion: W τ = f, limits, efforts between the samples, and the status that follows.
 
-    What the plan says of itself (efforts, forces, rates, margins, limits, peaks, status) is compared with what the
-    dynamics say of the motion of platform and carriers. Any backend of the plan's robot will do; the one that the plan
+    The recorded values (efforts, forces, rates, margins, limits, peaks, status) are compared with the dynamics of the
+    motion of platform and carriers. Any backend of the plan's robot will do; the one that the plan
     was not made by judges it independently. Whether the plan is an optimum is not judged again.
 
     Args:
@@ -180,7 +180,7 @@ def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
         dynamics: the robot of the plan (``load_robot_of(plan)``), for generated code (``as_dynamics``); or a backend.
 
     Returns:
-        What they say, and where the plan deviates from it.
+        Result of the dynamics, and the deviations of the plan from it.
 
     Raises:
         InputError: neither a robot nor a backend, or of another robot.
@@ -258,7 +258,7 @@ def _wider_limits(plan: Plan, robot: Robot) -> tuple[str, ...]:
 
 
 def _deviations(plan: Plan, again: Plan, unbalanced: Array) -> tuple[Deviation, ...]:
-    """Return where a plan says something else than its evaluation ``again``; ``unbalanced`` (N,) of its efforts."""
+    """Return the deviations of a plan from its evaluation ``again``; ``unbalanced`` (N,): of its efforts."""
     motion, carriers, platform = plan.motion, plan.carriers, plan.functions.platform.sample_at(plan.t)
     left, right = plan.functions.carriers_at(plan.t, "left"), plan.functions.carriers_at(plan.t, "right")
     sdd = np.where(np.abs(carriers.sdd - left.sdd) < np.abs(carriers.sdd - right.sdd), left.sdd, right.sdd)

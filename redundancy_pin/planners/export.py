@@ -1,6 +1,6 @@
 """A plan for other programs: by joint name, at a rate of their choice, as CSV, JSON, MAT, JointTrajectory or pandas.
 
-Between its samples a plan is what its functions of time say, efforts by W τ = f of them (``reference``), and not what
+Between its samples a plan is its functions of time, with efforts by W τ = f along them (``reference``), and not what
 lines between the samples would be. Where something jumps, a table at a rate has the values after the jump, unless it is
 to be two-sided: then the instant has two rows, before and after it. Without a rate the rows are the plan's own samples.
 """
@@ -75,7 +75,7 @@ class PlanTable(Frozen):
     def columns(self) -> dict[str, tuple[str, Array]]:
         """Return unit and values (N,) of each column by its name: ``t``, ``x``, ``xd``, ..., ``q:JOINT``, ....
 
-        ``trajectory.csv_file`` says what the names mean.
+        ``trajectory.csv_file`` defines the column names.
         """
         columns: dict[str, tuple[str, Array]] = {"t": ("s", self.t), **self.platform}
         for j, joint in enumerate(self.joints):
@@ -213,7 +213,7 @@ def table_of_states(
     Args:
         machine: the robot.
         parts: of the states.
-        about: what it is, in plain data.
+        about: description, in plain data.
     """
     t, x, xd, xdd, q, v, a, effort = parts
     names = (*machine.actuated, *machine.carriers)

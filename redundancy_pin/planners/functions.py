@@ -70,7 +70,7 @@ class PlanFunctions(Frozen):
         return carriers_at(self.carriers, times, side)
 
     def efforts(self, reduced: ReducedDynamics) -> Array:
-        """Return main efforts (N, m), N or N·m, of the dynamics along these motions; NaN where none are finite."""
+        """Return main efforts (N, m), N or N·m, of the dynamics along these motions; NaN if no finite efforts exist."""
         has_choice = reduced.W.shape[2] > reduced.W.shape[1]
         wanted = self.preferred(reduced.t) if self.preferred is not None and has_choice else None
         tau = np.array(distribute(reduced, preferred=wanted).tau)

@@ -4,7 +4,7 @@ A planner hands over one record, ``PlannedMotion``; ``intersample_check`` evalua
 jerk of the carriers are polynomials, whose extremes are exact. Main efforts, carrier forces and rates of the main
 actuators are evaluated at Chebyshev points of every piece in which platform, carriers and prescribed efforts are
 smooth. Where the last coefficients of their series are not small, as near the spike that a cusp of the path makes, the
-piece is halved and evaluated again. The peaks are those of the polynomials, both limits at every jump included. Where
+piece is halved and evaluated again. The peaks are peaks of the polynomials, both limits at every jump included. Where
 det W changes its sign and no halving resolves the efforts, they are infinite.
 
 Example:
@@ -76,7 +76,7 @@ RESOLVED = 1e-3
 """Last coefficients of a piece, relative to the largest value of the motion, from which it is halved."""
 
 EXACT = 1e-6
-"""The same in pieces whose values come near the largest, which decide what is reported."""
+"""The same in pieces whose values come near the largest, which decide the reported peaks."""
 
 NEAR_PEAK = 0.9
 """Fraction of the largest value from which a piece is one of those."""
@@ -117,9 +117,9 @@ class Findings:
 
     Attributes:
         optimal: whether the optimiser reached an optimum; true where nothing was optimised.
-        solver: what the optimiser says of its end; empty where nothing was optimised.
+        solver: message of the optimiser on termination; empty if nothing was optimised.
         singular_instants: times at which the motion is on a type II singularity, s.
-        least_cost: least weighted objective that was found, in its unit; None where none was minimised.
+        least_cost: least weighted objective that was found, in its unit; None if none was minimised.
         closure_rank: "time", s, and pose "x" of each rank loss of the closures along the motion.
     """
 
@@ -145,7 +145,7 @@ class PlannedMotion:
             reported, never corrected. None for none.
         singular: indices of samples at which the efforts are the limits from both sides of a type II singularity;
             ``SingularInstant`` has those that are not prescribed.
-        phase: (N,) index into ``phases`` of each sample; None where there is one phase only.
+        phase: (N,) index into ``phases`` of each sample; None if there is only one phase.
         phases: names of the phases.
         chooses_timing: whether the planner chose the motion of the platform, and so the rates of the actuators.
         parameters: the planner's parameters, in plain data.
@@ -367,7 +367,7 @@ def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
 
 
 def _with_samples(pieces: PieceExtremes, t: Array, loads: Array) -> tuple[Array, Array]:
-    """Return (P, c) times and values of the extremes of pieces, those of the samples among them.
+    """Return (P, c) times and values of the extremes of pieces, the values at the samples included.
 
     ``t`` (N,) times of the samples, s; ``loads`` (N, m + k) their efforts and forces, which polynomials of the pieces
     do not hold at singular instants.
@@ -403,7 +403,7 @@ class PieceExtremes:
     """The extremes of main efforts, carrier forces and limited rates in each of P pieces; c columns of these.
 
     ``ends`` (P, 2) of the pieces, s; ``time`` (P, c) of the extremes, s; ``value`` (P, c) their signed
-    values, N or N·m, m/s or rad/s, infinite where there is none.
+    values, N or N·m, m/s or rad/s, infinite if unbounded.
     """
 
     ends: Array
@@ -523,7 +523,7 @@ def _values(
 ) -> tuple[ReducedDynamics, Array]:
     """Return the dynamics at the Chebyshev points of pieces with (P, 2) ends, s, and their values (P, d, c).
 
-    Columns are those of ``ResolvedLimits.evaluated``; NaN where there are no efforts.
+    Columns as in ``ResolvedLimits.evaluated``; NaN without efforts.
     """
     times = chebyshev_points(ends[:, 0], ends[:, 1], PIECE_DEGREE)
     motion, carriers = functions.platform.sample_at(times), functions.carriers_at(times)
@@ -537,7 +537,7 @@ def _values(
 
 
 def _extremes(ends: Array, series: Array, values: Array, finite: BoolArray) -> tuple[Array, Array]:
-    """Return (P, c) times and signed values of the extremes of polynomials; those of one largest of all are exact."""
+    """Return (P, c) times and signed values of the extremes of polynomials; a polynomial with the largest is exact."""
     fine = np.einsum("xd,pdc->pxc", chebyshev.chebvander(_FINE, PIECE_DEGREE), series)
     best = np.abs(fine).argmax(axis=1)
     place, value = _FINE[best], np.take_along_axis(fine, best[:, None], axis=1)[:, 0]
@@ -615,7 +615,7 @@ def closure_rank_losses(
         return there.closure_margin()[at]
 
     def rank_is_kept(time: float) -> bool:
-        """Return whether the rows in use alone lose rank, which the sign of their determinant does not say."""
+        """Return whether the rows in use alone lose rank, which the sign of their determinant does not show."""
         there, at = followed(np.array([time]))
         if there.q is None or not np.isfinite(there.q[at]).all():
             return False

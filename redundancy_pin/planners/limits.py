@@ -26,8 +26,8 @@ EXCEEDING = 1e-9
 
 LIMIT_TOLERANCE = 1e-3
 """Relative excess up to which an effort, a force, a rate of an actuator or a jerk keeps its limit, at samples and
-between them: no plan with more counts as within its limits. What comes as near from below touches its limit. Position,
-speed and acceleration of carriers are polynomials, which planners keep within limits to rounding (``EXCEEDING``)."""
+between them: no plan with more counts as within its limits. A value this close below its limit touches it. Position,
+speed and acceleration of carriers are polynomials, which planners limit to machine precision (``EXCEEDING``)."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class ResolvedLimits(ByValue):
 
     @property
     def of_carriers(self) -> tuple[CarrierLimits, ...]:
-        """(k,) those of each carrier, as a robot declares them."""
+        """(k,) limits of each carrier, as a robot declares them."""
         rows = zip(*self.track.T, self.speed, self.acceleration, self.carrier_force, strict=True)
         return tuple(CarrierLimits(*map(float, row)) for row in rows)
 
@@ -301,7 +301,7 @@ def motion_quantities(
     Args:
         limits: of the carriers.
         position: of the carriers.
-        samples: (N,) further times, s: extremes tell how much is exceeded, these from when to when.
+        samples: (N,) further times, s: extremes determine the largest excess, samples its start and end.
     """
     inside = np.linspace(0.0, 1.0, 5)[:-1]
     edges, step = position.edges, np.diff(position.edges)

@@ -1,7 +1,7 @@
-"""Options of the planners, in groups: limits, what is minimised, nodes, and the work of the solver.
+"""Options of the planners, in groups: limits, objective, nodes, and solver.
 
-A planner takes the groups that say something to it. Of a group it takes every field that is given, or raises an
-``InputError`` that says why it cannot; nothing is passed over.
+A planner accepts the groups that apply to it. It uses every field that is given, or raises an
+``InputError`` with the reason why it cannot; no field is ignored silently.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ CALM = 0.01
 for another."""
 
 LARGEST_STEP = 0.005
-"""Largest step between the nodes of a plan over a given time, s, unless the user asks for another."""
+"""Default of the largest step between the nodes of a plan over a given time, s."""
 
 FEWEST_STEPS = 100
-"""Least number of steps along a path whose timing is planned, unless the user asks for another."""
+"""Default of the least number of steps along a path whose timing is planned."""
 
 # Each start is solved, and each refinement doubles nodes: more of them would never end
 MOST_STARTS, MOST_REFINEMENTS, MOST_STEPS = 1000, 30, 100_000
 
 Progress = Callable[[str], None]
-"""Called with a line of text at each stage of a plan; what it raises ends the planning."""
+"""Called with a line of text at each stage of a plan; an exception from it ends the planning."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limits(ByValue):
-    """Limits of a plan; what is None is what the robot declares, ``numpy.inf`` takes a limit away.
+    """Limits of a plan; None takes the robot's declared limit, ``numpy.inf`` removes a limit.
 
     Example:
         >>> rp.Limits(effort=2.5, track=(-0.16, 0.16)).resolved(rp.load_robot("2rpr")).effort
@@ -124,7 +124,7 @@ class Limits(ByValue):
         for key in given:
             if key not in known:
                 remedy = "Add an entry to planners.limits.QUANTITIES. "
-                remedy += f"Entries are {', '.join(known)}." if known else "It has none beside the other limits."
+                remedy += f"Entries are {', '.join(known)}." if known else "No further quantities are defined."
                 raise InputError(f"further limits {shown(key)}, which is no quantity.", remedy=remedy, name=key)
             name = QUANTITIES[key].name
             if [one.name for one in QUANTITIES.values() if one is not QUANTITIES["actuator_speed"]].count(name) > 1:
@@ -194,7 +194,7 @@ class Objective(ByValue):
         named = [self.weights] if isinstance(self.weights, str) else self.weights
         if aims and isinstance(named, (list, tuple, Mapping)) and "tracking" not in named:
             raise InputError(
-                "lam and baseline say what to track, but the objective does not have tracking.",
+                "lam and baseline define the tracked efforts, but the objective does not have tracking.",
                 remedy="Leave them out, or add tracking to the objective.",
                 name="lam",
             )
@@ -213,7 +213,7 @@ class Mesh:
     """The nodes of a plan, or its samples.
 
     Attributes:
-        dt: largest step between nodes in time, or between samples, s; when left out 0.005, or what the planner says.
+        dt: largest step between nodes in time, or between samples, s; when left out 0.005, or the planner's default.
         refinements: how often the mesh may be refined where efforts between the nodes exceed those at the nodes.
         steps: least number of steps along a path whose timing is planned; 100 when left out.
 
@@ -245,8 +245,8 @@ class Solver:
 
     Attributes:
         starts: number of first guesses; the first is parked carriers, the others are random swings (seeded).
-        seconds: time bound of the search, s: all first guesses and meshes, and why there is no plan. What was found by
-            then is the plan.
+        seconds: time bound of the search, s, for all first guesses, meshes and the explanation of infeasibility. The
+            plan is the best one found by then.
         progress: called with a line of text at each stage, and during it where the plan has 1000 nodes or more. What it
             raises ends the planning.
 
@@ -279,7 +279,7 @@ Planned = TypeVar("Planned")
 def takes_groups(
     refused: Mapping[str, str],
 ) -> Callable[[Callable[Parameters, Planned]], Callable[Parameters, Planned]]:
-    """Return a decorator: the planner says of a field given as a keyword of its own in which group it belongs.
+    """Return a decorator that names the group of a field when a planner gets the field as a keyword.
 
     Args:
         refused: fields that the planner takes in no group, as for ``refuse_fields``.

@@ -59,7 +59,7 @@ class Plan(Frozen):
         phase: (N,) index into ``phases``: what the planner was doing.
         phases: names of the phases.
         limits: limits broken and touched.
-        status: what may be said of the whole.
+        status: status of the whole plan.
         planner: name of the planner.
         backend: name of the backend.
         robot: the robot, in plain data.
@@ -94,7 +94,7 @@ class Plan(Frozen):
     diagnostics: Mapping[str, object] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        """Return what tells plans apart, not their arrays."""
+        """Return a short text that identifies the plan, without its arrays."""
         main, moved = self.robot.actuated, self.robot.carriers
         return (
             f"Plan({self.robot.name!r}, {self.planner!r}, {self.backend!r}, {self.status.value}; "
@@ -112,7 +112,7 @@ class Plan(Frozen):
         """Return the functions of time with the platform on the trajectory that was planned for.
 
         Raises:
-            InputError: the trajectory is not that of the plan.
+            InputError: the trajectory is not the plan's trajectory.
         """
         platform, first, last = as_motion(trajectory), float(self.t[0]), float(self.t[-1])
         slack = SAME_TIME * (last - first)
@@ -143,7 +143,7 @@ class Plan(Frozen):
                 backend of it.
 
         Returns:
-            Efforts; NaN on a type II singularity that is no interval without efforts: see ``tau`` there.
+            Efforts; NaN on an isolated type II singularity: see ``tau`` there.
         """
         dynamics = as_dynamics(dynamics)
         instants = np.asarray(times, dtype=np.float64)
@@ -185,7 +185,7 @@ class Plan(Frozen):
 
     @property
     def peak_effort(self) -> Array:
-        """(m,) largest |τ| of each main actuator in the continuous motion, N or N·m; infinite where it has no bound."""
+        """(m,) largest |τ| of each main actuator in the continuous motion, N or N·m; infinite if unbounded."""
         return self.between.peak
 
     @property
@@ -221,7 +221,7 @@ class Plan(Frozen):
         return mean
 
     def summary(self, dynamics: DynamicsLike | None = None) -> Summary:
-        """Return what is worth knowing of the plan, SI units: a mapping, whose ``print`` is a table with warnings.
+        """Return a summary of the plan, SI units: a mapping, whose ``print`` is a table with warnings.
 
         ``smallest_margin`` is zero if the plan crosses a singularity, though no sample may lie on it; ``phases`` has
         name, first and last time of every run of samples in one phase.
@@ -268,7 +268,7 @@ class Plan(Frozen):
         Raises:
             InputError: a rate that is not positive, or makes too many rows.
             InfeasiblePlanError: a rate, of a plan that has no finite efforts somewhere.
-            PlanFileError: the robot cannot be loaded, or is no longer what it was.
+            PlanFileError: the robot cannot be loaded, or has changed since.
         """
         from redundancy_pin.planners.export import plan_table
 
@@ -327,7 +327,7 @@ def load_plan(path: str | Path) -> Plan:
 
 
 class OfRobot(Protocol):
-    """A result that says which robot it is of: a plan or a simulation."""
+    """A result that records its robot: a plan or a simulation."""
 
     @property
     def robot(self) -> RobotRecord:
@@ -340,8 +340,8 @@ def load_robot_of(plan: OfRobot, source: str | Path | None = None, *, trust: boo
     Args:
         plan: the plan, or a simulation.
         source: where the robot is now (as for ``load_robot``), if its files have moved. A plan that was loaded from a
-            file needs it where its robot is neither shipped nor inside the folder of that file: who wrote the file does
-            not choose what is loaded.
+            file needs it where its robot is neither shipped nor inside the folder of that file: the author of a file
+            must not choose which code is loaded.
         trust: let expressions in the robot's files be any Python, as for ``load_robot``.
 
     Raises:
@@ -443,7 +443,7 @@ def _check(plan: Plan) -> None:
     for key in judged.further:
         if key not in QUANTITIES:
             raise InputError(
-                f"it limits {shown(key)}, which is no entry of planners.limits.QUANTITIES (add it before loading)"
+                f"it limits {shown(key)}, which is not in planners.limits.QUANTITIES (add it before loading)"
             )
     for name, shape in shapes.items():
         _require_array(name, attrgetter(name)(plan), "f", shape)
@@ -471,4 +471,4 @@ def _require_array(name: str, value: NDArray[Any], kind: str, shape: tuple[int, 
 def _require_codes(name: str, codes: NDArray[Any], known: Sequence[int]) -> None:
     foreign = codes[~np.isin(codes, list(known))]
     if len(foreign):
-        raise InputError(f"{name} holds {int(foreign[0])}, which stands for nothing (known: 0 to {len(known) - 1})")
+        raise InputError(f"{name} holds {int(foreign[0])}, which is not defined (known: 0 to {len(known) - 1})")

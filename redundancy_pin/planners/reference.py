@@ -1,6 +1,6 @@
 """A motion with its tree and the efforts that belong to it, for any instant in microseconds.
 
-What a plan is between its samples it says itself (``Plan.functions``). Here its inverse dynamics are evaluated
+The functions of time of a plan are in ``Plan.functions``. Here its inverse dynamics are evaluated
 at the Chebyshev points of all pieces at once and kept as polynomials, so that a simulation, a controller or an outside
 engine can ask for any instant. The efforts of the samples, interpolated, would be another, wrong, command.
 """
@@ -78,7 +78,7 @@ class MotionReference:
     Attributes:
         robot: the robot whose efforts these are.
         edges: (P + 1,) ends of the pieces, s; efforts may jump or kink there and nowhere else.
-        jumps: (j,) those of the inner edges, s, at which efforts jump; at the others their slope does.
+        jumps: (j,) inner edges, s, at which efforts jump; at the others their slope does.
         start, end: first and last time, s.
         is_pose: whether the platform's coordinates are poses.
         efforts: τ and carrier forces as polynomials on the pieces.
@@ -153,7 +153,7 @@ class MotionReference:
 def plan_reference(
     plan: Plan, *, robot: RobotLike | None = None, motion: TimedTrajectory | None = None
 ) -> MotionReference:
-    """Return the continuous motion that a plan stands for.
+    """Return the continuous motion of a plan.
 
     Args:
         plan: from any planner.
@@ -162,9 +162,9 @@ def plan_reference(
             otherwise stand for the quintics through x, ẋ, ẍ of their samples.
 
     Raises:
-        InputError: the motion is not that of the plan.
+        InputError: the motion is not the plan's motion.
         InfeasiblePlanError: some instant has no finite efforts.
-        PlanFileError: the robot cannot be loaded, or is no longer what it was.
+        PlanFileError: the robot cannot be loaded, or has changed since.
 
     Example:
         >>> from redundancy_pin.simulation import plan_reference
@@ -258,7 +258,7 @@ def reference_of(robot: Robot, functions: PlanFunctions, edges: Array, plan: Pla
 
 
 def _deviation(plan: Plan, tau: PiecewisePolynomial) -> float:
-    """Return the largest distance of the efforts from those at the samples of a plan; NaN where it has none."""
+    """Return the largest distance of the efforts from the samples of a plan; NaN without efforts."""
     two_sided = plan.motion.jumps | np.append(plan.motion.jumps[1:], False)
     finite = np.isfinite(plan.tau).all(axis=1) & ~two_sided
     # a sample belongs to the step that it ends, and the first one to none: a plan by steps may set off with a jump

@@ -22,7 +22,7 @@ PLANNERS: Mapping[str, Callable[..., Plan]] = {
     WHOLE: plan_whole_trajectory,
     TIME_OPTIMAL: plan_time_optimal,
 }
-"""Planners by name; all but that of least time plan a motion at its given speed."""
+"""Planners by name; all except the least-time planner plan a motion at its given speed."""
 
 
 def in_groups(planner: Callable[..., Any], options: Mapping[str, Any]) -> dict[str, Any]:

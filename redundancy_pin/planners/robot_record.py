@@ -69,24 +69,24 @@ class RobotRecord(Frozen):
 
     Attributes:
         name: its name.
-        source: name of a shipped robot or absolute path of its declaration, in a file the path from the folder of the
-            file where it lies in there; empty for a robot that was not loaded.
+        source: name of a shipped robot or absolute path of its declaration; in a file, the path relative to the folder
+            of the file if inside it; empty for a robot that was not loaded.
         arguments: its xacro arguments.
         gravity: (3,) m/s².
         working_mode: ±1 a leg.
         actuated: names of the main actuators.
         carriers: names of the carriers.
-        rotating: those of the two, and of the other joints that have a range, that rotate; the others slide.
+        rotating: names of the rotating joints among actuators, carriers and joints with a range; the others slide.
         carrier_limits: limits of the carriers, in the same order.
         bodies: a row of 10 for each joint of the tree: mass, kg; mass times centre, kg·m; inertia xx, xy, yy, xz, yz,
             zz about the joint, kg·m²; of the body it moves, in the frame of the joint.
         q_reference: (nq,) its closed reference configuration.
-        loads: what acts on it beside gravity, as text; wrenches that are functions by their names.
+        loads: loads other than gravity, as text; wrenches that are functions by their names.
         couplings: joints that follow others.
         ranges: of joints that have one, except carriers: name, lower and upper end, m or rad.
-        folder: absolute path of the folder of the file that the record was read from, None for one made of a robot. Who
-            wrote a file may not choose what is loaded: of a record that was read, ``source`` counts only where it is a
-            shipped robot or inside that folder.
+        folder: absolute path of the folder of the file that the record was read from, None for one made of a robot. The
+            author of a file must not choose which code is loaded: in a record from a file, ``source`` counts only if it
+            is a shipped robot or inside that folder.
     """
 
     name: str
@@ -125,7 +125,7 @@ class RobotRecord(Frozen):
         return replace(now, source=self.source, arguments=arguments, q_reference=reference) == self
 
     def known_arguments(self, now: RobotRecord) -> dict[str, float | bool | str]:
-        """Return the arguments of a newer record but for those that came since and have their defaults."""
+        """Return the arguments of a newer record without new ones that have their defaults."""
         later = {name: value for name, value in now.arguments.items() if name not in self.arguments}
         if later:  # lengths and frames are not in a record: an argument may change what nothing else here shows
             usual = _usual(now.source, self.arguments)
@@ -223,7 +223,7 @@ def read_robot(record: Mapping[str, Any], file: str | Path) -> RobotRecord:
 
     Raises:
         KeyError: a field is missing.
-        DeclarationError: naming the first field that is wrong, and what is allowed.
+        DeclarationError: names the first invalid field and the allowed values.
     """
     values = {name: record[name] for name in _STORED}
     for name, kind in (("carrier_limits", CarrierLimits), ("couplings", Coupling)):
@@ -235,8 +235,8 @@ def read_robot(record: Mapping[str, Any], file: str | Path) -> RobotRecord:
 def load_recorded(record: RobotRecord, source: str | Path | None = None, *, trust: bool = False) -> Robot:
     """Load the robot of a record, and make sure that it is still the same.
 
-    ``source``: where the robot is now, if its files have moved, or lie elsewhere than the file that holds the record;
-    ``trust``: as for ``load_robot``, which only a user says, never a file.
+    ``source``: present location of the robot, if its files have moved or are elsewhere than the file with the record;
+    ``trust``: as for ``load_robot``; only a user sets it, never a file.
     """
     _require_sound(record)
     try:
@@ -299,10 +299,10 @@ def _name_robot(place: str) -> str:
 
 
 def _own_source(record: RobotRecord) -> str:
-    """Return where the record itself may say its robot is; PlanFileError where the user has to."""
+    """Return the location of the robot if the record may set it; PlanFileError if the user must."""
     if not record.source:
         raise PlanFileError(
-            f"The plan does not say where its robot {shown(record.name)} was loaded from: it was made in Python.",
+            f"The plan has no file of its robot {shown(record.name)}: the robot was made in Python.",
             remedy=f"Pass the robot itself: {_PASS_ROBOT}",
         )
     if record.folder is None or record.source in shipped_sources():
@@ -319,8 +319,8 @@ def _own_source(record: RobotRecord) -> str:
 def _require_inside(place: Path, folder: str) -> None:
     if not place.is_relative_to(folder):
         raise PlanFileError(
-            f"The plan names {place} for its robot, outside its own folder {folder}: a file does not choose "
-            "what is loaded from elsewhere.",
+            f"The plan names {place} for its robot, outside its own folder {folder}: a file must not "
+            "load a robot from elsewhere.",
             remedy=f"Where you trust that robot, load it and pass it: {_load_and_pass(str(place))}",
             source=str(place),
         )
@@ -331,7 +331,7 @@ def _folder_of(file: str | Path) -> Path:
 
 
 def _real(*parts: str) -> Path:
-    """Return the absolute path, every symbolic link on it followed; text that is no path as one that leads nowhere."""
+    """Return the absolute path with every symbolic link followed; an invalid path is treated as nonexistent."""
     try:
         return Path(os.path.realpath(os.path.join(*parts)))
     except (OSError, ValueError):

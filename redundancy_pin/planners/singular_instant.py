@@ -93,7 +93,7 @@ class SingularInstant(Frozen):
 
     @property
     def equation(self) -> tuple[Array, Array]:
-        """uᵀ Ẇ (r, m) and uᵀ ḟ (r,): what determines the efforts beside W τ = f."""
+        """uᵀ Ẇ (r, m) and uᵀ ḟ (r,): they determine the efforts together with W τ = f."""
         return self.u @ self.W_rate, self.u @ self.f_rate
 
     def efforts(self, preferred: Array | None = None) -> Array:

@@ -116,7 +116,7 @@ def _table(plan: Plan, facts: Mapping[str, Any]) -> TextTable:
 
 
 def _optimum(plan: Plan) -> Iterator[tuple[str, str]]:
-    """Give what an optimised plan says of its optimum and its nodes."""
+    """Add the optimum and the nodes of an optimised plan."""
     facts: Mapping[str, Any] = plan.diagnostics
     if "nodes" not in facts:
         return
@@ -148,7 +148,7 @@ def advice(plan: Plan) -> str | None:
 
 
 def warnings_of(plan: Plan, *, ranges: bool = True) -> Iterator[str]:
-    """Give what is wrong with a plan, a sentence each; broken ranges of passive joints only with ``ranges``."""
+    """Return the problems of a plan, a sentence each; broken ranges of passive joints only with ``ranges``."""
     check, late, finer = plan.between, [*_unplanned(plan)], _FINER.get(plan.planner, "use a shorter step")
     finer = "" if late else finer
     broken = tuple(event for event in plan.limits.violated if ranges or event.quantity != "range")

@@ -35,7 +35,7 @@ from redundancy_pin.simulation.state import State
 class RowDerivatives(NamedTuple):
     """K (r + n, nv), the closure rows over the platform rows, and derivatives along a motion (q, v, a), K-shaped.
 
-    ``by_q`` is that of K v by q, v held; ``rate_by_q`` and ``rate_by_v`` those of K a + K̇ v, the rest held.
+    ``by_q``: derivative of K v by q at fixed v; ``rate_by_q`` and ``rate_by_v``: of K a + K̇ v, all else fixed.
     """
 
     K: Array
@@ -95,9 +95,9 @@ class DynamicsDerivatives(Frozen):
         basis: (nv, d) N, tree velocity per unit of ζ.
         mass: (d, d) Nᵀ M N, the derivative of the generalised force by ζ̇.
         force: (d,) Nᵀ (rnea − u): zero where the motion obeys the equations.
-        force_y, force_z: (d, d) its derivatives by y and ζ, u and ζ̇ held.
+        force_y, force_z: (d, d) its derivatives by y and ζ, at fixed u and ζ̇.
         input: (d, m + k) Nᵀ (Sᵀ, Cᵀ): generalised force per unit of main efforts and carrier forces.
-        rate_y: (d, d) derivative of ẏ by y, ζ held: zero but for the rotations of a pose, where it is ω ×.
+        rate_y: (d, d) derivative of ẏ by y at fixed ζ: zero except for the rotations of a pose, where it is ω ×.
     """
 
     basis: Array
@@ -114,8 +114,8 @@ def inverse_derivatives(
 ) -> DynamicsDerivatives:
     """Return the derivatives of inverse dynamics at a state in motion.
 
-    Without efforts, ``force`` is the generalised force (f, F) that the motion takes; with the efforts that act, it is
-    what they miss, and its derivatives are those of forward dynamics up to −``mass``⁻¹.
+    Without efforts, ``force`` is the generalised force (f, F) that produces the motion; with given efforts it is
+    the residual, and its derivatives are the derivatives of forward dynamics up to −``mass``⁻¹.
 
     Args:
         robot: the robot.
@@ -126,7 +126,7 @@ def inverse_derivatives(
         carrier_force: (k,) carrier forces, N.
 
     Raises:
-        UnsupportedRobotError: a joint has more than one freedom; loads but for payloads, whose derivatives
+        UnsupportedRobotError: a joint has more than one degree of freedom; loads except payloads, whose derivatives
             ``CompiledDynamics`` has.
         SingularPoseError: a type I pose, where (x, s) are no coordinates.
 
@@ -179,7 +179,7 @@ def inverse_derivatives(
 
 
 def _inverse(robot: Robot, chain: ClosedChain, K: Array) -> Array:
-    """Return (nv, r + n) the inverse of K, carrier rows zero; there is none at a type I pose."""
+    """Return (nv, r + n) the inverse of K, carrier rows zero; it does not exist at a type I pose."""
     columns = chain.pose_columns
     margin = _margin(robot, K[:, columns])
     if margin <= RANK_TOLERANCE:
@@ -195,7 +195,7 @@ def _inverse(robot: Robot, chain: ClosedChain, K: Array) -> Array:
 
 
 def _margin(robot: Robot, K: Array) -> float:
-    """Return the smallest over the largest singular value of K (p, p), its columns those of the pose, scaled."""
+    """Return the smallest over the largest singular value of K (p, p), with the columns of the pose scaled."""
     scale = np.delete(velocity_scale(robot), robot.carrier_velocity)
     rows = np.concatenate([np.ones(len(K) - robot.n), row_scale(robot)])
     values = np.linalg.svd(K / scale * rows[:, None], compute_uv=False)
@@ -203,7 +203,7 @@ def _margin(robot: Robot, K: Array) -> float:
 
 
 def _row_force_derivative(chain: ClosedChain, q: Array, multiplier: Array) -> Array:
-    """Return (nv, nv) the derivative of Kᵀμ by q, μ held: K̇ is linear in v, so unit velocities give its parts."""
+    """Return (nv, nv) the derivative of Kᵀμ by q at fixed μ: K̇ is linear in v, so unit velocities give its parts."""
     model = chain.model
     result = np.empty((model.nv, model.nv))
     for j in range(model.nv):

@@ -89,7 +89,7 @@ class Event:
 
 
 class EventFunctions:
-    """The scalar functions of a robot whose zeros are events; those of the stops come first.
+    """The scalar functions of a robot whose zeros are events; the functions of the stops come first.
 
     Args:
         chain: evaluator of the robot.

@@ -88,10 +88,10 @@ def follow(
     """Simulate a machine that is to follow a motion, from the planned start.
 
     Args:
-        machine: the robot that is simulated; the controller knows that of the reference.
+        machine: the robot that is simulated; the controller knows the robot of the reference.
         reference: the motion, from ``plan_reference`` or ``motion_reference``.
         controller: what drives the machine, as of ``controller_by_name``.
-        conditions: what is less than perfect; nothing when left out.
+        conditions: imperfections; none when left out.
         duration: s; to the end of the motion when left out.
         dt: between the samples of the result, s; the period of the controller, or 0.005, when left out.
         settings: further keywords of ``simulate``.

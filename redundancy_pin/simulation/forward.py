@@ -4,12 +4,12 @@ With J_c N = 0 and J_c a₀ = −J̇_c v, accelerations are a = N z̈ + a₀ and
 
     (Nᵀ M N) z̈ = Nᵀ (u − rnea(q, v, a₀)),
 
-u the generalised forces of main actuators, carriers and whatever else acts. Loads of the robot but for wrenches belong
+u the generalised forces of main actuators, carriers and other loads. Loads of the robot except wrenches belong
 to M and to rnea here. z are tree coordinates chosen by rank
 (``partition``), so the equations are regular wherever J_c has full row rank and the free motions have inertia: at
 singularities of type I and type II too.
 
-Which tree velocities are independent: a choice by rank, made anew as the machine moves.
+The independent tree velocities are chosen by rank, and chosen again as the machine moves.
 
 Coordinate partitioning (Wehage and Haug 1982): r of the pose velocities depend on the others through J_c. The dependent
 ones are the first r pivots of a QR factorisation with column exchange, so their block of J_c is as well conditioned as
@@ -37,7 +37,7 @@ from redundancy_pin.simulation.rank_loss import LOST, Sheet, rank_ratio
 
 @dataclass(frozen=True, eq=False)
 class Partition:
-    """Dependent and independent tree velocities; those of carriers driven by motion are neither.
+    """Dependent and independent tree velocities; velocities of carriers driven by motion are neither.
 
     Attributes:
         dependent: (r,) velocity indices solved for from J_c v = 0.
@@ -74,7 +74,7 @@ def choose(relative: Array, pose_columns: IntArray, free: IntArray, q: Array) ->
 
 
 _POOR_CHOICE = 1e-2
-"""Ratio of the pivots of the dependent block of J_c below which the independent velocities are chosen anew."""
+"""Ratio of the pivots of the dependent block of J_c below which the independent velocities are chosen again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ class ForwardDynamics:
         return choose(relative[:, self._moving], columns, self._free, q)
 
     def adapt(self, q: Array) -> None:
-        """Choose the independent velocities anew for a configuration (nq,).
+        """Choose the independent velocities again for a configuration (nq,).
 
         Raises:
             SingularPoseError: the closures have lost rank there.
@@ -239,7 +239,7 @@ class ForwardDynamics:
     def forces(self, q: Array, v: Array, force: Array, a: Array, *, sheet: Sheet | None = None) -> Acceleration:
         """Return closure forces and carrier forces that go with an acceleration a (nv,), from here or from elsewhere.
 
-        ``force`` (nv,) are the generalised forces without those of carriers driven by motion. At a rank loss of the
+        ``force`` (nv,): the generalised forces without the carriers driven by motion. At a rank loss of the
         closures (``sheet``) they do not determine their forces, which are NaN there.
 
         Raises:

@@ -105,7 +105,7 @@ class SimulatedSample:
     Attributes:
         t: time, s.
         y: (nq + nv,) closed state.
-        machine: the differential equation, with the closure rows and the held joints of this state.
+        machine: the differential equation, with the closure rows and the stopped joints of this state.
         hold: zero-order hold command; None: the controller answers at every instant.
         sheet: solution branch across a rank loss of the closures (``rank_loss``), or None.
     """
@@ -157,7 +157,7 @@ class SimulationProgress(Progress):
         return SimulatedSample(t, self.machine.project(t, y, self.sheet)[0], self.machine, self.hold, self.sheet)
 
     def restarted(self, machine: Machine, at: Sequence[int], held: Sequence[int]) -> SimulationProgress:
-        """Return where the integration restarts with another machine; ``at`` and ``held``: see ``EventFunctions``."""
+        """Return the progress restarted with another machine; ``at`` and ``held``: see ``EventFunctions``."""
         old, q = self.functions, self.y[: self.functions.nq]
         functions = EventFunctions(machine.chain, old.stop_at, q, old.push_back, at, held)
         fresh = replace(self, machine=machine, functions=functions, values=functions.at_start(q))

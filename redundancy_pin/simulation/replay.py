@@ -1,4 +1,4 @@
-"""Replay of plans: does the machine do what the plan says, open loop and under control?"""
+"""Replay of plans: simulate the machine with the plan, open loop and under control."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Replay:
         plan: name of the plan.
         drive: what drove the machine.
         status: value of the simulation's ``ResultStatus``; "not_converged" also where forces do not determine the
-            motion at the start (or there is no linear model), "unbounded" where the plan has no finite efforts.
+            motion at the start (or no linear model exists), "unbounded" if the plan has no finite efforts.
         reason: why it is not "ok"; may be empty.
         t: (N,) times, s; empty where nothing was simulated.
         error: (N,) distance of the platform from the planned motion, m.
@@ -120,12 +120,12 @@ def replay(
 ) -> Replay:
     """Replay a plan on its own robot.
 
-    - "open loop": the efforts of the continuous motion that the plan stands for, from its exact start.
+    - "open loop": the efforts of the continuous motion of the plan, from its exact start.
     - "open loop, samples": the efforts at the samples of the plan, linear in between.
     - "carriers by motion": main efforts open loop, carriers follow their plan exactly.
     - "computed torque", "LQR": digital, from a start that is ``AWAY`` and ``SPEED`` off.
 
-    Ends of tracks do not stop a replay, for plans may use the last micrometre of them; ``Replay.off_track`` says how
+    Ends of tracks do not stop a replay, for plans may use the last micrometre of them; ``Replay.off_track`` is how
     far carriers went beyond.
 
     Args:
@@ -188,7 +188,7 @@ def replay(
 
 
 def rms_over_time(t: Array, values: Array) -> float:
-    """Return the root mean square over time of (N,) values at times (N,), s; the first where there is one time."""
+    """Return the root mean square over time of (N,) values at times (N,), s; the first value if there is one time."""
     span = float(t[-1] - t[0])
     return float(np.sqrt(np.trapezoid(values**2, t) / span)) if span > 0.0 else float(values[0])
 
@@ -220,7 +220,7 @@ def _sample_efforts(plan: Plan, reference: MotionReference) -> FeedForward:
         t = float(plan.t[int(bad.argmax())])
         raise InfeasiblePlanError(
             f"The plan states no finite efforts at its sample at t = {t:.6g} s.",
-            remedy="Replay the continuous motion that it stands for: drive 'open loop'.",
+            remedy="Replay the continuous motion of the plan: drive 'open loop'.",
             constraint="effort",
             time=t,
         )

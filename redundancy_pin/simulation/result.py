@@ -44,7 +44,7 @@ class Statistics:
     Attributes:
         steps: accepted steps.
         evaluations: evaluations of the accelerations.
-        restarts: how often the integrator started anew, at breaks and samples of a controller.
+        restarts: number of restarts of the integrator, at breaks and samples of a controller.
         largest_correction: largest closure residual, m, at the end of a step before the projection took it away.
         seconds: time it took, s.
     """
@@ -114,7 +114,7 @@ class Simulation(Frozen):
     parameters: Mapping[str, object] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        """Return what tells simulations apart, not their arrays."""
+        """Return a short text that identifies the simulation, without its arrays."""
         main, moved = self.robot.actuated, self.robot.carriers
         why = f" ({self.reason})" if self.reason else ""
         return (
@@ -152,9 +152,7 @@ class Simulation(Frozen):
         instants = checked(np.atleast_1d(np.asarray(times)), "times", ("T",))
         if self.x.ndim == 3 or instants.min() < self.t[0] or instants.max() > self.t[-1]:
             what = "it moves a pose" if self.x.ndim == 3 else f"it lasts from {self.t[0]:.6g} to {self.t[-1]:.6g} s"
-            raise InputError(
-                f"The simulation cannot be asked for x at these times: {what}.", remedy="Simulate with a finer dt."
-            )
+            raise InputError(f"The simulation has no x at these times: {what}.", remedy="Simulate with a finer dt.")
         kept = np.append(np.diff(self.t) > 0.0, True)
         spline = CubicHermiteSpline(self.t[kept], self.x[kept], self.xd[kept])
         return spline(instants), spline(instants, 1)
@@ -181,10 +179,10 @@ class Simulation(Frozen):
         ``run.table().to_csv("run.csv")`` writes it.
 
         Args:
-            robot: that of the simulation; loaded when left out.
+            robot: the simulated robot; loaded when left out.
 
         Raises:
-            PlanFileError: the robot cannot be loaded, or is no longer what it was.
+            PlanFileError: the robot cannot be loaded, or has changed since.
         """
         from redundancy_pin.planners.export import FORMAT, VERSION, table_of_states
 

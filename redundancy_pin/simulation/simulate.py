@@ -86,15 +86,15 @@ def simulate(
     """Simulate a closed-chain robot under given efforts.
 
     Accelerations come from the equations of motion in independent coordinates chosen by the rank of the closures
-    (``forward``), so a type II pose is nothing special. The state that is integrated is that of the tree; after every
+    (``forward``), so type II poses need no special treatment. The integrated state is the tree's state; after every
     step it is projected onto the closures, at the level of positions and of velocities.
 
     Args:
         robot: the robot, or its name or path; it may differ from the one of a plan or controller.
         drive: a plan, whose efforts are fed forward (``FeedForward``); a ``Controller``, or any object with its
             ``effort``; or nothing: no efforts.
-        start: state to start from, closed to within 1e-6 characteristic lengths; that of the plan or controller, else
-            the reference configuration at rest, when left out.
+        start: state to start from, closed to within 1e-6 characteristic lengths; when left out, the start of the plan
+            or controller, or the reference configuration at rest.
         duration: s; to the end of the plan or controller when left out.
         dt: interval between the samples of the result, s; the integrator chooses its own steps.
         carriers: whether forces drive the carriers, or they follow the motion of the plan or controller exactly and the
@@ -104,8 +104,8 @@ def simulate(
         carrier_force_limit: the same for the carriers, N.
         external: further generalised forces (nv,) as a function of the state: friction, disturbances.
         stop_at: kinds of events (``events.KINDS``) that end the simulation; all kinds are reported.
-        joint_stops: what limits of joints and ends of tracks do: "end", as ``stop_at`` says; or "inelastic", they push
-            back: a joint that comes to one stays there until it is drawn off (``stops``), whatever ``stop_at`` says.
+        joint_stops: effect of joint limits and track ends: "end", by ``stop_at``; or "inelastic", they push
+            back: a joint that comes to one stays there until it is drawn off (``stops``), whatever ``stop_at`` is.
             Carriers that are driven by motion have none.
         rtol: relative tolerance of each step of the integrator.
         atol: its absolute tolerance, characteristic lengths or rad; for velocities over the shorter one of the duration
@@ -114,17 +114,17 @@ def simulate(
         max_steps: number of steps after which it is given up.
         integrator: explicit Runge-Kutta method of scipy: of order 8, or of order 5; or the implicit "Radau" of order 5,
             for machines with stiff springs or dampers, whose steps are not bound by them.
-        restart_at: where integration starts anew: at all breaks of the controller, where its efforts jump or kink, so
-            that the integrator keeps its order; or at the jumps only, so that steps may be longer than those of a plan,
-            which pays where tolerances are loose. At tight ones the step control grinds at the kinks.
+        restart_at: where integration restarts: at all breaks of the controller, where its efforts jump or kink, so
+            that the integrator keeps its order; or at the jumps only, so that steps may be longer than in a plan,
+            which pays if tolerances are loose. At tight ones the step control shortens many steps at the kinks.
         dynamics: this robot again, or its name or path, for generated code (``as_dynamics``); or a backend of it.
             Generated code then takes the ordinary steps of explicit integrators: many times as fast, the same to the
             tolerances. Backends without forward dynamics make no difference.
         progress: called with the time that is reached and the last one, s, after steps of the integrator.
 
     Returns:
-        A ``Simulation``. Its status tells what went wrong on the way: an event at which it stopped; a failure with its
-        reason, the samples before it kept; or, of one that reached its end, limits of the robot that it exceeded.
+        A ``Simulation``. Its status reports problems: an event at which it stopped; a failure with its reason, the
+        samples before it kept; or, at the end, limits of the robot that it exceeded.
 
     Raises:
         InputError: a setting out of its domain, a start that is not closed or beyond a stop, a controller that returns
@@ -234,7 +234,7 @@ def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None, sampl
     if isinstance(made_for, Sampling) and made_for != sampling:
         raise InputError(
             f"{controller.class_name()} was made for {made_for}, and the simulation has {sampling}.",
-            remedy=f"Pass sampling={made_for} to simulate, or make the controller for what it has.",
+            remedy=f"Pass sampling={made_for} to simulate, or make the controller for the sampling of the simulation.",
         )
     return controller
 
@@ -254,13 +254,13 @@ def _start(robot: Robot, controller: Controller, start: State | None) -> State:
 def _times(
     controller: Controller, start: float, duration: float | None, dt: float, restart_at: str
 ) -> tuple[Array, Array]:
-    """Return the times to record and the times at which the integration starts anew."""
+    """Return the times to record and the times at which the integration restarts."""
     if duration is not None:
         last = start + duration
     elif controller.end is not None:
         last = float(controller.end)
     else:
-        raise InputError("Nothing says how long to simulate.", remedy="Pass duration=, in seconds.")
+        raise InputError("No duration given.", remedy="Pass duration=, in seconds.")
     if not (np.isfinite(last) and last > start):
         raise InputError(
             f"The simulation would last from {start} to {last} s.", remedy="Pass a positive, finite duration."

@@ -34,7 +34,7 @@ class Manifold:
     """Projection of states onto closures and their rates, one state at a time.
 
     The steps are the shortest ones in scaled coordinates (rotations times the characteristic length), and leave the
-    carriers alone, and joints that are ``held`` (tree velocities), which stand still.
+    carriers alone, and joints that are ``held`` (tree velocities at zero).
 
     Attributes:
         tolerance: closure residual, m, at which the projection is done.
@@ -151,7 +151,7 @@ def closed_state(
 
     Args:
         robot: the robot.
-        x: (n,) platform coordinates, m and rad, base frame, or a pose (4, 4); those of the reference configuration when
+        x: (n,) platform coordinates, m and rad, base frame, or a pose (4, 4); at the reference configuration when
             left out.
         xd: (n,) their rate, m/s and rad/s (the twist for a pose); at rest when left out.
         s: scalar or (k,) carrier positions, m.

@@ -9,7 +9,7 @@ without stops (Gauss's principle of least constraint):
 g the inward velocities, or accelerations, of the stopped joints without the stops. The multipliers μ ≥ 0 are the
 impulses, or the forces, of the stops (J. J. Moreau, Unilateral contact and dry friction in finite freedom dynamics,
 1988). With g = G γ, the motion γ to the nearest rest, they solve a non-negative least-squares problem (scipy's
-``nnls``). Stops that push hold their joints (``Machine.held``) until they would have to pull.
+``nnls``). Stops that push keep their joints fixed (``Machine.held``) until they would have to pull.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ class Machine:
         carrier_law: prescribed motion of the carriers, or None where forces drive them.
         external: further generalised forces.
         kernel: machine code for it, and for the projection; states that it refuses are computed here.
-        held: (h,) tree velocities of joints that stops hold.
+        held: (h,) tree velocities of joints that stops fix.
         q: (nq,) configuration where they do.
         basis: of the closure rows in use there, see ``ClosedChain``.
     """

@@ -46,7 +46,7 @@ from redundancy_pin.spectrum import left_singular, oriented, spectrum_of
 
 
 def serial_and_locked(system: ConstraintSystem, state: ConstraintState) -> tuple[Array, Array]:
-    """Return K (N, p, p) and T (N, r + m, p) without units; their first r rows are those of the closures.
+    """Return K (N, p, p) and T (N, r + m, p) without units; their first r rows are the closure rows.
 
     If dependent closure rows were dropped, a basis of all rows replaces the independent ones: which rows are
     independent may change along a motion. Where all of them lose rank, to the rounding of a file, the independent ones

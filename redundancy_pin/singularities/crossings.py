@@ -56,7 +56,7 @@ class Crossing(Frozen):
     """One singularity met along a motion.
 
     Attributes:
-        t: time, s. Exact to about 1e-13 of the duration where the motion crosses; to about 1e-8 where it touches (at a
+        t: time, s. Exact to about 1e-13 of the duration at a crossing; to about 1e-8 if the motion only touches (at a
             minimum a time is only known to the square root of rounding).
         until: equal to ``t``, or the time, s, until which the motion stays on the singularity.
         x: (n,) or (4, 4) platform coordinates, base frame, m and rad.

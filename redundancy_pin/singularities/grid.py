@@ -1,7 +1,7 @@
 """Configurations over a grid of platform coordinates, on one solution branch: the basis of loci and workspaces.
 
-The grid is flooded from one closed configuration: every solved node is where Newton's method starts for its neighbours.
-The closing is that of ``assemble``, which solves all nodes of a wave at once, and the acceptance test that of the
+The grid is flooded from one closed configuration: every solved node is the initial guess of its neighbours.
+Closing uses the method of ``assemble``, which solves all nodes of a wave at once, and the acceptance test of the
 follower (``LoopSolver.is_continuous``).
 """
 
@@ -34,7 +34,7 @@ _MOST_NODES = 200_000
 """Nodes of a grid at most: about a minute."""
 
 _REACH = 4.0
-"""Half width of the search for the workspace, characteristic lengths; twice that if the workspace goes on beyond it."""
+"""Half width of the search for the workspace, characteristic lengths; doubled if the workspace extends beyond it."""
 
 _COARSE = {1: 61, 2: 61, 3: 15}
 """Nodes along each axis of the search grid, by the number of axes: horns of a twentieth of the workspace are met."""
@@ -47,8 +47,8 @@ _SHORTEST_STEP = 2.0**-3
 reach, and without this bound maps take two to five times as long."""
 
 _TRUSTED_STEP = 0.1
-"""Longest step, characteristic lengths or rad, that tells the branch by continuity alone. Without this bound an
-eleventh of a delta's nodes are on another branch; with it, or one of 0.15, none."""
+"""Longest step, characteristic lengths or rad, at which continuity alone determines the branch. Without this bound one
+node in eleven of a delta is on another branch; with it, or with 0.15, none."""
 
 _STARTS = 360
 """Random configurations from which islands are searched, with a fixed seed. They meet all islands of fifteen random
@@ -125,7 +125,7 @@ class WorkspaceGrid:
 
 
 def slice_through(robot: Robot, names: tuple[str, ...], x: Array | None = None) -> Slice:
-    """Return the slice through a position; through that of the reference configuration when left out.
+    """Return the slice through a position; through the reference configuration when left out.
 
     Args:
         robot: the robot.
@@ -214,7 +214,7 @@ def default_axes(place: Slice, resolution: int, *, within_ranges: bool = False) 
 
 
 def _clip(ends: Array, outer: Array) -> Array:
-    """Return ends (f, 2) within those of another range (f, 2)."""
+    """Return ends (f, 2) clipped to another range (f, 2)."""
     clipped: Array = np.clip(ends, outer[:, :1], outer[:, 1:])
     return clipped
 
@@ -269,7 +269,7 @@ class _Flood:
     def _step(self, targets: IntArray, x: Array, q: Array, gamma: Array) -> IntArray:
         """Solve nodes from states nearby, and return those that are on the branch of their state.
 
-        The first step of Newton's method is the prediction by Γ. A working mode tells the branch; without modes only
+        The first step of Newton's method is the prediction by Γ. A working mode determines the branch; otherwise only
         continuity does, in steps short enough along the straight line to the node.
         """
         has_modes, goals = self.robot.working_modes is not None, self.nodes[targets]

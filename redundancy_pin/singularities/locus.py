@@ -61,7 +61,7 @@ _LONGEST_CHORD = 3.0
 vanish, and Newton's method for one of them fails."""
 
 _SPACING = 0.05
-"""Shortest distance between neighbouring points, cells. Contours that pass beside a node cross two edges there."""
+"""Shortest distance between neighbouring points, cells. Contours that pass near a node cross two edges there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class LocusCurve(Frozen):
     Attributes:
         kind: type I, type II, or combined where every point of the curve is both (a four-bar at the end of its crank's
             range).
-        points: (P, n) platform coordinates along it, base frame, m and rad; the last equals the first where it is
+        points: (P, n) platform coordinates along it, base frame, m and rad; the last equals the first if it is
             closed. A robot with one coordinate has curves of one point.
         q: (P, nq) configurations there, carriers at zero.
         residual: (P,) scaled smallest singular value left: of K (type I) or T (type II).
@@ -88,12 +88,12 @@ class SingularLocus(Frozen):
     """Singular curves of a robot over its workspace, and the margins they were found in.
 
     Attributes:
-        robot: the robot; its working mode is that of the locus.
+        robot: the robot; the locus is in its working mode.
         names: names of the one or two coordinates that vary.
         units: of each, "m" or "rad".
         free: their columns in x.
         fixed: by name, the coordinates that do not vary, rad.
-        reference: (n,) the position that the search started from: that of the reference configuration, at the
+        reference: (n,) the position that the search started from: at the reference configuration, with the
             orientation of the slice.
         q_reference: (nq,) the configuration there.
         axes: the grid along each free coordinate, m or rad.
@@ -199,15 +199,15 @@ def singular_locus(
     within the slice is searched.
 
     Every point is exact (see ``LocusCurve.residual``); what lies between points is known to a cell of the grid. Curves
-    smaller than a cell can be missed, corners of the border are cut within a cell, and a type II curve is cut where it
+    smaller than a cell can be missed, corners of the border are cut within a cell, and a type II curve is cut if it
     comes within a cell of the border. Isolated type I points (a leg of zero length, or folded onto its base hinge) are
     no curves and are not listed. Where m ≠ n type II singularities fill no curves: only type I is given.
 
     Args:
         robot: the robot, in the working mode wanted.
-        orientation: angle of the platform, rad; that of the reference when left out.
+        orientation: angle of the platform, rad; the reference angle when left out.
         bounds: (lower, upper) for each free coordinate, m or rad; the whole workspace when left out, or four
-            characteristic lengths around the reference where it has no end.
+            characteristic lengths around the reference if it is unbounded.
         resolution: nodes along each axis.
 
     Raises:
@@ -338,7 +338,7 @@ class _SingularPoints:
 
         Args:
             q: the guess.
-            x: (n,) coordinates; those of the columns ``fixed`` are reached exactly.
+            x: (n,) coordinates; coordinates of the columns ``fixed`` are reached exactly.
             fixed: columns of x.
             singular: ``TYPE_I`` for a singular K, ``TYPE_II`` for a singular T, or both.
 
@@ -388,7 +388,7 @@ class _SingularPoints:
 def _point_on_edge(
     solver: _SingularPoints, grid: WorkspaceGrid, kind: SingularityKind, start: int, end: int, fraction: float
 ) -> _Point | None:
-    """Return the singular configuration on an edge of the grid; where there is none there, one within a cell."""
+    """Return the singular configuration on an edge of the grid; if none lies there, one within a cell."""
     along = int(np.abs(grid.x[end] - grid.x[start]).argmax())
     x, guess = grid.x[start], grid.q[start]
     if kind == SingularityKind.TYPE_II:

@@ -89,7 +89,7 @@ def minima(function: Function, times: Array, interesting: float) -> list[tuple[f
     """Return (time, value) of the local minima of a function that may fall below ``interesting``.
 
     A dip is skipped if the slopes next to it cannot reach that value. A minimum is exact to machine precision, also if
-    it is sharp, as that of a singular value at zero.
+    it is sharp, as a singular value at zero is.
 
     Args:
         function: see the module.

@@ -117,7 +117,7 @@ class Workspace(Frozen):
         return float(size)
 
     def summary(self) -> Summary:
-        """Return what is worth knowing of it: a mapping of bounds, nodes, size, and counts of nodes by mode.
+        """Return a summary: a mapping of bounds, nodes, size, and counts of nodes by mode.
 
         Its ``print`` shows a table.
         """
@@ -193,7 +193,7 @@ def workspace(
         at: (n,) coordinates that the slice goes through, or a pose, (4, 4) or (7,) position, m, and unit quaternion x,
             y, z, w; the reference when left out. What is not free stays as it is there.
         bounds: (lower, upper) for each free coordinate; the whole workspace when left out, or four characteristic
-            lengths to each side where it has no end within eight.
+            lengths to each side if it is unbounded within eight.
         resolution: nodes along each axis; 400, 100 or 25 by the number of axes.
         modes: "own", "all", or working modes; those in which the robot cannot be at ``at`` are left out.
 

@@ -1,8 +1,8 @@
 """The third backend: closed-chain dynamics of any declared robot as machine code.
 
-The equations are those of ``dynamics.rnea``, written a second time and from the model alone: symbols (``symbols.py``),
+The equations of ``dynamics.rnea``, written a second time and from the model alone: symbols (``symbols.py``),
 C from them and its cache (``build.py``), and a driver that closes the loops by Newton's method along a motion
-(``closing.py``, ``driver.c``). A planner on line asks for a few instants at a time (``carrier_terms.py``).
+(``closing.py``, ``driver.c``). An on-line planner evaluates a few instants at a time (``carrier_terms.py``).
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class CompiledDynamics(Dynamics):
         self._calls = _Calls(self)
 
     def __reduce__(self) -> tuple[partial[CompiledDynamics], tuple[Robot]]:
-        """Build it again, from the cache, where it is copied or sent to."""
+        """Rebuild it, from the cache, when it is copied or sent."""
         return partial(CompiledDynamics, threads=self.threads), (self._robot,)
 
     def __repr__(self) -> str:
@@ -90,7 +90,7 @@ class CompiledDynamics(Dynamics):
     def along(self, motion: PlatformMotion, *, unreachable: OnUnreachable = "raise") -> CompiledAlongMotion:
         """Solve the kinematics of a platform motion once, for many carrier motions.
 
-        The branch is that of the reference configuration, followed in steps small enough for Newton's method to
+        The branch of the reference configuration is followed in steps small enough for Newton's method to
         contract, from the reference straight to the first sample and from sample to sample.
 
         Raises:
@@ -124,8 +124,8 @@ class CompiledDynamics(Dynamics):
     ) -> Sample:
         """Return W (n, m), f (n,) and the carrier forces (k,) of one sample: what a control loop needs.
 
-        As ``Dynamics.sample``. Newton's method starts from the sample that this thread asked for before, and from the
-        reference where no straight line leads on from there.
+        As ``Dynamics.sample``. Newton's method starts from the last sample of this thread, and from the
+        reference if no straight line leads on from there.
         """
         return self._calls.sample.reduced(x, xd, xdd, s, sd, sdd, t)
 
@@ -160,7 +160,7 @@ class CompiledDynamics(Dynamics):
     def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
         """Return W, and f as terms of the carriers' motion, at a few instants; see ``Dynamics.carrier_terms``.
 
-        Newton's method starts from the instants that this thread asked for before, where they are near.
+        Newton's method starts from the last instants of this thread, if they are near.
         """
         return self._calls.carrier_terms(t, x, xd, xdd)
 
@@ -170,7 +170,7 @@ class CompiledDynamics(Dynamics):
         return self._calls.carrier_terms.addresses
 
     def forward(self) -> CompiledForward | None:
-        """Return forward dynamics, compiled when they are first asked for; None where that fails, with a warning."""
+        """Return forward dynamics, compiled on first use; None with a warning if compilation fails."""
         try:
             return self._forward
         except CompilerError as error:
@@ -188,7 +188,7 @@ class CompiledDynamics(Dynamics):
 
 
 class _Calls(threading.local):
-    """The calls of one thread, made when they are first used, with their memory and the branch that each goes on along.
+    """The calls of one thread, made on first use, each with its memory and the branch that it follows.
 
     Args:
         dynamics: whose they are.
@@ -291,7 +291,7 @@ class CompiledAlongMotion(Frozen):
             if not isinstance(wrench.value, np.ndarray):
                 raise UnsupportedRobotError(
                     f"{wrench!r} is a function whose own derivatives are not known.",
-                    remedy="Pass its values at the samples, and add what it changes by x and xd.",
+                    remedy="Pass its values at the samples, and add its derivatives by x and xd.",
                     frame=wrench.frame,
                 )
         tree = self._tree.with_carriers(carriers)

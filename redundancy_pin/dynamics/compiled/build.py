@@ -1,4 +1,4 @@
-"""From a robot to machine code: C by casadi and the driver beside it, compiled and kept by ``machine_code``.
+"""From a robot to machine code: C by casadi plus the driver, compiled and cached by ``machine_code``.
 
 A library's name is a hash of all that goes into it: the topology of the robot, the versions of casadi and Pinocchio,
 the texts of this package, the compiler and its flags. Numbers of the robot are no part of it: they are arguments
@@ -216,7 +216,7 @@ def _blocks(chain: SymbolicChain) -> tuple[list[int], list[int], list[tuple[int,
 def driver_source(definition: Definition, functions: Iterable[Any], storage: str = "") -> str:
     """Return the C that closes a robot's loops: generated functions, sizes and tables, and ``driver.c``.
 
-    With ``storage`` "static" nothing of it is seen from other files; who stands behind it calls all of it.
+    With ``storage`` "static" its functions are not visible in other files; the including code must call all of them.
     """
     chain = definition.chain
     turns = counted_turns(chain.robot)
@@ -303,7 +303,7 @@ def _library_of(
 
 @functools.cache
 def _sources() -> tuple[str, ...]:
-    """Return what decides beside the topology what is compiled: versions, constants, and the texts of this package."""
+    """Return the cache key besides the topology: versions, constants, and the source texts of this package."""
     folder = importlib.resources.files(__package__)
     names = sorted(file.name for file in folder.iterdir() if file.name.endswith((".py", ".c")))
     versions = importlib.metadata.version("casadi"), str(pin.__version__)  # without the time that an import takes
@@ -336,7 +336,7 @@ class Code(ABC):
         self.numbers = address(self._numbers)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Load it again, from the cache, where it is copied or sent to."""
+        """Load it again, from the cache, when it is copied or sent."""
         return type(self), (self.robot,)
 
     @classmethod

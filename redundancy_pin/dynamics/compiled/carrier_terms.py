@@ -1,7 +1,7 @@
 """W τ = f as terms of the carriers' motion at a few instants at a time, each batch followed from the one before it.
 
-What comes into sight of a planner on line is a continuation of what it has seen: Newton's method starts there, and all
-of it is one call of machine code (``rp_terms`` of ``batch.c``). Where the branch ends on the way, all instants from
+New instants in the preview window of an on-line planner continue the earlier ones: Newton's method starts there, in
+one call of machine code (``rp_terms`` of ``batch.c``). Where the branch ends on the way, all instants from
 there on are marked as unreachable. Where machine code does not close for another reason, as in another working mode,
 the motion is followed from the reference by ``along``, which marks what cannot be reached.
 """
@@ -45,7 +45,7 @@ class Continued:
 
     @property
     def addresses(self) -> tuple[int, int, int] | None:
-        """Those of ``rp_terms``, the robot's numbers, and where it goes on from; None where wrenches act."""
+        """Addresses of ``rp_terms``, the robot's numbers, and the last configurations; None if wrenches act."""
         if self._loads:
             return None
         function = ctypes.cast(self._function, ctypes.c_void_p).value

@@ -1,6 +1,6 @@
 """Closing the loops of a compiled robot along a motion: the branch of the reference, followed by the driver.
 
-The driver does not say why it fails: a motion that it cannot follow goes to ``kinematics``, which names what is wrong,
+The driver reports no cause of a failure: a motion that it cannot follow goes to ``kinematics``, which names the cause,
 marks samples, or passes the bifurcation. Motions that the driver follows share nothing with ``kinematics``.
 """
 
@@ -32,8 +32,8 @@ _PER_THREAD = 400
 
 
 Start: TypeAlias = ClosedState | Array
-"""Where kinematics go on from: a closed state, or a configuration (nq,) at which the chains close. At a rank loss it
-takes a state, whose Γ determines the branch."""
+"""Start of the branch for kinematics: a closed state, or a configuration (nq,) at which the chains close. A rank loss
+requires a state, whose Γ determines the branch."""
 
 
 class ClosedMotion(NamedTuple):
@@ -53,7 +53,7 @@ def close_motion(
         kernel: its library.
         motion: the platform's.
         mark: leave samples that do not close NaN in place of raising.
-        start: where kinematics go on from, in place of the reference.
+        start: state where the branch starts, in place of the reference.
 
     Raises:
         RedundancyPinError: what ``kinematics.inverse_kinematics`` raises.
@@ -91,7 +91,7 @@ def _state_of(robot: Robot, start: Start | None) -> ClosedState | None:
     """Return the closed state at a start, None without one.
 
     Raises:
-        SingularPoseError: K is singular there, so that no branch goes on from it.
+        SingularPoseError: K is singular there, so that no branch continues from it.
         WorkingModeError: the chains do not close next to it.
     """
     if start is None or isinstance(start, ClosedState):
@@ -100,14 +100,14 @@ def _state_of(robot: Robot, start: Start | None) -> ClosedState | None:
     if closed is not None and closed.margin > 0.0:
         return closed
     if evaluated(constraint_system(robot), start[None]).singular[0]:
-        raise SingularPoseError(f"The start of {robot.name} is singular: no branch goes on from it.", remedy=remedy)
+        raise SingularPoseError(f"The start of {robot.name} is singular: no branch continues from it.", remedy=remedy)
     raise WorkingModeError(f"The chains of {robot.name} do not close at the start.", remedy=remedy)
 
 
 class Driven(NamedTuple):
     """A configuration from the main actuators: q (nq,), v (nv,), x and xd as of ``JointStateSample``.
 
-    ``state`` where the next one goes on, whose coordinates are the main actuators'; ``margin`` smallest singular value
+    ``state``: start of the next sample, whose coordinates are the main actuators'; ``margin``: smallest singular value
     of the scaled W, and ``serial_margin`` of its inverse, zero at a type I singularity; ``closing_margin`` of K, zero
     also at a rank loss of the closures, no units; ``residual`` of the closures, m.
     """
@@ -137,7 +137,7 @@ def follow_motors(robot: Robot, start: Start | None, position: Array, velocity: 
 
     Args:
         robot: the robot.
-        start: where kinematics go on from.
+        start: state where the branch starts.
         position: (m,) positions of the main actuators, m and rad.
         velocity: (m,) their rates.
 
@@ -164,7 +164,7 @@ def follow_motors(robot: Robot, start: Start | None, position: Array, velocity: 
 
 
 def in_threads(work: Callable[[slice], None], samples: int, threads: int) -> None:
-    """Do some work for parts of many samples, in a thread each; compiled code runs beside Python."""
+    """Run a function on parts of many samples, one thread per part; compiled code releases the interpreter lock."""
     count = max(min(threads, samples // _PER_THREAD), 1)
     edges = np.linspace(0, samples, count + 1).round().astype(int).tolist()
     parts = [slice(*ends) for ends in pairwise(edges)]

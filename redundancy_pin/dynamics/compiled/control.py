@@ -42,7 +42,7 @@ _STATUSES = tuple(SampleStatus)
 """By code: an index takes a fifth of the time of ``SampleStatus(code)``."""
 
 _FOR_KINEMATICS = len(_STATUSES)
-"""Code of what the C does not follow: kinematics may follow it, or say why its branch ends."""
+"""Code for samples that the C does not follow: kinematics may follow them, or report why their branch ends."""
 
 _WITHOUT_RESULT = frozenset(
     {
@@ -63,7 +63,7 @@ _LEFT_OUT: tuple[()] = ()
 """Default of arguments of carriers; there is one empty tuple."""
 
 _NEEDS_CONVERTING = (TypeError, ValueError)
-"""What arguments raise that are no plain arrays of doubles: lists, other numbers, masked arrays, what is left out."""
+"""Errors for arguments other than plain arrays of doubles: lists, other numbers, masked arrays, omitted arguments."""
 
 
 def _plain(value: Any, none: Array) -> Array:
@@ -76,7 +76,7 @@ def _plain(value: Any, none: Array) -> Array:
 
 
 class _Arguments:
-    """Arguments of a call, one behind the other in memory that stays where it is.
+    """Arguments of a call, one after the other in memory at a fixed address.
 
     Args:
         shapes: the shape of each argument by name.
@@ -111,14 +111,14 @@ def _caller(code: Code, name: str, *arguments: Any) -> Callable[[], int]:
 
 
 class _Branch:
-    """The branch that a call goes on along, in memory that stays where it is.
+    """The branch that a call follows, in memory at a fixed address.
 
     Args:
         robot: the robot.
         code: its compiled dynamics.
 
     Attributes:
-        numbers: (P,) the robot's, as the C takes them. The signs of its working mode are those of the branch, so that
+        numbers: (P,) the robot's, as the C takes them. Its working-mode signs are the signs of the branch, so that
             the C keeps every leg on its side.
         state: (nq + 1,) the last configuration, and a sign that changes across type I, 0 where that is not known; NaN
             at a rank loss of the closures.
@@ -143,7 +143,7 @@ class _Branch:
         self._begin = _caller(code, "rp_begin", *self._own, self._start.memory, self._signs, self.state)
 
     def begin(self, start: ArrayLike) -> bool:
-        """Go on from a configuration (nq,), m and rad; returns False, and does nothing, where it is not finite.
+        """Continue from a configuration (nq,), m and rad; returns False, and does nothing, if it is not finite.
 
         Raises:
             InputError: another shape.
@@ -166,10 +166,10 @@ class _Branch:
         self.begin(q)
 
     def refuses(self, given: Array) -> bool:
-        """Return whether kinematics have refused a set-point here, which a loop requests again while it is held.
+        """Return whether kinematics have refused a set-point here, which a loop requests repeatedly.
 
         Args:
-            given: coordinates, or positions of the actuators: rates do not decide what is in reach.
+            given: coordinates, or positions of the actuators; rates do not affect reachability.
         """
         return self.refused is not None and self.refused[0] == self._key(given)
 
@@ -209,12 +209,12 @@ class _Branch:
 class SampleCall:
     """One sample of a motion: its torques, or W, f and carrier forces; see ``Dynamics.torque`` and ``Dynamics.sample``.
 
-    What the C does not close is for kinematics: they pass a bifurcation of the branch, or say what is wrong.
+    Samples that the C does not close go to kinematics: they pass a bifurcation of the branch, or report the cause.
 
     Args:
         robot: the robot.
         code: its compiled dynamics.
-        follow: called where the C does not get to a sample; it raises what is wrong with the sample.
+        follow: called if the C does not reach a sample; it raises the cause.
     """
 
     def __init__(self, robot: Robot, code: Code, follow: Follow) -> None:
@@ -275,7 +275,7 @@ class SampleCall:
         return answer
 
     def _answer(self, code: int, t: float) -> TorqueSample:
-        """Return a sample that the C does not close; raises InputError where it is no sample."""
+        """Return a sample that the C does not close; raises InputError if it is not a valid sample."""
         robot, branch, (x, xd, xdd, s, sd, sdd, _) = self._robot, self._branch, self._arguments.parts
         if code == SampleStatus.NOT_FINITE or not is_finite(self._arguments.parts, t):
             return without_answer(robot, SampleStatus.NOT_FINITE)
@@ -294,7 +294,7 @@ class SampleCall:
         return solve_sample(robot, sample, tree.q[0], (residual, margin), given, t)
 
     def _take(self, x: Any, xd: Any, xdd: Any, s: Any, sd: Any, sdd: Any, t: float) -> None:
-        """Copy the arguments to where the C reads them, and evaluate wrenches; what is not finite the C finds.
+        """Copy the arguments to where C reads them, and evaluate wrenches; the C finds values that are not finite.
 
         Raises:
             InputError: wrong shapes.
@@ -329,7 +329,7 @@ class SampleCall:
             wrench[:] = np.concatenate(values, axis=1)[0]
 
     def _motion(self, t: float) -> PlatformMotion:
-        """Return the sample as a motion; raises InputError where it is none."""
+        """Return the sample as a motion; raises InputError if it is invalid."""
         x, xd, xdd, *_ = self._arguments.parts
         return PlatformMotion(np.array([t]), x.reshape(1, *self._shape), xd[None], xdd[None], check_rates=False)
 

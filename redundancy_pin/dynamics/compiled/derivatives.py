@@ -4,10 +4,10 @@ At a sample the tree's motion (q, v, a) and the multipliers μ solve
 
     Φ(q) = 0, x(q) = x;   K v = (0, ẋ);   K a + J̇ v = (0, ẍ);   Kᵀ μ = rnea(q, v, a) without the carriers' rows,
 
-where K stacks the closures' Jacobian and that of the platform. Then f is the lower part of μ, and with Kᵀ N = Sᵀ the
-lower part of N is W; the upper parts are what the closures transmit, λ = μ − N τ. Differentiated with respect to
-anything, each line is a solve with K or Kᵀ, in this order. What stands beside K is differentiated by casadi;
-differences are taken of the numbers of a xacro file only (``design``). The expressions are those of a topology: robots
+where K stacks the closures' Jacobian and the platform's. Then f is the lower part of μ, and with Kᵀ N = Sᵀ the
+lower part of N is W; the upper parts determine the closure forces, λ = μ − N τ. Differentiated with respect to
+anything, each line is a solve with K or Kᵀ, in this order. Casadi differentiates the other terms;
+finite differences are taken of the numbers of a xacro file only (``design``). Expressions belong to a topology: robots
 that differ in numbers share them.
 """
 
@@ -42,7 +42,7 @@ class Partials(Frozen):
             the platform's origin, then a rotation about it.
         xd, xdd: (N, ..., n) by ẋ and ẍ.
         s, sd, sdd: (N, ..., k) by s, ṡ, s̈.
-        parameters: (N, ..., d) by the design parameters, the motion of platform and carriers held.
+        parameters: (N, ..., d) by the design parameters, at fixed motion of platform and carriers.
     """
 
     x: Array
@@ -58,8 +58,8 @@ class Partials(Frozen):
 class MotionDerivatives(Frozen):
     """Exact derivatives along a motion, by platform motion, carriers and design parameters.
 
-    N samples, n platform coordinates, m main actuators, k carriers, r closure rows, d parameters. Units follow from
-    those of the quantities; frames are theirs too. Rows of samples that are not reachable are NaN.
+    N samples, n platform coordinates, m main actuators, k carriers, r closure rows, d parameters. Units and frames
+    follow from the quantities. Rows of samples that are not reachable are NaN.
 
     Attributes:
         parameters: names of the design parameters.
@@ -85,17 +85,17 @@ class MotionDerivatives(Frozen):
 
     @cached_property
     def efforts(self) -> Distribution:
-        """The main efforts, with a status each: where it is singular, ``tau`` has no derivatives."""
+        """The main efforts, with a status each: at a singular sample ``tau`` has no derivatives."""
         return distribute(self.reduced)
 
     @cached_property
     def tau(self) -> Partials:
-        """Derivatives of the (N, m) main efforts, those of least norm where there is a choice, as ``efforts`` has them.
+        """Derivatives of the (N, m) main efforts, of least norm if they are not unique, as ``efforts`` has them.
 
-        Of W τ = f by the implicit function: W ∂τ = ∂f − ∂W τ, and of u = Aᵀ y, where efforts over their sizes (which
-        are held, though the characteristic length is one) have the least norm, the part in the null space of A is that
-        of ∂Aᵀ y. NaN where W lacks rank, for there efforts grow without bound or jump to those of least norm; and of
-        fewer actuators than coordinates by all that leads to an f that they cannot balance.
+        Of W τ = f by the implicit function: W ∂τ = ∂f − ∂W τ. Redundant efforts u = Aᵀ y, divided by their sizes (taken
+        as constant, the characteristic length included), have least norm: their part in the null space of A follows
+        from ∂Aᵀ y. NaN where W lacks rank, since efforts there grow without bound or jump to the least-norm values; and
+        with fewer actuators than coordinates, by every variable that leads to an f that they cannot balance.
         """
         reduced, efforts = self.reduced, self.efforts
         at = efforts.solved & (efforts.rank == min(reduced.W.shape[1:]))
@@ -123,8 +123,8 @@ class MotionDerivatives(Frozen):
 
         Args:
             tau: (N, m) main efforts that produce the motion, W τ = f; ``efforts.tau``, if nothing else is wanted.
-            tau_by: their own derivatives; held when left out, which is what other efforts of the same motion share:
-                the derivative along efforts that go on producing the motion needs them (``self.tau``).
+            tau_by: the derivatives of ``tau``; zero when left out (constant efforts). Derivatives along efforts that
+                keep producing the motion need them (``self.tau``).
 
         Raises:
             InputError: ``tau`` has the wrong shape.

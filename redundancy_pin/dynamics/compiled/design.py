@@ -50,9 +50,9 @@ def design_of(robot: Robot, names: Sequence[str], *, trust: bool = False) -> Des
 
     A parameter is a number of its xacro file (``"distal_length"``), or one of the model's own:
 
-    - ``"JOINT.mass"``, of the body that the joint moves, its centre and inertia about the centre held
+    - ``"JOINT.mass"``, of the body that the joint moves, at fixed centre and inertia about the centre
       (``with_parameters`` takes links, and scales a link's inertia with its mass);
-    - ``"JOINT.centre.x"``, ``.y``, ``.z`` in the joint's frame, mass and inertia about the centre held;
+    - ``"JOINT.centre.x"``, ``.y``, ``.z`` in the joint's frame, at fixed mass and inertia about the centre;
     - ``"JOINT.inertia.xx"``, ``.xy``, ... about the centre, axes of the joint's frame;
     - ``"JOINT.origin.x"``, ..., ``.rx``, ``.ry``, ``.rz``: the joint's frame moved along its parent's axes, or turned
       about its own; ``"LINK.origin.x"``, ... likewise for a link of a closure or of the platform;
@@ -61,7 +61,7 @@ def design_of(robot: Robot, names: Sequence[str], *, trust: bool = False) -> Des
     The model's own are exact. For a number of the xacro file the file is loaded four to six times with changed
     arguments, without closing its loops, and the model's numbers are differenced, to order six: smooth functions to
     1e-14 or so. Steps are a hundredth of the number; of a number that is 0, of the robot's characteristic length, or of
-    1 if that is less. All other arguments are held, also those whose defaults would follow.
+    1 if that is less. All other arguments are fixed, also arguments whose defaults would follow.
 
     Args:
         robot: the robot.

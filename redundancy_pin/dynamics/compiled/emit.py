@@ -49,8 +49,8 @@ def _function(function: Any, returned: str) -> str:
     binary = {getattr(ca, name): form for name, form in _BINARY.items()}
     lines: list[str] = []
     known: dict[int, str] = {}
-    """By place in casadi's memory what stands there: a name, or a constant. Places are used again and again, names not:
-    so each is assigned once, as compilers like it."""
+    """By place in casadi's memory its present content: a name, or a constant. Casadi reuses places, but names are
+    assigned once each, which suits compilers."""
     for k in range(function.n_instructions()):
         operation, at, out = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
         if operation == ca.OP_OUTPUT:

@@ -1,7 +1,7 @@
 """Forward dynamics as machine code, a library of their own with their integration: compiled when they are first used.
 
-``forward.c`` beside this file stands on four functions of the same symbols as inverse dynamics: rows, bias, mass matrix
-and efforts at rest of the tree. Their linearisation is that of ``derivatives``.
+``forward.c`` uses four functions of the same symbols as inverse dynamics: rows, bias, mass matrix
+and efforts at rest of the tree. ``derivatives`` has their linearisation.
 """
 
 from __future__ import annotations

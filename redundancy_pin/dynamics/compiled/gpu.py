@@ -34,10 +34,10 @@ THREADS = 128
 """Threads of a block: a multiprocessor holds two blocks where each thread has all the registers that there are, 255."""
 
 _MOST_BLOCKS = 1 << 20
-"""Blocks of one launch; threads go on to further samples."""
+"""Blocks of one launch; each thread computes further samples in a loop."""
 
 _FUNCTIONS = ("rows", "bias", "turns", "moved", "modes", "coordinates", "drives", "project")
-"""Generated functions that ``calls.c`` and what stands in front of it call."""
+"""Generated functions called by ``calls.c`` and the sources before it."""
 
 _NVRTC = (
     "#define INFINITY __longlong_as_double(0x7ff0000000000000)\n#define NAN __longlong_as_double(0x7ff8000000000000)\n"
@@ -61,9 +61,9 @@ class ManyTorques:
         carrier_force: (N, k) force of each carrier's actuator, N or N·m.
         residual: (N,) closure residual, m.
         serial_margin: (N,) lower bound of the distance to a type I singularity, no unit.
-        state: (N, nq + 1) what the next call takes as ``start`` to go on along the branch of each sample: the
+        state: (N, nq + 1) the ``start`` of the next call, which continues the branch of each sample: the
             configuration, carriers as at the reference, and a sign that changes across type I (0: not known).
-        W, f: (N, n, m) and (N, n) the equation W τ = f that tau solves; None unless they were asked for.
+        W, f: (N, n, m) and (N, n) the equation W τ = f that tau solves; None unless they were requested.
     """
 
     tau: Any
@@ -93,13 +93,13 @@ class ManyAccelerations:
 class GpuDynamics:
     """Inverse and forward dynamics of many samples of one machine, or of many machines of one topology, on a GPU.
 
-    Double precision; the numbers are those of ``CompiledDynamics`` but for rounding. Arguments are arrays of the device
+    Double precision; numbers equal ``CompiledDynamics`` up to rounding errors. Arguments are arrays of the device
     (of cupy, torch, jax: whatever has ``__dlpack__``, without a copy, in any layout) and results are cupy's, which the
     others take by DLPack; or arrays of numpy, which go to the device in blocks. Work is put on cupy's current stream:
     keep arrays of other libraries until it is done.
 
     Where the straight way from the start does not lead to a sample it is ``unreachable``,
-    ``type_i`` or ``branch_lost``, which is no proof: ``CompiledDynamics`` asks kinematics, which may find a way.
+    ``type_i`` or ``branch_lost``, which proves nothing: ``CompiledDynamics`` uses kinematics, which may reach it.
 
     Args:
         robots: the robot, or its name or path; or several of one topology, that differ in numbers.
@@ -126,7 +126,7 @@ class GpuDynamics:
         one_of(device, "device", ("gpu", "cpu"))
         one_of(threads, "threads", range(32, 257, 32))
         if not self.robots:
-            raise InputError("There is no robot.", remedy="Pass at least one.")
+            raise InputError("No robot given.", remedy="Pass at least one.")
         self.robot = robot = self.robots[0]
         if not robot.m:
             raise UnsupportedRobotError(f"{robot.name} has no main actuators.", remedy="Declare which are actuated.")
@@ -153,7 +153,7 @@ class GpuDynamics:
         self._device.wait()  # calls may be on other streams than this one
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Make it again, from what is compiled already, where it is copied or sent to."""
+        """Rebuild it, from compiled code, when it is copied or sent."""
         device, threads = self._settings
         return partial(type(self), device=device, threads=threads), (self.robots,)
 
@@ -202,7 +202,7 @@ class GpuDynamics:
             s: (N, k) positions of the carriers, m or rad; (k,) or a number for all samples.
             sd: (N, k) their velocities.
             sdd: (N, k) their accelerations.
-            start: (N, nq + 1) states to go on from, ``ManyTorques.state`` of samples that are near, in the working mode
+            start: (N, nq + 1) states to continue from, ``ManyTorques.state`` of nearby samples, in the working mode
                 of the machine; the machine's reference when left out.
             machine: (N,) of which of the robots a sample is; the first when left out.
             equations: also return W and f.
@@ -336,7 +336,7 @@ def _taken(xp: Any, value: Any, name: str, shape: tuple[int, ...]) -> Any:
             return xp.broadcast_to(array, shape)
     except (TypeError, ValueError, RuntimeError, BufferError) as error:
         raise InputError(
-            f"{name} is no array of numbers on the device of the first argument: {error}.",
+            f"{name} is not an array of numbers on the device of the first argument: {error}.",
             remedy="Pass all arrays from one device, in real numbers.",
             name=name,
         ) from error
@@ -500,5 +500,5 @@ class _Gpu(_Device):
 
 
 def gpu_source(text: str) -> str:
-    """Return the C of this package as NVRTC takes it: without headers, which it has built in, but for two numbers."""
+    """Return the C of this package as NVRTC takes it: without headers, which are built in, except two numbers."""
     return f"{_NVRTC}{text.replace('#include <math.h>', '')}"

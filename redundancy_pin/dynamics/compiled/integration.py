@@ -21,7 +21,7 @@ _LOADS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes
 _INT, _LONG, _DOUBLE, _POINTER = ctypes.c_int, ctypes.c_long, ctypes.c_double, ctypes.c_void_p
 
 _IN_C = {_INT: "int ", _LONG: "long ", _DOUBLE: "double ", _POINTER: "double *", _LOADS: "Loads "}
-"""By type of ctypes that of C."""
+"""C type of each ctypes type."""
 
 _NUMBERS = {"float": _DOUBLE, "float | None": _DOUBLE, "int": _LONG}
 """By the annotation of a number in ``dynamics.forward`` its type."""
@@ -100,7 +100,7 @@ class CompiledIntegration:
 
     Args:
         forward: the forward dynamics of the robot.
-        rules: what it must keep to.
+        rules: tolerances, limits and events of the integration.
     """
 
     def __init__(self, forward: Code, rules: Rules) -> None:

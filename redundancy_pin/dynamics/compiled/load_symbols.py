@@ -110,7 +110,7 @@ class LoadSymbols:
         return total
 
     def _line(self, line: SX) -> tuple[SX, SX]:
-        """Return length and direction; none at length zero, as in C a quotient of zeros is no number."""
+        """Return length and direction; the direction is zero at length zero, to avoid 0/0."""
         length = self.ca.sqrt(self.ca.dot(line, line))
         return length, line / (length + (length == 0.0))
 
@@ -129,13 +129,13 @@ def constant_wrenches(robot: Robot) -> Array:
     """Return (6 w,) the wrenches of a robot as numbers.
 
     Raises:
-        UnsupportedRobotError: one is no constant.
+        UnsupportedRobotError: a wrench is not constant.
     """
     values = []
     for load in of_kind(robot.loads, Wrench):
         if not isinstance(load.value, np.ndarray) or load.value.ndim != 1:
             raise UnsupportedRobotError(
-                f"{load!r} is no constant, which is all that these expressions can hold.",
+                f"{load!r} is not constant; these expressions allow constant wrenches only.",
                 remedy="Pass six numbers, or the robot without that wrench, and take its share by its Jacobian.",
                 frame=load.frame,
             )

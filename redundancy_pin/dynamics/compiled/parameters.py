@@ -1,6 +1,6 @@
-"""Numbers of a robot that generated code takes at run time, in one vector; what is compiled is the topology alone.
+"""Numbers of a robot that generated code takes at run time, in one vector; only the topology is compiled.
 
-Compiled are the joints and their order, which frames closures join, what is actuated, and the structural zeros: numbers
+Compiled are the joints and their order, the frames of closures, the actuated joints, and the structural zeros: numbers
 that are zero, and entries of rotations and axes that are 1 or −1. All other numbers are parameters: placements, masses,
 first moments, inertias, armatures, gravity, lengths of rods, couplings, loads, signs of the working mode, and scales.
 Robots that differ in them share one library. Of a platform with mass, and of a link with a payload, all inertial
@@ -45,7 +45,7 @@ class Numbers(Frozen):
     """All numbers of a robot's model, whether compiled or not, in an order that its topology determines.
 
     Attributes:
-        values: (F,) the numbers, SI units; ``places_of`` says where each one is.
+        values: (F,) the numbers, SI units; ``places_of`` has the place of each one.
         structural: (F,) whether a number is a structural zero, 1 or −1, which is compiled.
 
     Example:
@@ -180,7 +180,7 @@ def topology_of(robot: Robot) -> Topology:
 
 
 def common_topology(robots: Sequence[Robot]) -> Topology | None:
-    """Return a topology for several robots, in which what is a structural zero of some only is a parameter.
+    """Return a topology for several robots; structural zeros of only some of them become parameters.
 
     None if they differ in more than numbers.
     """
@@ -196,7 +196,7 @@ def common_topology(robots: Sequence[Robot]) -> Topology | None:
 
 
 def _connections(robot: Robot) -> list[object]:
-    """Return what is joined to what, in words that are equal where it is."""
+    """Return the connections of a robot in a form that is equal for equal connections."""
     model = robot.model
     return [
         (list(model.names), [joint.shortname() for joint in model.joints], list(model.parents)),
@@ -222,7 +222,7 @@ class Layout(Frozen):
     """Sections of the vector ``numbers`` of generated code, the same for all robots of a topology.
 
     Attributes:
-        sizes: by name in C, how many numbers a section has: first those of ``robot.scales.ForceTerms``, SI units, last
+        sizes: length of each section, by name in C: first the sections of ``robot.scales.ForceTerms``, SI units, last
             MODEL, the numbers of the model that are parameters, and between them scales that are a length or 1.
         is_length: (S,) which of the latter are the characteristic length, m; the others are 1.
     """
@@ -314,7 +314,7 @@ def trig_at(robot: Robot, q: Array) -> Array:
 
 
 def turning_rows(robot: Robot) -> BoolArray:
-    """Return (r,) which closure rows are angles: those of rotation axes, and couplings of turning joints."""
+    """Return (r,) which closure rows are angles: rows of rotation axes, and couplings of turning joints."""
     rows = [axis.startswith("r") for closure in robot.closures for axis in closure.axes]
     rows += [not slides(find_joint(robot.model, coupling.joint)) for coupling in robot.couplings]
     return np.array(rows, dtype=bool)

@@ -1,7 +1,7 @@
 """The equations of a closed chain as casadi Functions, for problems of a user's own.
 
-What ``CompiledDynamics`` compiles is here to be built upon: in an optimal-control problem configurations may be
-unknowns, closed by ``position``, and efforts too, held to the motion by ``balance``, which is as finite at a type II
+The functions compiled by ``CompiledDynamics`` are available here: in an optimal-control problem configurations may be
+unknowns, closed by ``position``, and efforts too, tied to the motion by ``balance``, which is as finite at a type II
 singularity as elsewhere.
 """
 
@@ -28,8 +28,8 @@ class SymbolicRobot(Frozen):
     (n) or a pose (4, 4), with ẋ and ẍ (n), of a pose the twist in world axes at the platform's origin; main efforts tau
     (m), carrier forces F (k), closure forces lam (r). p = nv − k = r + n. SI units and radians.
 
-    Nothing looks after branches: ``mode`` and ``alignment`` tell a configuration of the robot's working mode from one
-    that is closed too. A guess near ``robot.q_reference``, or one of ``rp.inverse_kinematics``, stays where it began.
+    Branches are not followed: ``mode`` and ``alignment`` identify a configuration of the robot's working mode among all
+    closed ones. A guess near ``robot.q_reference``, or from ``rp.inverse_kinematics``, stays on its branch.
 
     Attributes:
         robot: the robot.
@@ -44,8 +44,8 @@ class SymbolicRobot(Frozen):
         bias: (q, v) to (r + n): the rates of J_c v and J_x v at v̇ = 0.
         gamma: Γ(q), (nv, n): velocities of the tree per unit of each independent velocity, J_c Γ = 0. Infinite at
             type I singularities.
-        moved: (q, step) to (nq): the configuration a tangent step (nv) away, to first order; q + step but for joints
-            with more coordinates than freedoms.
+        moved: (q, step) to (nq): the configuration a tangent step (nv) away, to first order; q + step except for joints
+            with more coordinates than degrees of freedom.
         rnea: (q, v, a) to (nv): generalised forces of the open tree, N and N·m.
         f: (q, v, a) to (n): generalised force Γᵀ rnea; W τ = f.
         W: W(q), (n, m): actuation matrix.
@@ -54,7 +54,7 @@ class SymbolicRobot(Frozen):
             λ is what frame a of each closure exerts on frame b, in the axes of frame a.
         base_wrench: (q, v, a) to (6): force and moment of the robot on its base, world origin and axes, N and N·m.
         energy: (q, v) to (1): kinetic plus potential energy, J (zero height at the world origin).
-        mode: (q) to (legs): positive in the robot's own working mode; empty where none is declared.
+        mode: (q) to (legs): positive in the robot's own working mode; empty without working modes.
         alignment: (q) to (some): positive at a true closure of hinges and welds, and at no false one.
     """
 

@@ -75,14 +75,14 @@ class SymbolicChain:
 
     Args:
         robot: one of them.
-        topology: what stays the same; that of the robot when left out, which may have more parameters.
+        topology: the common topology; the robot's topology when left out, which may have more parameters.
 
     Attributes:
         parameters: the vector of the robot's numbers, see ``parameters.parameter_vector``: scales, then ``model``.
         model_numbers: (F) all numbers of ``parameters.numbers_of``: the structural ones, and parameters.
         q, v, a: configuration (nq), velocity and acceleration (nv) of the tree, carriers included.
-        trig: cosine and sine of each angle of ``turning``, one after the other: whoever evaluates many functions at one
-            configuration computes them once.
+        trig: cosine and sine of each angle of ``turning``, one after the other: computed once for many functions at one
+            configuration.
         turning: indices in q of the joints that turn and are no carriers.
         external: (6 w) force and moment of each wrench on the robot, in its own axes.
         x: target coordinates: (n) numbers, or the 16 of a pose, row by row.
@@ -250,7 +250,7 @@ class SymbolicChain:
         return ca.vertcat(*rates)
 
     def rate_of(self, expression: SX) -> SX:
-        """Return the rate of an expression in q and trig (and v, held), ∂/∂q · E v."""
+        """Return the rate of an expression in q and trig (and v, constant), ∂/∂q · E v."""
         return ca.jtimes(expression, ca.vertcat(self.q, self.trig), self.rates)
 
     def by_tangent(self, expression: SX) -> SX:
@@ -259,7 +259,7 @@ class SymbolicChain:
 
     @cached_property
     def closure_rows(self) -> SX:
-        """(r) closure residuals, m; of rotation rows the sine of the angle that is off; then those of couplings."""
+        """(r) closure residuals, m; for rotation rows the sine of the error angle; then the rows of couplings."""
         robot = self.robot
         rows = [
             self._rod(i) if closure.is_rod else self._closure_row(closure, axis)
@@ -276,7 +276,7 @@ class SymbolicChain:
         return ca.vertcat(*rows) if rows else ca.SX(0, 1)
 
     def _rod(self, number: int) -> SX:
-        """Return how much the square of a rod exceeds that of its length, over twice the length, m."""
+        """Return the squared length of a rod minus its nominal square, over twice the nominal length, m."""
         closure, length = self.robot.closures[number], self.number("rod", number)
         line = self.frame(closure.frame_b)[1] - self.frame(closure.frame_a)[1]
         return 0.5 * (ca.dot(line, line) / length - length)
@@ -320,7 +320,7 @@ class SymbolicChain:
 
     @cached_property
     def missing(self) -> SX:
-        """(n) what is missing to the target coordinates, m and rad; about a pose the sine of the angle, as a vector."""
+        """(n) residual of the target coordinates, m and rad; of a pose the sine of the angle, as a vector."""
         platform = self.robot.platform
         if platform is None:
             return ca.vertcat(*(self._joint_missing(i, name) for i, name in enumerate(self.robot.independent_joints)))

@@ -46,7 +46,7 @@ class VirtualWork(Dynamics):
 
     Raises:
         UnsupportedRobotError: the robot declares no closed form, or one that is not known here; or its model was
-            replaced by one of another mass than its arguments say (other changes of the model are not seen).
+            replaced by one with another mass than its arguments (other changes of the model are not detected).
 
     Example:
         >>> motion = rp.trajectory.reference.corner().sample(0.01)
@@ -98,7 +98,7 @@ class VirtualWork(Dynamics):
         springs = (load.joint for load in of_kind(self._robot.loads, JointForces) if load.stiffness)
         if any(is_revolute(self._robot, joint) for joint in springs):
             raise UnsupportedRobotError(
-                "One sample does not tell the whole turns of a hinge, which its spring counts.",
+                "One sample does not determine the number of turns of a hinge, on which its spring depends.",
                 remedy="Use reduce and distribute for whole motions, or RneaDynamics.",
             )
         return solve_reduced_sample(self, given, t)

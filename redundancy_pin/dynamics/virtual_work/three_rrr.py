@@ -163,7 +163,7 @@ class ThreeRrrMechanism:
 
     The proximal link is a slender rod from the base hinge to the elbow. The distal link is one from the end of its tail
     to the platform; the tail is there for the carrier, so a robot without carriers has none. A platform inertia of
-    "auto" stands for a uniform disc.
+    "auto" is the inertia of a uniform disc.
 
     Args:
         parameters: parameters of the model ``3rrr``, kg and m.

@@ -26,8 +26,8 @@ MANY_REVERSALS = 10
 """Reversals of one effort above which a calmer plan is sought: the motion of the platform causes a few."""
 
 LEVELS = 2
-"""How often steps near a singularity are halved: the error of a step, h² over the distance, stays what it is where the
-distance is a quarter."""
+"""How often steps near a singularity are halved: the error of a step, h² over the distance, is then the same at a
+quarter of the distance."""
 
 LEAST_COST = 1e-9
 """Least cost over the size of the objective below which it counts as zero, and no fraction of it can be spent."""
@@ -42,8 +42,8 @@ def calmed(planning: Planning, planned: Planned, seconds: float) -> tuple[Planne
         seconds: time bound, s; none is tried without any left.
 
     Returns:
-        The plan, that of least cost unless one with fewer reversals passes the check; and ``tried``, ``kept``, and
-        where it was tried ``reversals`` before and after, and ``solver``, ``iterations`` and ``seconds`` of the
+        The plan, the least-cost plan unless one with fewer reversals passes the check; and ``tried``, ``kept``, and,
+        if it was tried, ``reversals`` before and after, and ``solver``, ``iterations`` and ``seconds`` of the
         solution.
     """
     task, best = planning.task, planned.best

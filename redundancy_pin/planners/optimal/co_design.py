@@ -1,14 +1,14 @@
-"""Robot and motions designed together: numbers of a robot as unknowns beside the efforts and plans of several tasks.
+"""Co-design of a robot and its motions: design parameters optimised together with the plans of several tasks.
 
 For each robot that is tried, every task has its least cost and the derivatives of that (``optimal.least_cost``): with
-carriers, or where the time of a path is minimised, those of the best plan; else those of the efforts that the motion
+carriers, or if the time of a path is minimised, of the best plan; otherwise of the efforts that the motion
 determines. The weighted sum of
 the least costs is minimised over the numbers of the robot, within bounds. A robot that cannot carry out a task counts
 as worse than any that can.
 
-Least costs have kinks, as a peak where two actuators have it. The cost is therefore modelled by the slopes of all
-robots that were tried, a bundle, beside a curvature (BFGS), within a trust region: at a kink of a convex cost the
-model has it as well, where a quasi-Newton method stalls.
+Least costs have kinks: a peak has one where two actuators share it. The model of the cost therefore takes the slopes
+of all robots that were tried (a bundle) plus a curvature (BFGS), within a trust region: at a kink of a convex cost the
+model has a kink too, where a quasi-Newton method stalls.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 from redundancy_pin.trajectory.paths import Path
 
 NO_MACHINE = (InfeasiblePlanError, UnreachablePoseError, SingularPoseError, WorkingModeError, DeclarationError)
-"""What tells that a machine cannot carry out a task."""
+"""Errors that show that a machine cannot carry out a task."""
 
 _STATIONARY = 3e-4
 """Relative decrease of the cost that the model promises, from which the search ends."""
@@ -72,7 +72,7 @@ _ON_BOUND = 1e-9
 """Of the ranges: nearer to a bound is on it."""
 
 _CONVEX = 0.01
-"""Curvature by which slopes of other machines are taken for less than they say, where the cost is not convex."""
+"""Curvature by which the slopes of other machines are reduced where the cost is not convex."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +85,8 @@ class DesignTask(Frozen):
         motion: of the platform, as for ``plan_whole_trajectory``; for the objective "time" a path, or a trajectory
             for its path.
         options: keywords of ``plan_whole_trajectory``: objective, limits, mesh, solver and the others. Without carriers
-            those of the carriers' motion have no effect. For the objective "time", which stands alone, those of
-            ``plan_time_optimal`` beside it.
+            options of the carriers' motion have no effect. The objective "time" cannot be combined with others; with
+            it, the other keywords are for ``plan_time_optimal``.
         weight: of its least cost, over what that is for the robot to begin with.
     """
 
@@ -136,12 +136,12 @@ def co_design(
 ) -> CoDesign:
     """Design a robot and its motions together: one robot for several tasks, with carriers or without.
 
-    The weighted mean of the tasks' least costs is minimised, each cost divided by that of the robot to begin with. The
-    optimum is a local one, of the robot as of the plans; begin with other robots to see others.
+    The weighted mean of the tasks' least costs is minimised, each cost divided by the cost of the initial robot. The
+    optimum is local, for the robot as for the plans; begin with other robots to find others.
 
     Args:
         tasks: ``DesignTask``, or its first fields as a tuple: ``(robot, trajectory, {"objective": "peak"})``. Robots of
-            several tasks may differ in what is not designed (payload, working mode). Each must be loaded from a file.
+            several tasks may differ in other quantities (payload, working mode). Each must be loaded from a file.
         design: numbers of the xacro file, with (lowest, highest) values: masses, lengths, offsets of tracks, in the
             unit of the file. The search begins at the values of the robot of the first task, which all get.
         iterations: largest number of robots that are tried after the first.
@@ -280,7 +280,7 @@ class _Machine:
 
     @property
     def cost(self) -> float:
-        """Weighted mean of the least costs, over those of the machine to begin with."""
+        """Weighted mean of the least costs, each divided by the cost of the initial machine."""
         return float(self.search.weights @ (self.values / self.before))
 
     @cached_property
@@ -310,7 +310,7 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
             raise InputError(f"A task has {len(one)} entries.", remedy=remedy)
     tasks = tuple(one if isinstance(one, DesignTask) else DesignTask(*one) for one in given)
     if not tasks:
-        raise InputError("There is no task to design for.", remedy=remedy)
+        raise InputError("No task given to design for.", remedy=remedy)
     for task in tasks:
         require_type(task.options, Mapping, "A mapping of a task's options", remedy)
         positive(task.weight, "weight", "")
@@ -322,7 +322,7 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
             if name not in known:
                 raise InputError(
                     f"A task has the option {shown(name)}.",
-                    remedy=f"{did_you_mean(name, known)}Options are objective and those of {planner.__name__}.",
+                    remedy=f"{did_you_mean(name, known)}Options are objective and the keywords of {planner.__name__}.",
                     name=name,
                 )
     return tasks
@@ -421,9 +421,9 @@ def compare_machines(
 
     Returns:
         A record for each machine and task: ``machine``, ``task``, ``parameters``, ``mass`` of all that moves, kg,
-        ``value`` of what is minimised, ``peak``, energies, ``carrier_force``, ``stroke``, ``status``, and ``reason``
-        where there is no plan; ``optimal`` and ``search``, the status of the search for the machine: None of the
-        one to begin with.
+        ``value`` of the objective, ``peak``, energies, ``carrier_force``, ``stroke``, ``status``, and ``reason``
+        without a plan; ``optimal`` and ``search``, the status of the search for the machine: None for the
+        initial one.
     """
     first = _tasks(list(tasks.values()))[0].dynamics.robot
     _bounds(first, design)

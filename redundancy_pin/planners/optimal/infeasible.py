@@ -1,4 +1,4 @@
-"""Why there is no plan: the smallest relaxation of the limits that admits one."""
+"""Explain infeasibility: find the smallest relaxation of the limits that admits a plan."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from redundancy_pin.planners.optimal.transcription import (
 from redundancy_pin.planners.robot_record import RobotRecord
 
 NOTHING = 1e-5
-"""A relaxation below this fraction of a limit is none: the objective and the reserve leave as much."""
+"""Relaxation, as a fraction of a limit, below which it counts as zero: objective and reserve leave as much."""
 
 NOISE = 1e-4
-"""Relaxations below this fraction beside larger ones are what the barrier of a rough solution leaves: at most 2e-5."""
+"""Relaxations below this fraction of larger ones are residues of the barrier of a rough solution: at most 2e-5."""
 
 SPARED = 15_000
 """Iterations, times nodes, for finding out whether one limit does by itself: a second of the processor."""
@@ -49,7 +49,7 @@ SAME = 1e-3
 """Relative difference of two relaxations on meshes of which the finer one shows nothing new."""
 
 ENOUGH = 150
-"""Nodes, beside those of events, that tell which limits are in the way."""
+"""Number of nodes, in addition to those at events, that suffices to find the conflicting limits."""
 
 TOUCHED = 2e-3
 """Fraction of its range within which a limit counts as reached: the barrier of a rough solution keeps off by 2e-4."""
@@ -77,10 +77,10 @@ class Relaxation:
 
 
 def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str, deadline: float) -> Outcome:
-    """Find the smallest relaxation of the limits that admits a plan; where it is none, return the solution.
+    """Find the smallest relaxation of the limits that admits a plan; if none is needed, return the solution.
 
     First all limits may give way at once, at a few of the nodes (``coarser``). Then each of those that did, or that are
-    touched, may by itself, as far as ``SPARED`` and ``AGAIN`` go: a limit that does by itself is found in one or two
+    touched, may by itself, within ``SPARED`` and ``AGAIN``: a limit that does by itself is found in one or two
     times the iterations of the first, one that does not in ten times as many. Efforts come first: where carriers can
     move at all, they do. What is named is then relaxed once more, exactly, at all nodes and between them.
 
@@ -89,7 +89,7 @@ def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str
 
     Raises:
         InfeasiblePlanError: limits have to give way. It carries ``constraint`` (the limit of the smallest relaxation),
-            ``time`` (along a path, of a slow motion) and ``joint`` where it is exceeded most, ``amount`` of that,
+            ``time`` (along a path, of a slow motion) and ``joint`` of the largest excess, ``amount`` of it,
             and ``limit`` that would suffice;
             ``relaxations``, the same for every limit that gave way; ``together``, whether all of these are needed
             or one of them is enough; and ``untried``, limits of which it is not known whether they do by themselves.
@@ -118,7 +118,7 @@ def relax(problem: Problem, robot: RobotRecord, sought: Relaxation, message: str
     text = ("; or " if alone else "; and ").join(str(event.pop("text")) for event in events)
     untried, in_vain = ([name_of(kind) for kind in kinds] for kinds in (search.untried, search.in_vain))
     rest = f" Not tried to the end: {', '.join(untried)} alone." if untried else ""
-    rest += f" Tried without a motion, which is no proof: {', '.join(in_vain)} alone." if in_vain else ""
+    rest += f" Tried without finding a motion, which proves nothing: {', '.join(in_vain)} alone." if in_vain else ""
     ratio = _hidden_share(problem, sought, relaxed)
     if problem.timing is None and any(found.problem is not problem for found in relaxed.values()):
         rest += " The numbers are of a coarser mesh: all nodes may need a little more."
@@ -147,8 +147,8 @@ def _hidden_share(problem: Problem, sought: Relaxation, relaxed: Mapping[str, Ou
 class _Search:
     """The search for the smallest relaxation.
 
-    ``untried``: limits of which it is not known whether they do by themselves; ``in_vain``: those of which a search
-    that came no closer tells that they hardly do.
+    ``untried``: limits that were not yet relaxed alone; ``in_vain``: limits whose search came no closer, so relaxing
+    them alone hardly suffices.
     """
 
     def __init__(self, problem: Problem, robot: RobotRecord, kinds: tuple[str, ...], deadline: float) -> None:
@@ -165,7 +165,7 @@ class _Search:
     def together(self, sought: Relaxation) -> Outcome:
         """Return the smallest relaxation of all limits at once, with limits at the nodes.
 
-        Most often one limit does by itself, and is held between the nodes then.
+        Most often one limit suffices by itself; it is then enforced between the nodes.
         """
         most = None if self.problem.timing is None else ITERATIONS_OF_TIMING
         for nodes in (coarser(self.problem), self.problem):
@@ -213,7 +213,7 @@ class _Search:
         return relaxed
 
     def exactly(self, problem: Problem, found: Outcome, kinds: tuple[str, ...]) -> Outcome:
-        """Return a relaxation at all nodes and between them; the one found where none is."""
+        """Return a relaxation at all nodes and between them; if none is found, the one passed in."""
         kept = {slack_name(kind) for kind in kinds}
         values = found.problem.resampled(found.values, problem)
         values = {name: value for name, value in values.items() if name in kept or not name.startswith(slack_name(""))}
@@ -296,7 +296,7 @@ def _exceeded(elastic: Solution) -> list[str]:
 
 
 def coarser(problem: Problem) -> Problem:
-    """Return a problem on at most ``ENOUGH`` of its nodes, beside those on jumps, singular instants and both ends.
+    """Return a problem on at most ``ENOUGH`` of its nodes, plus the nodes on jumps, singular instants and both ends.
 
     Along a path, and where f is an expression, these are all nodes.
     """
@@ -361,7 +361,7 @@ def nothing_helps(outcome: Outcome, message: str) -> InfeasiblePlanError:
 
 
 def elastic_event(elastic: Outcome, robot: RobotRecord, kind: str) -> dict[str, object]:
-    """Return what is exceeded most, where, and what would suffice."""
+    """Return the limit with the largest excess, its time and joint, and the limit that would suffice."""
     problem, fraction = elastic.problem, slack(elastic.solution, kind)
     t = problem.times(elastic.values)
     if kind == "at_most":

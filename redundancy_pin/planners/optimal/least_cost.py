@@ -1,14 +1,14 @@
 """The least cost of one task by one robot, and its derivatives by numbers of the robot: what co-design minimises.
 
 The objective "time" is the duration of a path by ``plan_time_optimal``, of any robot. For other objectives a robot with
-carriers has a plan to choose: its least cost is that of ``plan_whole_trajectory``. Both have the derivatives of
+carriers has a plan to choose: its least cost is the cost of ``plan_whole_trajectory``. Both have the derivatives of
 ``optimal.sensitivity``, by the multipliers of the optimum: no plan is made again. Of a robot without carriers the
-motion determines the efforts, W(x; p) τ = f(x, ẋ, ẍ; p), and where it has more actuators than degrees of freedom those
+motion determines the efforts, W(x; p) τ = f(x, ẋ, ẍ; p), and with more actuators than degrees of freedom the efforts
 of least norm are taken. Its cost is a function J(τ, q̇, ...) of them at nodes (``OBJECTIVES``), and
 dJ/dp = Σ ∂J/∂τ dτ/dp + ..., with dτ/dp by implicit differentiation of W τ = f. That holds the motion of the platform,
 and closes the loops again: joint angles change with lengths.
 
-Every instant at which an effort of the continuous motion is largest is a node. A peak is therefore that of the
+Every instant at which an effort of the continuous motion is largest is a node. A peak is therefore the peak of the
 continuous motion. That the instant moves with p adds nothing to the derivative, since the effort is stationary there.
 """
 
@@ -66,7 +66,7 @@ def least_cost(
     Args:
         dynamics: a backend of the robot.
         motion: of the platform; for the objective "time" a path, or a trajectory for its path.
-        options: keywords of ``plan_whole_trajectory``; for the objective "time" those of ``plan_time_optimal``.
+        options: keywords of ``plan_whole_trajectory``, or of ``plan_time_optimal`` for the objective "time".
         near: the least cost of the task by a similar robot, whose plan is a good first guess.
 
     Raises:
@@ -223,7 +223,7 @@ def _without_efforts(t: float, why: str) -> InfeasiblePlanError:
 
 
 def _with_times(grid: Grid, times: Array) -> tuple[Grid, IntArray]:
-    """Return a grid with nodes at more times, s, except where it has one, and the indices of the nodes it had."""
+    """Return a grid with nodes at more times, s, skipping times it has, and the indices of its previous nodes."""
     merged = unique_times(np.concatenate([grid.t, times]))
     added = merged[~np.isin(merged, grid.t)]
     finer = with_nodes(grid, np.searchsorted(grid.t, added, side="right") - 1, added, False)

@@ -48,7 +48,7 @@ def grid_of(source: Motion, singular: Sequence[float], dt: float, ends: bool = F
     """Return nodes at most ``dt`` apart, with every event on a node.
 
     ``singular``: times on a type II singularity, s; ``dt``: largest step, s; ``ends``: steps become shorter towards
-    both ends, as those of a harmonic motion.
+    both ends, as for a harmonic motion.
     """
     require_few(
         (source.end - source.start) / dt, MOST_NODES, f"dt = {dt:g} s makes {{}} nodes", "Use a larger dt.", dt=dt
@@ -73,7 +73,7 @@ def grid_of(source: Motion, singular: Sequence[float], dt: float, ends: bool = F
 
 
 def first_mesh(dynamics: Dynamics, source: Motion, dt: float, ends: bool = False) -> Grid:
-    """Return the nodes of ``grid_of``, singular instants among them, and a middle in each step beside a singularity."""
+    """Return the nodes of ``grid_of``, singular instants included, with a middle in each step next to a singularity."""
     grid = grid_of(source, Actuation.along(dynamics, source).singular_instants, dt, ends)
     near = near_singular(dynamics.along(source.sample_at(grid.t)).reduce())
     return with_middles(grid, near[1:] | near[:-1])
@@ -97,7 +97,7 @@ def with_middles(grid: Grid, steps: BoolArray) -> Grid:
 
     The efforts are then seen inside these steps, while the carriers have no more freedom than before.
 
-    ``steps`` (M − 1,) which steps; those of length zero are left alone.
+    ``steps`` (M − 1,) whether to split a step; steps of length zero are never split.
     """
     marked = np.flatnonzero(np.asarray(steps) & (np.diff(grid.t) > 0.0))
     return with_nodes(grid, marked, 0.5 * (grid.t[marked] + grid.t[marked + 1]), True)

@@ -16,7 +16,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.planners.options import Progress
 
 Expression: TypeAlias = Any
-"""casadi.MX, or casadi.DM where the variables are numbers; casadi says of neither what its operators return."""
+"""casadi.MX, or casadi.DM if the variables are numbers; casadi annotates no result types of its operators."""
 
 Options = dict[str, Any]
 """Options of IPOPT by name."""
@@ -28,7 +28,7 @@ FEASIBLE = 1e-7
 """Violation of the scaled constraints below which a point that is not optimal may still be presented, as such."""
 
 LEAST_SECONDS = 1e-3
-"""Time the solver is given when there is none left; it accepts none of zero."""
+"""Least time for the solver, s, after the time bound; it does not accept zero."""
 
 OPTIMAL = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Feasible_Point_Found")
 """IPOPT's words for an optimum. Acceptable is what keeps ``TOLERANCE`` after as many steps as rounding allows."""
@@ -59,7 +59,7 @@ The search for a permutation takes a time that grows with the square of the node
 themselves, takes longer (docs/planning.md, *Solver*)."""
 
 BARRIER = 1e-10
-"""Barrier parameter at which the solver ends. At a parameter that stays Newton's steps converge to rounding, also on
+"""Barrier parameter at which the solver ends. At a constant parameter Newton's steps reach machine precision, also on
 flat optima, where within ``TOLERANCE`` the efforts of two backends may be 1e-2 apart."""
 
 LAST_STEPS = 3
@@ -69,7 +69,7 @@ _EXACT: Options = {"ipopt.mu_target": BARRIER, "ipopt.acceptable_iter": LAST_STE
 
 FIRST: Options = {**_EXACT, **LINEAR_SYSTEM, "ipopt.mu_strategy": "adaptive", "ipopt.max_iter": 250}
 """Options from a guess: on least peak two thirds of the iterations of the monotone strategy. Plans take 10 to 100
-iterations, and those of least energy come nearest to the bound."""
+iterations, and plans of least energy come nearest to the bound."""
 
 FALLBACK: Options = _EXACT
 """Options where the first ones did not end at an optimum. The linear solver's own scaling takes time, and is needed
@@ -127,8 +127,8 @@ rounding, and backends agree."""
 class NLP:
     """minimise f(x) subject to l ≤ x ≤ u and b ≤ g(x) ≤ c, put together block by block.
 
-    ``blocks``: the variables by name, matrices; ``cost``: the expression f, to be added to; ``size``: what the solver
-    multiplies f by; ``rows``: the options of ``transcribe`` that say which rows there are.
+    ``blocks``: the variables by name, matrices; ``cost``: the expression f, to be added to; ``size``: the solver's
+    scaling factor of f; ``rows``: the options of ``transcribe`` that select the rows.
     """
 
     def __init__(self) -> None:
@@ -278,8 +278,8 @@ def solve_nlp(
 def _observer(bounds: Mapping[str, Array], progress: Progress | None, patience: float) -> Any:
     """Return what the solver calls at every iteration: it reports now and then, and ends a search that stalls.
 
-    What ``progress`` raises stops the solver and is kept in the attribute ``error``; ``stalled`` says whether the
-    violation of the rows did not shrink for ``patience`` iterations.
+    An exception raised by ``progress`` stops the solver and is kept in the attribute ``error``; ``stalled``: whether
+    the violation of the rows did not shrink for ``patience`` iterations.
     """
     variables, rows = len(bounds["lbx"]), len(bounds["lbg"])
     sizes = {"x": variables, "f": 1, "g": rows, "lam_x": variables, "lam_g": rows, "lam_p": 0}

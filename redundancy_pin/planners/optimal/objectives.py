@@ -71,11 +71,11 @@ class Quantities(ABC):
         return ca.dot(ca.DM(weights), ca.sum2(integrand))
 
     def rate(self, values: Expression) -> Expression:
-        """Return the time derivative in each step of what is linear in a step; jumps of the reference are no steps."""
+        """Return the time derivative, in each step, of a function linear in it; skips jumps of the reference."""
         return (values[self._steps + 1, :] - values[self._steps, :]) / self._h[self._steps, None]
 
     def integral_over_steps(self, integrand: Expression) -> Expression:
-        """Return ∫ Σ integrand dt of what is constant in each step, as ``rate`` is."""
+        """Return ∫ Σ integrand dt of an integrand that is constant in each step, as ``rate`` is."""
         return ca.dot(ca.DM(self._h[self._steps]), ca.sum2(integrand))
 
     def bending(self, values: Expression) -> tuple[Expression, Array]:
@@ -111,7 +111,7 @@ class ObjectiveTerm:
 
     Attributes:
         formula: from the quantities to a scalar.
-        size: from the sizes of the quantities to that of the objective: all are divided by theirs before weighting.
+        size: maps the sizes of the quantities to the size of the objective: objectives are scaled before weighting.
     """
 
     formula: Callable[[Quantities], Expression]
@@ -156,7 +156,7 @@ RIPPLE = 1e-2
 """Size of a ripple, as a fraction of the sizes of τ and s̈: what least efforts on the circle of the 2-RPR have."""
 
 CARRIER_RIPPLE = 0.1
-"""Weight of the ripple of s̈ beside that of τ. Without it s̈ zigzags from node to node, and W⁻¹ magnifies that between
+"""Weight of the ripple of s̈ relative to τ. Without it s̈ zigzags from node to node, and W⁻¹ magnifies this between
 the nodes; with weight 1 the efforts keep more reversals (docs/planning.md, *Calm plans*)."""
 
 

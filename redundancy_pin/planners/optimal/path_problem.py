@@ -3,7 +3,7 @@
 The nodes are places p on the path, so that W, its lost directions and all coefficients are numbers; unknown are the
 speed ṗ and the acceleration p̈ there, the motion of the carriers, the efforts, and the duration of each step. With
 ẋ = x' ṗ and ẍ = x'' ṗ² + x' p̈ each coefficient of ``CarrierModel`` is a combination of 1, ṗ, ṗ² and p̈: four speeds
-and accelerations tell them apart.
+and accelerations determine them.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
             deviation = float(np.abs(split @ np.array([1.0, 0.7, 0.49, -1.3]) - last).max(initial=0.0)) / size
             parts[name] = split / unit[..., None] * np.array([1.0, 1.0, 1.0, length])
             if deviation > OTHER_TERMS:
-                message = f"f of {robot.name} is no sum of 1, ṗ, ṗ² and p̈ along the path alone: "
+                message = f"f of {robot.name} is not a sum of 1, ṗ, ṗ² and p̈ along the path: "
                 raise UnsupportedRobotError(
                     f"{message}it deviates by {deviation:.2g}.",
                     remedy="Leave dry friction and loads that depend on time out, or plan at a given speed.",
@@ -118,7 +118,7 @@ class PathTask(Task):
     def sized(
         self, grid: Grid, model: CarrierModel, parked: ReducedDynamics, rate: Array, before: Problem | None
     ) -> tuple[Scales, PathTiming | None]:
-        """Return sizes by the speed that the parked robot may take, and those of the timing."""
+        """Return sizes, with the speed that the parked robot may reach, and the sizes of the timing."""
         settings, end = self.settings, self.source.end
         fastest, place = fastest_speed(rate, settings.limits), grid.t / grid.t[-1]
         if before is None or before.timing is None:

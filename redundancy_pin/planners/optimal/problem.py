@@ -1,6 +1,6 @@
 """The numbers of a programme: what a backend contributes at the nodes.
 
-f is exactly a sum of terms over carriers that slide or turn, each on a link of its own (``carrier_model``): W, f and
+f is exactly a sum of terms over independent carriers that slide or turn (``carrier_model``): W, f and
 the carrier forces are coefficients at each node. Where carriers carry one another, f is an expression of generated
 code. The actuation matrix loses rank at a type II singularity, and the efforts there need the rates of these
 coefficients as well. At a singular instant there are directions u with uᵀ W = 0. Then W τ = f requires uᵀ f = 0,
@@ -52,7 +52,7 @@ Reader = Callable[[DynamicsAlongMotion], CarrierModel]
 """Reads the coefficients off a backend along a platform motion."""
 
 INSTANTS = 3
-"""Instants of a motion at which f is asked for other terms: f has them nearly everywhere, or nowhere."""
+"""Number of instants of a motion at which f is tested for other terms: f has them nearly everywhere, or nowhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class Task:
     def sized(
         self, grid: Grid, model: CarrierModel, parked: ReducedDynamics, rate: Array, before: Problem | None
     ) -> tuple[Scales, PathTiming | None]:
-        """Return the sizes, those of the same task on other nodes if there are any, and the timing of a path."""
+        """Return the sizes, reused from the same task on other nodes if given, and the timing of a path."""
         if before is not None:
             return before.scales, None
         return scales_of(model, self.settings, parked, self.source.end - self.source.start, rate), None
@@ -87,8 +87,8 @@ class SingularNode:
     """A node on a type II singularity; r directions are lost.
 
     ``index``: its number among the nodes; ``lost`` (r, n) rows u with u W = 0; ``rate``: time derivatives of the
-    coefficients of W, f and the carrier forces, one sample; ``exact``: where f is no polynomial but an expression,
-    dynamics at the node and at times around it, and what the values at these weigh in a derivative by time.
+    coefficients of W, f and the carrier forces, one sample; ``exact``: if f is an expression, not a polynomial:
+    dynamics at the node and at times around it, and the weights of these values in a time derivative.
     """
 
     index: int
@@ -179,7 +179,7 @@ class Problem:
         return model.carrier_force(carriers.s, carriers.sd, carriers.sdd)
 
     def carriers(self, values: Mapping[str, Array]) -> CarrierMotion:
-        """Return the motion at the nodes, in units, of scaled s, ṡ and s̈; what is left out is zero."""
+        """Return the motion at the nodes, in units, of scaled s, ṡ and s̈; omitted ones are zero."""
         u, zero = self.scales, np.zeros((len(self.grid.t), self.model.k))
         motion = (values.get(name, zero) * getattr(u, name) for name in ("s", "sd", "sdd"))
         return CarrierMotion(*motion, check_rates=self.timing is None)
@@ -331,7 +331,7 @@ def _singular_node(task: Task, grid: Grid, index: int) -> SingularNode:
 
 
 def _require_crossing(rate: Array, source: Motion, t: float) -> None:
-    """Check that the singular values that vanish do so at a rate; ``rate`` (r, r or more), 1/s, is that of W there."""
+    """Check that vanishing singular values have a nonzero rate; ``rate`` (r, r or more), 1/s: rate of W there."""
     slowest = float(np.linalg.svd(rate, compute_uv=False)[-1]) if rate.size else 0.0
     changed = slowest * (source.end - source.start)
     if changed > CROSSED:
@@ -339,8 +339,8 @@ def _require_crossing(rate: Array, source: Motion, t: float) -> None:
     speed, most = (float(np.abs(source.sample_at(at).xd).max()) for at in (np.array([t]), _spread(source)))
     how = "rests in" if speed <= CROSSED * most else "touches, or follows,"
     message = (
-        f"At t = {t:.6g} s the motion {how} a type II singularity without crossing it: what f and its rate say there "
-        "does not determine the efforts, and no condition on s, ṡ and s̈ keeps them finite near it."
+        f"At t = {t:.6g} s the motion {how} a type II singularity without crossing it: f and its rate there do "
+        "not determine the efforts, and no condition on s, ṡ and s̈ keeps them finite near it."
     )
     remedy = "Lead the motion across the singularity with a speed, or keep a distance from it."
     raise InfeasiblePlanError(

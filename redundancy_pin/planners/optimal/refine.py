@@ -63,7 +63,7 @@ class Planning(ABC):
 
         Args:
             outcome: the problem on the present one, and its solution.
-            found: what is between the nodes.
+            found: result of the check between the nodes.
             marked: (P,) pieces of that which the nodes do not show.
             first: whether no mesh was finer before.
         """
@@ -77,8 +77,8 @@ class Planning(ABC):
     def solve(self, problem: Problem, guess: Mapping[str, Array] | None, deadline: float, stop: Stop) -> Multistart:
         """Return solutions from all first guesses, one of them feasible.
 
-        Where there is none the limits give way: either that names those in the way, or it finds a motion that keeps
-        them all, from which the solver begins once more.
+        Without a solution the limits are relaxed: this names the conflicting limits, or finds a motion that keeps
+        them all, from which the solver starts once more.
 
         Args:
             problem: the numbers.
@@ -87,7 +87,7 @@ class Planning(ABC):
             stop: as for ``solve.solve``.
 
         Raises:
-            InfeasiblePlanError: limits have to give way (``relax``), or there is no plan for another reason.
+            InfeasiblePlanError: limits must be relaxed (``relax``), or another cause prevents a plan.
         """
         first = guess
 
@@ -123,7 +123,7 @@ class Planning(ABC):
     def planned(self, outcome: Outcome) -> PlannedMotion:
         """Return what a solution plans.
 
-        At singular nodes the efforts are those of the solution, which W⁻¹ f tends to; elsewhere, and with as many main
+        At singular nodes the efforts are taken from the solution, the limit of W⁻¹ f; elsewhere, and with as many main
         actuators as coordinates, W τ = f leaves no choice. With more actuators the efforts are the nearest to the
         planned ones, which are linear in a step.
         """
@@ -151,7 +151,7 @@ class Planning(ABC):
 class Planned:
     """The last plan of ``plan_and_refine``.
 
-    ``solutions``: of all first guesses; ``motion``: that of the best one; ``check``: what is between its nodes;
+    ``solutions``: of all first guesses; ``motion``: of the best one; ``check``: result of the check between the nodes;
     ``ratios``: largest efforts and forces between the nodes over those at the nodes or their limits, one a
     round; ``out_of_time``: whether the time bound ended the search on finer meshes or with lower limits.
     """
@@ -176,7 +176,7 @@ class Planned:
 
     @property
     def diagnostics(self) -> dict[str, object]:
-        """What both planners report beside that."""
+        """Return the further diagnostics that both planners report."""
         nodes, solution, t = self.best.problem.grid, self.best.solution, self.motion.motion.t
         return {
             "iterations": solution.iterations,
@@ -190,14 +190,14 @@ class Planned:
         }
 
     def plan(self, parameters: Mapping[str, object], findings: Findings, **found: object) -> Plan:
-        """Return the plan, with what is known of it; ``found``: diagnostics beside, or in place of, those of both."""
+        """Return the plan with its diagnostics; ``found`` extends or replaces the common diagnostics."""
         known = {**self.diagnostics, **found}
         motion = replace(self.motion, parameters=parameters, findings=findings, diagnostics=known)
         return finish_plan(motion, self.check)
 
 
 def plan_and_refine(planning: Planning, position: PiecewisePolynomial | None = None) -> Planned:
-    """Return a plan whose nodes show its efforts, and that keeps every limit between them, as far as that is reached.
+    """Return a plan whose nodes show its efforts, and that keeps every limit between them, within the refinement bound.
 
     Where the nodes do not show the efforts between them the mesh is refined; where a limit is exceeded by less, the
     limits at the adjacent nodes are lowered.

@@ -5,7 +5,7 @@ plan changes adds nothing. Here p enters by the numbers of the programme alone: 
 of the actuators at the nodes, by the kernels' exact derivatives along the plan, and the limits that a machine has.
 Along a path whose timing is planned, f and the forces are sums over 1, ṗ, ṗ² and p̈; at the optimum these are numbers,
 so what the sum changes by may stand in its first coefficient. There p enters by the largest ṗ of the actuators too.
-L is affine in them, so the numbers are changed by a finite step, and the difference is the derivative to rounding. Not
+L is affine in them, so a finite change of the numbers gives the derivative to machine precision. Not
 so in the characteristic length, nor need ends of tracks be in a number of the file: hence the step is small.
 
 At a singular instant the programme requires uᵀ (Ẇ τ − ḟ) = 0, u turning with p: uᵀ W = 0 gives δuᵀ W = −uᵀ δW, and
@@ -45,7 +45,7 @@ the same to 1e-8 from 1e-2 to 1e-7; where it is not, they err by about this."""
 
 
 class DesignSlopes(NamedTuple):
-    """Derivatives by d parameters at N samples, the motion held.
+    """Derivatives by d parameters at N samples, at fixed motion.
 
     Of W (N, n, m, d), f (N, n, d), carriers' forces (N, k, d), and the wrench on the base about the world origin (N, 6,
     d).
@@ -81,7 +81,7 @@ class DesignedRobot:
 
     @cached_property
     def neighbours(self) -> tuple[tuple[Robot, float], ...]:
-        """(d,) the robots with one parameter changed each, and by how much; decreased where a larger one is none."""
+        """(d,) the robots with one parameter changed each, and by how much; decreased if an increase is invalid."""
         return tuple(self._neighbour(name) for name in self.names)
 
     def _neighbour(self, name: str) -> tuple[Robot, float]:
@@ -100,7 +100,7 @@ def design_gradient(task: Task, outcome: Outcome, platform: Motion, designed: De
     Args:
         task: the task.
         outcome: its optimum.
-        platform: motion of the platform at the optimum: that of the task, or the one along its path.
+        platform: motion of the platform at the optimum: the motion of the task, or the one along its path.
         designed: the robot and its parameters.
         limits: as given, in place of the robot's own.
 
@@ -110,9 +110,9 @@ def design_gradient(task: Task, outcome: Outcome, platform: Motion, designed: De
     problem, solution, timing = outcome.problem, outcome.solution, outcome.problem.timing
     if problem.exact is not None or solution.rows["elastic"]:
         raise UnsupportedRobotError(
-            f"f of {task.dynamics.robot.name} has other terms than those of carriers that slide or turn on a link: how "
-            "the optimum changes with the machine is not known.",
-            remedy="Design with carriers that stand on links.",
+            f"f of {task.dynamics.robot.name} has other terms than carriers that slide or turn on a link give: the "
+            "derivative of the optimum by the machine is not known.",
+            remedy="Design with carriers that are on links.",
         )
     carriers, motion = problem.carriers(outcome.values), platform.sample_at(problem.times(outcome.values))
     at_nodes, per_time = designed.slopes(motion, carriers), task.source.sample_at(problem.grid.t).xd
@@ -154,7 +154,7 @@ def _added(coefficients: Array, change: Array, timing: PathTiming | None) -> Arr
 def base_slopes(settings: Settings, motion: PlatformMotion, by: Array, designed: DesignedRobot) -> Array:
     """Return (N, 6, d) derivatives of the wrench on the base about the point, less the load at rest, N and N·m.
 
-    ``by`` (N, 6, d): those of the wrench about the world origin.
+    ``by`` (N, 6, d): derivatives of the wrench about the world origin.
     """
     still, rest = np.zeros_like(motion.xd[:1]), np.zeros((1, len(settings.start)))
     standing = PlatformMotion(motion.t[:1], motion.x[:1], still, still)

@@ -48,8 +48,8 @@ REFUSED_ON_A_PATH = {
 class Settings:
     """Checked options of a plan over a whole path: weights by name, one number a carrier or actuator.
 
-    ``dt``: largest step between the first nodes, s; in a path whose timing is planned, m. There ``begin`` says how the
-    carriers begin, and with ``lap`` the platform goes on at the end as it began; nothing but the time is minimised.
+    ``dt``: largest step between the first nodes, s; in a path whose timing is planned, m. For a path, ``begin`` is the
+    carriers' initial condition, and with ``lap`` the platform ends with its initial speed; only time is minimised.
     """
 
     limits: ResolvedLimits

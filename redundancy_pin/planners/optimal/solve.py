@@ -3,7 +3,7 @@
 Three rows a step and carrier hold track and speed everywhere by the hulls of the Bézier points, and double what the
 solver has to factorise, while a handful of steps touches a limit. So the problem is solved with the limits at the
 nodes, the exact extremes between the nodes are evaluated, rows are added around the steps that leave the limits, and
-it is solved again from where it was. The carriers' forces become variables only once one exceeds its limit.
+it is solved again from the last solution. The carriers' forces become variables only once one exceeds its limit.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Outcome:
 
 
 Stop = Callable[[Outcome], bool]
-"""Says of an optimum with limits at the nodes that it will do, as where it asks for other nodes anyway."""
+"""Returns whether an optimum with limits at the nodes suffices, for example if other nodes are needed anyway."""
 
 
 def solve(
@@ -67,7 +67,7 @@ def solve(
     first: Options | None = None,
     warm: Options = WARM,
 ) -> Solution:
-    """Solve a problem with every limit held at the nodes and between them.
+    """Solve a problem with every limit enforced at the nodes and between them.
 
     ``guess``: first guess, scaled blocks by name; with efforts, an optimum of the same task; ``seconds``: time bound,
     s; ``stop``: ends the rounds in which rows are added;
@@ -175,7 +175,7 @@ class Multistart:
 
     @property
     def best(self) -> Outcome:
-        """The best optimum; where there is none, the best of what keeps the limits."""
+        """The best optimum; without one, the best solution that keeps the limits."""
         return min(self.outcomes, key=lambda one: preference(one.solution))
 
     @property
@@ -214,7 +214,7 @@ def _is_same(one: Solution, other: Solution) -> bool:
 def multistart(
     problem: Problem, guess: Mapping[str, Array] | None, deadline: float, stop: Stop | None = None
 ) -> Multistart:
-    """Solve from all first guesses, as far as the time allows.
+    """Solve from all first guesses, within the time bound.
 
     ``guess``: scaled blocks by name to begin with in place of parked carriers; ``deadline``: on the clock of
     ``time.perf_counter``, s; ``stop``: as for ``solve``.

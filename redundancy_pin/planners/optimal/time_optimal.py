@@ -43,10 +43,10 @@ HALVED_AGAIN = (0.0, 1.5, 8.0, 64.0)
 three and four times: at a cusp of the path, where the platform nearly stops, 1000 is usual on the first mesh."""
 
 LONGEST_STEP = 0.05
-"""Of the whole time, that a step may last when others are refined: where the platform nearly stands still."""
+"""Largest step of a refined mesh, as a fraction of the whole time; it matters where the platform nearly rests."""
 
 NEVER_KEPT = ("effort", "carrier_force", "track")
-"""Limits that a motion may exceed however slow it is, as under gravity beside a singularity."""
+"""Limits that a motion may exceed at any speed, for example under gravity near a singularity."""
 
 
 @takes_groups(REFUSED_ON_A_PATH)
@@ -75,7 +75,7 @@ def plan_time_optimal(
         dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
             The robot need not have carriers, and may have more actuators than degrees of freedom.
         path: a path; of a trajectory its path.
-        limits: in place of the robot's own. Without a limit of efforts or of the actuators' rates there is no least
+        limits: in place of the robot's limits. Without a limit of efforts or of the actuators' rates no least time
             time.
         mesh: ``steps`` and ``refinements``: how often steps may be halved whose efforts or rates exceed their limits
             inside.

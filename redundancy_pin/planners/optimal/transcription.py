@@ -38,23 +38,23 @@ VARIABLES = {"track": "s", "speed": "sd", "acceleration": "sdd", "effort": "tau"
 """The variable that each of ``QUANTITIES`` limits; others are limited by rows."""
 
 KINDS = ("track", "speed", "acceleration", "jerk", "effort", "carrier_force", "end", "at_most")
-"""Limits that an elastic programme lets go, beside those of further ``QUANTITIES``."""
+"""Limits that an elastic programme relaxes, in addition to further ``QUANTITIES``."""
 
 ELASTIC_OBJECTIVE = 1e-6
-"""Weight of the objective beside the fractions by which limits are exceeded: it decides only between equal ones."""
+"""Weight of the objective relative to the excess fractions of limits: it decides only between equal ones."""
 
 ELASTIC_DURATION = 1e-3
 """The same of the duration, over its size, where that is the objective. Under gravity efforts come near those at rest
 as the duration grows: it ends at a few times its size, and what would suffice is 1e-4 to 1e-3 more than at rest."""
 
 REGULARISATION = 1e-5
-"""Weight of the mean square of s̈ over its limit beside an objective of size one: where the objective leaves the
-carriers open they take the gentlest motion, and the plan is unique. It is also that of the part of τ that W τ = f
-leaves open, over its size, which the solver's barrier would choose: of efforts of equal cost the smallest are taken.
-The shipped objectives grow by less than 1e-8 of themselves by that."""
+"""Weight of the mean square of s̈ over its limit, relative to an objective of size one: if the objective does not
+determine the carriers, they take the gentlest motion, and the plan is unique. The part of τ that W τ = f leaves
+undetermined, over its size, has this weight too: the smallest of equivalent efforts, not the barrier's choice.
+It increases the shipped objectives by less than 1e-8 of themselves."""
 
 REGULARISATION_OF_TIME = 1e-3
-"""Weight of the mean square of s̈, scaled, relative to that of the duration, scaled."""
+"""Weight of the mean square of s̈, scaled, relative to the duration, scaled."""
 
 LEAST_STEP = 1e-3
 """Fraction of its size that a step lasts at least."""
@@ -299,7 +299,7 @@ class Transcription(Quantities):
 
     @staticmethod
     def _exact_at(nodes: Sequence[SingularNode], u: Array, *motion: Expression) -> list[tuple[Expression, Expression]]:
-        """Return uᵀ f and its derivative by time, the carriers held, for each row of the carriers' motion."""
+        """Return uᵀ f and its time derivative at fixed carriers, for each row of the carriers' motion."""
         loads = []
         for row, (node, lost) in enumerate(zip(nodes, u, strict=True)):
             if node.exact is None:
@@ -350,7 +350,7 @@ class Transcription(Quantities):
         self.equal(after * ydd[at - 1, :] + before * ydd[at + 1, :] - (before + after) * ydd[at, :], 0.0, sizes[2])
 
     def _start(self) -> None:
-        """Require position and speed of the carriers at the start, as far as they are given."""
+        """Constrain position and speed of the carriers at the start, if given."""
         settings, u = self._problem.settings, self.scales
         if settings.begin == "datum":
             self.equal(self.s[0, :], settings.start[None], u.s)
@@ -521,7 +521,7 @@ def transcribe(
 
     ``elastic``: kinds of limits (``KINDS``) that may be exceeded, at a price, to find out which of them are in the way;
     ``between`` (M − 1,): steps in which track and speed limits hold between the nodes as well; all when left out;
-    ``limit_force``: whether the limits of the carriers' forces are held.
+    ``limit_force``: whether the limits of the carriers' forces are enforced.
     """
     programme = (Transcription if problem.timing is None else PathTranscription)(problem, elastic)
     programme.nlp.rows = {"elastic": tuple(elastic), "between": between, "limit_force": limit_force}

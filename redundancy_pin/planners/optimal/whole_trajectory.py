@@ -27,8 +27,8 @@ from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory,
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 NEIGHBOURS = 4
-"""Steps on both sides of one with a middle node that get one as well: the next plan would have its kink just beside the
-refined steps, and the grid would follow it one step at a time."""
+"""Steps on both sides of one with a middle node that get one as well: otherwise the kink of the next plan would be next
+to the refined steps, and the grid would follow it one step at a time."""
 
 
 TWICE = 1.08
@@ -68,20 +68,20 @@ def plan_whole_trajectory(
     as well, as "energy" does at rest, where no effort takes power, the plan has the efforts of least Σ (τ_j / c_j)²,
     c_j the characteristic length for torques and 1 for forces, as ``distribute``.
 
-    The plan is then judged by the backend between the nodes, right beside the singularities included. Where efforts
+    The backend then checks the plan between the nodes, the neighbourhood of singularities included. Where efforts
     there exceed the peak at the nodes by more than 5 %, or efforts or carrier forces their limits by more than 2 %, the
     steps get a node in the middle across which the jerk is continuous, and the plan is made again
-    (``Mesh.refinements``). What exceeds a limit by less is met by lower limits at the nodes beside it.
-    ``between`` has what is left of it; limits left exceeded by more than 0.1 % make the status
+    (``Mesh.refinements``). A smaller excess is met by lower limits at the adjacent nodes.
+    ``between`` has the remaining excess; limits exceeded by more than 0.1 % make the status
     limit_violated, and ``limits.violated`` has them.
 
     Args:
         dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
         motion: a trajectory, evaluated exactly wherever needed, or samples, with quintics between them.
         objective: what to minimise, or weights of several, each in its own unit (``OBJECTIVES``); or ``Objective``,
-            which has more to say of some: "effort" ∫ Σ τ² dt, "peak" max |τ|,
+            which documents some of them further: "effort" ∫ Σ τ² dt, "peak" max |τ|,
             "tracking" ∫ Σ (τ − λ τ̂)² dt, "carrier_force" ∫ Σ F² dt, "carrier_acceleration" ∫ Σ s̈² dt,
-            "effort_rate" ∫ Σ τ̇² dt (0.01 of it beside "effort" calms the efforts next to singularities), "energy"
+            "effort_rate" ∫ Σ τ̇² dt (0.01 of it added to "effort" calms the efforts next to singularities), "energy"
             ∫ Σ |τ q̇| + Σ |F ṡ| dt; "base_force" ∫ |F_b|² dt, "base_moment" ∫ |M_b|² dt and "base_wrench"
             ∫ |F_b|² + |M_b|²/ℓ² dt, ℓ the characteristic length: what the base feels beyond the load at rest where the
             motion begins (``planners.base_wrench``); "ripple" ∫ Σ ((τ − τ̄)/τ₀)² + 0.1 Σ ((s̈ − s̄)/s₀)² dt / T, with bars
@@ -90,23 +90,23 @@ def plan_whole_trajectory(
             with the least ripple that costs at most 1 + ``calm`` times as much at the nodes; 0 for the least-cost plan.
             Between them no bound holds: measured, the whole motion costs 1.0 to 3.4 % more than the least cost at the
             nodes, and 3.2 % less to 3.1 % more than the least-cost plan as a whole (docs/planning.md, *Calm
-            plans*). ``plan.least_cost`` is the least cost at the nodes, ``diagnostics["calm"]`` says whether a calmer
+            plans*). ``plan.least_cost`` is the least cost at the nodes, ``diagnostics["calm"]`` whether a calmer
             plan was kept.
         limits: in place of the robot's own. ``actuator_speed`` is judged: the motion is given.
         mesh: ``dt`` and ``refinements``.
-        solver: of several ``starts`` the best optimum is kept. ``diagnostics["starts"]`` says how many were asked for,
+        solver: of several ``starts`` the best optimum is kept. ``diagnostics["starts"]`` has how many were requested,
             tried and converged, which optima they led to (cost and first guesses of each, best first), which guess won,
             and all costs and messages.
         start: scalar or (k,) positions at the start, m; the datum when left out.
         start_speed: scalar or (k,) speeds there, m/s.
         end: "free", "rest", "datum" (at rest there), or "periodic" (s, ṡ, s̈ as at the start).
         datum: scalar or (k,) where the carriers park, m.
-        at_most: bounds of objectives at the nodes, by name, each in its unit, beside the one that is minimised:
+        at_most: bounds of further objectives at the nodes, by name, each in its unit:
             ``objective="peak", at_most={"energy": 2.0}``.
 
     Returns:
-        A plan whose samples are the nodes. ``status`` is not_converged where the solver stopped before the conditions
-        of a minimum held, with every limit kept; ``findings.optimal`` says the same.
+        A plan whose samples are the nodes. ``status`` is not_converged if the solver stopped before the conditions
+        of a minimum were met, with every limit kept; ``findings.optimal`` is then False.
 
     Raises:
         InputError: a setting out of its domain, or one that does not apply.

@@ -1,4 +1,4 @@
-"""What a tick is asked for and what it answers: weights, statuses, commands."""
+"""Input and output of a control update: weights, statuses, commands."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Goal = Literal["effort", "peak"]
 
 
 def extended(position: PiecewisePolynomial, times: Array) -> tuple[Array, Array, Array]:
-    """Return s, ṡ, s̈ (N, k) of a plan at (N,) times, of which some may lie after its end: they are held there."""
+    """Return s, ṡ, s̈ (N, k) of a plan at (N,) times; constant after its end."""
     edges = position.edges
     piece = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
     after = (np.clip(times, edges[0], edges[-1]) - edges[piece])[:, None]
@@ -73,14 +73,14 @@ class Command(Frozen):
 
     Attributes:
         t: the tick, s.
-        status: what the tick brought.
-        reason: why, where it is not ``OK``.
+        status: result of the control update.
+        reason: explanation, if ``status`` is not ``OK``.
         carriers: positions (k,), m, as functions of time to the end of the horizon; s̈ is linear between nodes.
-        efforts: main efforts (m,) as functions of time, N or N·m: for three steps those of W τ = f that are nearest to
+        efforts: main efforts (m,) as functions of time, N or N·m: for three steps the solution of W τ = f nearest to
             the planned ones, which follow; within their limits.
-        forces: those of the carriers' actuators (k,), N, for these three steps.
+        forces: actuator forces of the carriers (k,), N, for these three steps.
         residual: largest |W τ − f| of the planned efforts at the first nodes, N, rotations over the characteristic
-            length: what is missing there in a relaxed plan, and else what the next tick will correct.
+            length: the imbalance of a relaxed plan, otherwise the error that the next control update corrects.
         peak: largest |τ| of the plan at its nodes, N or N·m.
         singular: (r,) singular instants ahead, s.
         known_until: until when the plan has the platform's motion, s.
@@ -103,14 +103,14 @@ class Command(Frozen):
     scaling: TimeScaling | None = None
 
     def __repr__(self) -> str:
-        """Return what tells commands apart, not their coefficients."""
+        """Return a short text that identifies the command, without its coefficients."""
         ahead = f"{len(self.singular)} singular ahead, known until {self.known_until:g} s"
         return (
             f"Command(t={self.t:g} s, {self.status.value}; peak {self.peak:.4g}, residual {self.residual:.1e}; {ahead})"
         )
 
     def motion_at(self, t: float) -> tuple[Array, Array, Array]:
-        """Return s, ṡ, s̈ (k,) at a time, m, m/s, m/s²; held after the end of the plan.
+        """Return s, ṡ, s̈ (k,) at a time, m, m/s, m/s²; constant after the end of the plan.
 
         Raises:
             InputError: not one finite time.

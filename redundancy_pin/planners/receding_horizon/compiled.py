@@ -1,4 +1,4 @@
-"""The on-line planner as machine code: C for a robot's sizes, its memory, and what it asks of a backend.
+"""The on-line planner as machine code: C for a robot's sizes, its memory, and its calls of a backend.
 
 It is compiled once for each set of sizes and kept on disk (``machine_code``).
 """
@@ -54,7 +54,7 @@ from redundancy_pin.trajectory.time_scaling import TimeScaling, scaled_rates
 SOURCES = "window.c", "nodes.c", "programme.c", "solver.c", "update.c", "planner.c"
 
 OK, UNSOLVED, RELAXED, REFUSED, FALLBACK, TIME_SCALED, STOPPED = range(7)
-"""What ``rp_planner_update`` returns; ``UNSOLVED``: there is no plan yet; ``STOPPED``: by an error of Python's."""
+"""Return values of ``rp_planner_update``; ``UNSOLVED``: no plan yet; ``STOPPED``: by an exception in Python."""
 
 STATUSES = {
     OK: UpdateStatus.OK,
@@ -126,7 +126,7 @@ class Terms:
 
     @property
     def generated(self) -> tuple[int, int, int] | None:
-        """Addresses of ``rp_terms`` of generated code, its robot's numbers, and where this thread goes on from."""
+        """Addresses of ``rp_terms`` of generated code, its robot's numbers, and the state of this thread."""
         return self.dynamics.terms_call if self._checked and not self._turning else None
 
     def at(self, preview: Preview, t: Array, sigma: Array, rate: Array, bend: Array) -> CarrierTerms:
@@ -157,8 +157,8 @@ class CompiledPlanner:
         weights: of the objective.
         limits: in force; ``set_limits`` changes them.
         slow_down: whether the platform may go more slowly where no plan keeps every limit.
-        memory, last, number, layout: of a planner that goes on, with the number of its preview, and what tells whether
-            its memory is laid out as here.
+        memory, last, number, layout: state of a running planner, with the number of its preview and a key that shows
+            whether its memory has the layout used here.
 
     Attributes:
         last: the plan of the last update; None before the first.
@@ -215,7 +215,7 @@ class CompiledPlanner:
             library.rp_planner_start(self._address, _address(self._settings()), ctypes.c_long(slow_down))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Make it again, in memory of its own, where it is copied or sent to."""
+        """Rebuild it, with separate memory, when it is copied or sent."""
         going_on = self._memory, self.last, self._given.number, self._layout
         return CompiledPlanner, (*self._made_of, self._limits, self._slow_down, *going_on)
 
@@ -239,12 +239,12 @@ class CompiledPlanner:
 
     @property
     def roots(self) -> Array:
-        """Singular instants in sight, and those that are hardly past, s."""
+        """Singular instants in the preview window or shortly before it, s."""
         return self._in_sight(0)
 
     @property
     def sharp(self) -> Array:
-        """Instants in sight about which f of the parked machine bends most, s."""
+        """Instants in the preview window at which f of the parked machine has high curvature, s."""
         return self._in_sight(1)
 
     def _in_sight(self, which: int) -> Array:
@@ -289,7 +289,7 @@ class CompiledPlanner:
         if status == STOPPED:
             raised, self._raised = self._raised, None
             raise raised or InputError(
-                "The preview is not finite in what is in sight.", remedy="Pass a motion of finite numbers.", time=t
+                "The preview is not finite within its window.", remedy="Pass a motion of finite numbers.", time=t
             )
         if status == UNSOLVED:
             raise InfeasiblePlanError(

@@ -24,8 +24,8 @@ class RecedingHorizon:
     """Plans the carriers and the efforts again and again, over the path known for a short time ahead.
 
     Each tick solves a convex quadratic programme: s, ṡ, s̈ and τ at nodes 20 ms apart, from a fifth of a second on 40,
-    fixed in time, with s̈ linear in between, W τ = f linear about the last plan, its curvature in the cost as far as
-    that is convex, and the limits of the carriers between the nodes too. Where that is too far off it solves others.
+    fixed in time, with s̈ linear in between, W τ = f linearised about the last plan, its curvature in the cost as far
+    as convexity allows, and carrier limits between the nodes. If the linearisation error is too large, it iterates.
     W⁻¹ is not formed: type II singularities ahead become nodes with what makes τ finite and continuous there
     (``window.c``). At the end of the horizon the carriers can still stop on their tracks, so there always is a motion
     within their limits.
@@ -34,11 +34,11 @@ class RecedingHorizon:
         dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
         horizon: how far ahead it plans, s.
         step: between nodes, s; half of it around singular instants and where the platform turns.
-        objective: "peak" max |τ| over the horizon, beside the mean square, or "effort", that alone.
+        objective: "peak" max |τ| over the horizon plus the mean square, or "effort", the mean square alone.
             In Python ``Weights``, too.
         limits: in place of the robot's own. ``actuator_speed`` is judged, by ``run_online``: the motion is given.
         slow_down: where no plan keeps every limit, lead the platform along its path more slowly: ``Command.scaling``
-            then says which time of the preview it is at, and the status is ``TIME_SCALED``.
+            is then the time of the preview that is reached, and the status is ``TIME_SCALED``.
 
     Attributes:
         limits: in force from the next update on; may be set between updates. ``resolved`` has them as arrays.
@@ -113,19 +113,19 @@ class RecedingHorizon:
             t: the tick, s; not before the one before.
             preview: the platform's motion ahead; a trajectory or samples that are passed again are read once.
             s: scalar or (k,) where the carriers are, m; where the last plan has them when left out, at first 0. Within
-                two steps of a singular instant the last plan goes on all the same.
+                two steps of a singular instant the last plan continues regardless.
             sd: the same for their speeds, m/s.
 
         Raises:
-            InputError: values that are not finite, a preview that is none, a time before the last one, before the
+            InputError: values that are not finite, an invalid preview, a time before the last one, before the
                 preview or after its end, or beyond 4e6 s.
-            InfeasiblePlanError: no plan at the first tick, with none before it to go on with.
+            InfeasiblePlanError: no plan at the first control update, without an earlier plan to continue.
         """
         began = time.perf_counter()
         t = self._time(t)
         if abs(t) > LATEST:
             raise InputError(
-                f"The update is at t = {t:.6g} s, where a clock no longer tells instants {SAME:g} s apart.",
+                f"The update is at t = {t:.6g} s, where a clock cannot resolve {SAME:g} s.",
                 remedy="Count time from the start of the run.",
             )
         known = self._preview if preview is self._source and self._preview is not None else Preview.of(preview)
@@ -134,12 +134,12 @@ class RecedingHorizon:
             where = "" if own == t else f", {own:.6g} s of the preview (Command.scaling)"
             raise InputError(
                 f"The update is at t = {t:.6g} s{where}, and the preview begins at {known.start:.6g} s.",
-                remedy="Pass what is known of the motion from the update on.",
+                remedy="Pass a preview that begins at the update or before.",
             )
         if own > known.end + SAME:
             raise InputError(
                 f"The update is at t = {t:.6g} s, and the preview ends at {known.end:.6g} s.",
-                remedy="Pass what is known of the motion from the update on, or go on with the last plan by skip(t).",
+                remedy="Pass a preview that extends beyond the update, or continue with the last plan by skip(t).",
             )
         self._source, self._preview = preview, known
         given = tuple(
@@ -162,18 +162,18 @@ class RecedingHorizon:
         return ""
 
     def skip(self, t: float) -> Command:
-        """Return what to do where a tick is missed: the last plan goes on, to its end and to the stop behind it.
+        """Return the command for a missed control update: the last plan continues to its end and the stop after it.
 
         Raises:
-            InputError: there is no plan yet.
+            InputError: no plan exists yet.
         """
         if self.updates.last is None:
-            raise InputError("There is no plan to go on with.", remedy="Call update first.")
+            raise InputError("No plan exists to continue.", remedy="Call update first.")
         reason = "the update was missed"
         return replace(self.updates.last.command, t=self._time(t), status=UpdateStatus.FALLBACK, reason=reason)
 
     def _time(self, t: float) -> float:
-        """Return the time of a tick, s, after checking that it goes on from the last one."""
+        """Return the time of a control update, s, after checking that it follows the last one."""
         if not (isinstance(t, float) and math.isfinite(t)):
             t = float(each(t, "t", (1,), finite=True)[0])
         if self.updates.last is not None and t < self.updates.last.command.t:

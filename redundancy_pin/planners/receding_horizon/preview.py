@@ -25,9 +25,9 @@ class Preview(Frozen):
 
     Attributes:
         motion: returns the motion at (N,) increasing times, s.
-        start, end: between which it is known, s; a trajectory that ends at rest is held after its end.
+        start, end: interval of the motion, s; a trajectory that ends at rest stays at rest after its end.
         changing: whether ``motion`` may answer otherwise when asked again.
-        breaks: (b,) times at which its acceleration jumps, s, as far as that is known.
+        breaks: (b,) times at which its acceleration jumps, s, if known.
     """
 
     motion: Callable[[Array], PlatformMotion]
@@ -38,13 +38,13 @@ class Preview(Frozen):
 
     @property
     def polynomials(self) -> PiecewisePolynomial | None:
-        """x, ẋ and ẍ side by side, where the motion is that of polynomials; ``moves_until`` says how long."""
+        """x, ẋ and ẍ side by side as polynomials, valid until ``moves_until``; None if the motion is not polynomial."""
         motion = self._continuous
         return motion.source if motion is not None and isinstance(motion.source, PiecewisePolynomial) else None
 
     @property
     def moves_until(self) -> float:
-        """Time from which on the platform is held, s; infinite where that is not known."""
+        """Time from which the platform is at rest, s; infinite if unknown."""
         motion = self._continuous
         return np.inf if motion is None or motion.moves_until == motion.end else motion.moves_until
 
@@ -91,11 +91,11 @@ def place_of(x: Array) -> list[float]:
 
 
 def _answers(source: Callable[[Array], PlatformMotion]) -> Callable[[Array], PlatformMotion]:
-    """Return a function of times whose answers are looked at: a motion, at these times."""
+    """Return a function of times that validates its results: a motion, at these times."""
 
     def answer(times: Array) -> PlatformMotion:
         motion = source(times)
-        require_type(motion, PlatformMotion, "A PlatformMotion of the preview", "Return one at the times asked for.")
+        require_type(motion, PlatformMotion, "A PlatformMotion of the preview", "Return one at the requested times.")
         if len(motion.t) != len(times) or np.abs(motion.t - times).max() > SAME:
             raise InputError(
                 f"The preview was asked for {len(times)} instants from t = {times[0]:.6g} s on, and answers for "

@@ -99,7 +99,7 @@ def run_online(
 
     Returns:
         Its plan has efforts that are linear in time where W is next to singular, and W⁻¹ f elsewhere; ``diagnostics``
-        say how much of f is missing there (``missing_force``, N), how the ticks went and how long they took.
+        have the missing part of f there (``missing_force``, N), the results of the updates and their durations.
 
         A planner that slows down follows the path of the motion; ``delay`` is by how much later it ends, s.
 
@@ -194,10 +194,10 @@ def _require_times(planner: RecedingHorizon, duration: float) -> None:
 
 
 def _require_progress(command: Command, source: Motion, planner: RecedingHorizon) -> None:
-    """Check that a run goes on.
+    """Check that a run continues.
 
     Raises:
-        InfeasiblePlanError: its tick was refused, or the platform stands still and stays so.
+        InfeasiblePlanError: its control update was refused, or the platform is at rest and remains so.
     """
     t, scaling, longest = command.t, command.scaling, LONGEST * (source.end - source.start)
     if command.status is UpdateStatus.REFUSED:
@@ -218,7 +218,7 @@ def _require_progress(command: Command, source: Motion, planner: RecedingHorizon
             first = int(beyond.argmax())
             where = place_of(np.asarray(ahead.x[first]))
             raise InfeasiblePlanError(
-                f"The platform stands at t = {t:.6g} s, where the motion is at {reached:.6g} s: at "
+                f"The platform is at rest at t = {t:.6g} s, where the motion is at {reached:.6g} s: at "
                 f"{ahead.t[first]:.6g} s it leads where the machine cannot go, to {where}.",
                 remedy="Lead the platform along another path.",
                 constraint="preview",
@@ -258,9 +258,9 @@ def singular_instants_met(commands: Sequence[Command]) -> Array:
 def pieces_of(
     planner: RecedingHorizon, source: Motion, carriers: PiecewisePolynomial, commands: list[Command]
 ) -> list[tuple[PiecewisePolynomial, float]]:
-    """Return the efforts where W⁻¹ f magnifies what is left of f, and the force missing there, N.
+    """Return the efforts near singular instants, where W⁻¹ f magnifies the residual, and the missing force there, N.
 
-    In the direction that W loses they are linear in time, with what was planned at the instant, else those of W τ = f.
+    In the direction that W loses they are linear in time, with the planned value at the instant; otherwise W τ = f.
     """
     dynamics, parts = planner.dynamics, []
     if planner.robot.n != planner.robot.m:

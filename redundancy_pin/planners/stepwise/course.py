@@ -22,7 +22,7 @@ Active = Literal["always", "accelerating"]
 """When the optimiser works: at every step, or only while the platform accelerates."""
 
 Stop = Literal["after", "within"]
-"""When the carriers are brought to rest: after the motion, with the platform held, or by its last sample."""
+"""When the carriers are brought to rest: after the motion, with the platform at rest, or by its last sample."""
 
 PHASES = ("parked", "optimise", "return", "brake")
 """What the carriers do: stand, follow the optimiser, follow the degree-seven polynomial, are braked."""
@@ -64,8 +64,8 @@ class Course:
             that begins there.
         position: s as functions of time, one after the other.
         optimised: first step and result of each segment of the optimiser.
-        returns: start and end of each return, s; the end is that of its polynomial.
-        braking: when the carriers are braked, s; NaN where none moved.
+        returns: start and end of each return, s; its polynomial ends there.
+        braking: when the carriers are braked, s; NaN if none moved.
     """
 
     t: Array
@@ -163,7 +163,7 @@ _LATE = 1e-9
 def _braked(settings: StepwiseSettings, course: Course, first: int, platform_rests: bool) -> Course:
     """Return the course with the carriers braked from instant ``first`` until all are at rest.
 
-    Each is braked by a constant deceleration within ``brake_time``, sooner where its track is too short for that.
+    Each is braked by a constant deceleration within ``brake_time``, or less if its track is too short.
     ``platform_rests``: at the end of the motion; the steps added after it are the median of its steps.
     """
     limits, within = settings.limits, settings.stop == "within"
@@ -197,7 +197,7 @@ def _braked(settings: StepwiseSettings, course: Course, first: int, platform_res
 
 
 def _braking_times(speed: Array, room: Array, deceleration: Array, wanted: float) -> Array:
-    """Return (k,) the time, s, each carrier takes to stop: as wanted, sooner where the track ends before.
+    """Return (k,) the time, s, each carrier takes to stop: as requested, less if the track ends before.
 
     Never below |v|/a, even where the ``room`` (k,) to the end of the track, m, is too short for it.
     """
@@ -214,7 +214,7 @@ def _require_time(settings: StepwiseSettings, course: Course, first: int, durati
         return
     carrier = settings.limits.names[j]
     if settings.stop == "after":
-        why = "and the platform moves on, so it cannot be held while they stop"
+        why = "and the platform keeps moving, so it cannot wait while they stop"
     else:
         why = f"which takes {late:.3g} s longer than the motion"
     raise InfeasiblePlanError(

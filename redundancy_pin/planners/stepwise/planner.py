@@ -60,7 +60,7 @@ GOALS = ("effort", "tracking")
 
 REFUSED = {
     **NO_NODES,
-    "calm": "each step has one minimum, and there is none that is calmer",
+    "calm": "each step has one minimum, so no calmer one exists",
     "base_point": "the stepwise planner minimises no moment on the base",
     "jerk": "the carriers' accelerations jump from step to step; use plan_whole_trajectory",
 }
@@ -100,7 +100,7 @@ def plan_stepwise(
 
     The steps may differ in length. A sample on a jump of the reference acceleration is optimised for the acceleration
     it states; on a grid of single samples that is the one after the jump. The carriers then accelerate up to one step
-    before the platform does. During that step the efforts are those of the jump in full: no sample shows it, but
+    before the platform does. That step has the full efforts of the jump: no sample shows it, but
     ``Plan.between`` does. A two-sided sample removes this: the step into it sees the acceleration before the jump, its
     second half has the s̈ of the step that follows.
 
@@ -109,7 +109,7 @@ def plan_stepwise(
     it finds. After the last one, with the platform at rest, they are only braked.
 
     The plan ends with the carriers at rest. ``stop="after"`` (the thesis's order) brakes them once the motion is over:
-    samples with the platform held are added until they rest. ``stop="within"`` bounds the speeds so that they rest by
+    samples with the platform at rest are added until they rest. ``stop="within"`` bounds the speeds to let them rest by
     the last sample.
 
     ``anticipate`` keeps every carrier able to stop before its track ends. Without it (the thesis's version) a carrier
@@ -132,7 +132,7 @@ def plan_stepwise(
         return_time: duration of a return, s, or "shortest": the least that keeps the limits of track, speed and
             acceleration.
         stop: whether the carriers brake "after" the end of the motion, or "within" it.
-        brake_time: time in which the carriers are braked at the end, s; sooner where the track is too short.
+        brake_time: time in which the carriers are braked at the end, s; less if the track is too short.
         anticipate: keep every carrier able to stop before its track ends.
         least_margin: smallest margin of W along the motion.
 
@@ -180,7 +180,7 @@ def plan_stepwise(
     resolved = given.resolved(robot)
     if stop == "within" and np.isinf(resolved.acceleration).any():
         raise InputError(
-            'stop="within" needs acceleration limits: without them nothing says when to brake.',
+            'stop="within" needs acceleration limits: without them the time to brake is not defined.',
             remedy='Declare or pass acceleration limits, or use stop="after".',
         )
     settings = StepwiseSettings(
@@ -252,7 +252,7 @@ def _samples(motion: PlatformMotion, course: Course, planned: int) -> tuple[Carr
 
 
 def _prolonged(motion: PlatformMotion, added: Array) -> PlatformMotion:
-    """Return the motion with the platform held at its end for the added times."""
+    """Return the motion, with the platform at rest at its end for the added times."""
     x = np.concatenate([motion.x, np.repeat(motion.x[-1:], len(added), axis=0)])
     xd, xdd = (np.pad(part, ((0, len(added)), (0, 0))) for part in (motion.xd, motion.xdd))
     return PlatformMotion(np.append(motion.t, added), x, xd, xdd, check_rates=False)

@@ -1,4 +1,4 @@
-"""One step after the other: the accelerations that the limits leave, and among them those of least effort.
+"""One step after the other: among the accelerations that keep the limits, choose the one of least effort.
 
 In one step of length h a carrier takes a new speed v' and moves by h v' (backward differences, Parsa 2014, eqs. 4.3
 and 4.4). Let g be the distance to the end of its track in front of it, and a its largest deceleration. It may take the
@@ -49,7 +49,7 @@ class AccelerationBox:
     """What the carriers must keep to at every step.
 
     Attributes:
-        limits: of k carriers; those of track, speed and acceleration are kept.
+        limits: of k carriers; track, speed and acceleration limits are kept.
         anticipate: whether a carrier is kept able to stop before the end of its track.
         rest_at: time by which all must be at rest, s; infinite for none.
     """
@@ -63,7 +63,7 @@ class AccelerationBox:
 
         With backward differences ṡ' = ṡ + h s̈ and s' = s + h ṡ' the limits of track, speed and acceleration are one
         box. Two more bounds may narrow it: a carrier must be able to stop before its track ends (``anticipate``) and by
-        the time ``rest_at``. Neither asks for more than the largest deceleration, so they never empty it.
+        the time ``rest_at``. Neither requires more than the largest deceleration, so they never empty it.
 
         Args:
             t: time at the end of the step, s.
@@ -199,7 +199,7 @@ def _solve_step(
     """Return s, ṡ and s̈ (k,) at the end of a step of length h, and the largest gradient left, N or N·m.
 
     ``tau0`` (m,), ``terms`` (5, m, k) of the efforts there less their target; see ``EffortModel``. The gradient is the
-    largest component of that of ½ ‖r‖² that a move inside the box could follow downhill, divided by the largest entry
+    largest component of the gradient of ½ ‖r‖² along a feasible descent move, divided by the largest entry
     of the Jacobian, so in the unit of r; 0 at a minimum, and where that entry is at most ``no_effect``.
     """
     by_s, by_s2, by_sd, by_ssd, by_sdd = terms

@@ -30,7 +30,7 @@ _DEFECTS = 10.0
 """Largest defect of an accepted step, in tolerances of the model, relative to the largest f along the crossing."""
 
 _FORCE_SHARE = 1e-3
-"""Fraction of the largest F s̈ on a step that defects are compared with where it exceeds f: its rounding must pass."""
+"""Fraction of the largest F s̈ on a step that scales the defects where it exceeds f: its rounding must pass."""
 
 _LEAST_STEP = 1e-6
 """Shortest step, as a fraction of the interval."""

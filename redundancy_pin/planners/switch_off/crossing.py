@@ -173,7 +173,7 @@ def _infeasible(equation: CarrierEquation, stuck: StepGivenUpError) -> Infeasibl
 
 
 def _rank_losses(equation: CarrierEquation) -> list[float] | None:
-    """Return the instants at which F loses rank, s; None where it lacks rank most of the time."""
+    """Return the instants at which F loses rank, s; None if it lacks rank most of the time."""
     times, n = dense(equation.model.interpolant.edges), len(equation.row_scale)
 
     def values(t: Array) -> Array:

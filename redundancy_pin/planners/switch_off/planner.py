@@ -36,7 +36,7 @@ from redundancy_pin.trajectory.continuous_motion import Motion, TimedTrajectory,
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 SPACING = 1e-3
-"""Distance of the samples of a plan, s, unless the user asks for another: a ramp of the thesis has 30."""
+"""Default distance of the samples of a plan, s: a ramp of the thesis has 30."""
 
 MOST_SAMPLES = 1_000_000
 """Largest number of samples of a plan; each takes kilobytes of memory while it is evaluated."""
@@ -92,7 +92,7 @@ def plan_switch_off(
     switch-on. The thesis's backward differences of ṡ and s̈ make them jump there, in proportion to the step.
 
     Limits are not enforced (a crossing leaves no freedom to do so) but judged: see ``Plan.limits`` and ``Plan.status``.
-    ``return_time="shortest"`` chooses the return within those of the carriers.
+    ``return_time="shortest"`` chooses the shortest return within the limits of the carriers.
 
     Args:
         dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
@@ -162,7 +162,7 @@ def plan_switch_off(
 def _return(
     dynamics: Dynamics, source: Motion, crossing: Crossing, settings: SwitchOffSettings, later: list[Interval]
 ) -> PiecewisePolynomial | None:
-    """Return the carriers' way back after a crossing; None where there is none that ends before the next window."""
+    """Return the carriers' return after a crossing; None if none ends before the next window."""
     state, end, duration = crossing.exit, source.end, settings.return_time
     until = min(end, later[0].start - settings.ramp_down) if later else end
     room = until - state.t

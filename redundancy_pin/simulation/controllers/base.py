@@ -36,9 +36,9 @@ Command = tuple[Array, Array]
 
 @dataclass(frozen=True)
 class Sampling:
-    """A digital controller: it reads the state every ``period``, and its output acts ``delay`` later and is held.
+    """A digital controller: it reads the state every ``period``; outputs act ``delay`` later, with zero-order hold.
 
-    Until its first output acts, the first output acts: the machine stands with the controller on.
+    During the first delay the first output acts already, as for a machine at rest under control.
 
     Attributes:
         period: s.
@@ -67,16 +67,16 @@ class EffortLaw(Protocol):
 
 
 class Controller(ABC):
-    """What drives a machine. Derive from it, or give any object an ``effort`` and those of the others that apply.
+    """Interface of a controller. Derive from it, or pass any object with ``effort`` and the other members it needs.
 
     Attributes:
-        breaks: times, s, at which the efforts jump or kink; the integration starts anew there.
-        jumps: those of them at which the efforts jump; all of them where it is None.
+        breaks: times, s, at which the efforts jump or kink; the integration restarts there.
+        jumps: breaks at which the efforts jump; None: all breaks.
         end: time at which the motion is over, s, or None.
         sampling: the ``Sampling`` it was made for, which the simulation must have; None where any will do.
         carrier_drive: the ``CarrierDrive`` it was made for, the same.
-        open_loop: main efforts and carrier forces (m + k) as polynomials of time, where they heed nothing else:
-            machine code then asks for no ``effort``.
+        open_loop: main efforts and carrier forces (m + k) as polynomials of time, if they do not depend on the state:
+            machine code then calls no ``effort``.
     """
 
     breaks: ArrayLike = frozen(())
@@ -98,10 +98,10 @@ class Controller(ABC):
         """Return s, ṡ, s̈ (k,) at time t, for carriers driven by motion.
 
         Raises:
-            InputError: nothing says how the carriers move.
+            InputError: nothing defines the motion of the carriers.
         """
         raise InputError(
-            f"{self.class_name()} does not say how the carriers move.",
+            f"{self.class_name()} does not define the motion of the carriers.",
             remedy="Give it carrier_motion(t) -> (s, sd, sdd), or drive the carriers by force.",
         )
 
@@ -111,7 +111,7 @@ class Controller(ABC):
 
 
 def as_controller(law: Controller | EffortLaw) -> Controller:
-    """Return a controller that does what an object with ``effort`` does, with the defaults for what it lacks.
+    """Return a controller that calls an object with ``effort``, with the defaults for missing members.
 
     Raises:
         InputError: it has no ``effort``.
@@ -132,7 +132,7 @@ def as_controller(law: Controller | EffortLaw) -> Controller:
 
 
 class Adapted(Controller):
-    """An object of the user's behind the interface of a controller: what it has replaces the defaults."""
+    """A user's object behind the interface of a controller: its members replace the defaults."""
 
     def __init__(self, law: EffortLaw) -> None:
         self._law = law
@@ -221,7 +221,7 @@ class FeedForward(Tracking):
     Args:
         plan: a plan, or a reference made by ``plan_reference`` or ``motion_reference``.
         motion: the trajectory that was planned for, for exact values between the samples of a plan.
-        sampling: of the simulation: the efforts are then those of the middle of the interval in which they act.
+        sampling: of the simulation: the efforts are then taken at the middle of the interval in which they act.
 
     Raises:
         InfeasiblePlanError, PlanFileError: see ``plan_reference``.
@@ -254,11 +254,11 @@ class FeedForward(Tracking):
 
 
 class Amplifiers:
-    """A controller behind its amplifiers: what it answers is checked, and saturates.
+    """A controller with its amplifiers: its output is checked, and saturates.
 
     Args:
         controller: what commands the efforts.
-        tau_limit: (m,) largest |τ|, N or N·m; infinite where there is none.
+        tau_limit: (m,) largest |τ|, N or N·m; infinite if unlimited.
         force_limit: (k,) largest |carrier force|, N.
     """
 
@@ -271,7 +271,7 @@ class Amplifiers:
         polynomials = _open_loop(controller)
         fits = polynomials is not None and polynomials.coefficients.shape[2] == len(self.limits)
         self.open_loop = polynomials if polynomials is not None and fits else None
-        """What the controller commands as polynomials of time, before it saturates; None where it heeds the state."""
+        """The controller's output as polynomials of time, before it saturates; None if it depends on the state."""
 
     def command(self, state: State) -> Command:
         """Return the efforts that act at a state.
@@ -319,7 +319,7 @@ def kernel_of(robot: Robot, dynamics: DynamicsLike | None) -> ForwardKernel | No
     """Return the machine code of a backend's forward dynamics, if it has any.
 
     Raises:
-        InputError: the backend is that of another robot.
+        InputError: the backend is for another robot.
     """
     if dynamics is None:
         return None
@@ -328,8 +328,8 @@ def kernel_of(robot: Robot, dynamics: DynamicsLike | None) -> ForwardKernel | No
         given = dynamics.robot.name
         which = f"another {given}, with other parameters" if given == robot.name else given
         raise InputError(
-            f"dynamics are those of {which}, and {robot.name} is the robot they are for.",
-            remedy="simulate takes those of the robot that is simulated, a controller those of the robot it knows.",
+            f"dynamics are for {which}, but {robot.name} is required.",
+            remedy="simulate needs the dynamics of the simulated robot, a controller the dynamics of its own robot.",
         )
     kernel: ForwardKernel | None = getattr(dynamics, "forward", lambda: None)()
     return kernel

@@ -1,4 +1,4 @@
-"""Controllers by name, and what keeps a machine from doing as told: noise of its amplifiers, friction of its joints."""
+"""Controllers by name, and disturbances of the machine: noise of its amplifiers, friction of its joints."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def controller_by_name(
 
     Args:
         name: one of ``DRIVES``; the others are ``ComputedTorque`` and ``TimeVaryingLqr``, and open loop has the planned
-            efforts: if sampled, those of the middle of the interval in which they will act.
+            efforts: if sampled, taken at the middle of the interval in which they will act.
         reference: the motion, of the robot that the controller knows.
         sampling: of the simulation.
         effort_limit: of the amplifiers, as for ``simulate``.

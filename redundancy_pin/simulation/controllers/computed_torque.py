@@ -123,7 +123,7 @@ class TorqueCommand:
         t: time, s.
         tau: (m,) main efforts, N or N·m.
         carrier_force: (k,) carrier forces, N.
-        allocation: how the force was shared out; where it is not ``balanced`` the efforts are the plan's.
+        allocation: distribution of the force; if it is not ``balanced`` the efforts are the planned ones.
     """
 
     t: float
@@ -152,15 +152,15 @@ class ComputedTorque(Tracking):
         carrier_bandwidth: ω_s of the carriers, rad/s.
         damping: ζ of both.
         effort_scale: scalar or (m,) τ̂, main effort beyond the plan's that counts as much as â; when left out, the
-            largest planned efforts, or those that correct a millimetre (``correcting_efforts``) where they are larger:
-            a plan that asks next to nothing of the main actuators says nothing of what friction will ask of them.
+            largest planned efforts, or the efforts that correct a millimetre (``correcting_efforts``) if larger:
+            a plan with almost no main efforts gives no measure of the friction to overcome.
         carrier_scale: scalar or (k,) â, carrier acceleration beyond the wanted one, m/s²; a tenth of the largest
             planned |s̈| when left out.
-        effort_limit: scalar or (m,) largest |τ|, N or N·m; what it cuts off is left to the carriers.
-        carrier_force_limit: scalar or (k,) largest |F|, N; what it cuts off is left to the main actuators.
+        effort_limit: scalar or (m,) largest |τ|, N or N·m; the excess is left to the carriers.
+        carrier_force_limit: scalar or (k,) largest |F|, N; the excess is left to the main actuators.
         dynamics: the plan's robot, or its name or path, for generated code (``as_dynamics``), which then forms the
             equations; or a backend of it.
-        sampling: of the simulation, where it has one: the state is advanced to the middle of the interval in which the
+        sampling: of the simulation, if it has one: the state is advanced to the middle of the interval in which the
             answer will act.
 
     Attributes:
@@ -228,7 +228,7 @@ class ComputedTorque(Tracking):
 
         Args:
             t: time, s.
-            state: where the machine is, as far as the controller knows.
+            state: estimated state of the machine.
         """
         robot, reference = self.robot, self.reference
         at = t + self.lead

@@ -49,20 +49,20 @@ class Encoders(Controller):
 
     Encoders of the actuated joints alone would not do: at a type II pose they do not determine the pose. Readings are
     rounded to steps, homed where the simulation starts (there they read the planned configuration, whatever the true
-    geometry) or as ``home`` says, and fitted to the closures of the robot that the controller knows, by the shortest
-    step. Speeds are those of the plan plus first-order filtered differences of what the readings depart from it, so the
+    geometry) or by ``home``, and fitted to the closures of the robot that the controller knows, by the shortest
+    step. Speeds are the planned speeds plus first-order filtered differences of the deviation from the plan, so the
     filter does not lag behind the planned motion.
 
     Args:
-        controller: what is given the estimated state.
+        controller: the controller that receives the estimated state.
         reference: the planned motion of the robot that the controller knows.
         period: sampling period, s.
         time_constant: of the filter, s.
         revolute_step: rad.
         prismatic_step: m.
-        phase: (nq,) where in a step each encoder stands when homed, fractions; zero when left out.
-        home: (nq,) joint positions at which the machine was homed, less those that the encoders were told, m and rad; a
-            start off the plan is then seen.
+        phase: (nq,) position of each encoder within a step when homed, fractions; zero when left out.
+        home: (nq,) joint positions at which the machine was homed, minus the positions assigned to the encoders, m and
+            rad; a start off the plan is then measured.
 
     Raises:
         InputError: a setting that is not positive, or a ``home`` of the wrong shape.
@@ -108,12 +108,12 @@ class Encoders(Controller):
             state: the true state, whose joint positions are read; of any robot with the same joints.
 
         Raises:
-            InputError: a time before that of the last reading: they were homed for another simulation.
+            InputError: a time before the last reading: the encoders were homed for another simulation.
         """
         if t < self._last:
             raise InputError(
                 f"The encoders are read at {t:.6g} s, after they were read at {self._last:.6g} s.",
-                remedy="Make new Encoders for each simulation: they are homed where it starts.",
+                remedy="Make new Encoders for each simulation: they are homed at its start.",
             )
         planned, speed, _ = self.reference.tree(t)
         first = not np.isfinite(self._last)

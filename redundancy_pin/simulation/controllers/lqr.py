@@ -77,7 +77,7 @@ def bryson_weights(
         reference: the motion; its largest efforts are the acceptable deviations of efforts unless given.
         position: acceptable error of the platform, m; rotations get this over the characteristic length, rad.
         carrier: acceptable error of the carriers, m.
-        bandwidth: acceptable errors of speeds are this, rad/s, times those of positions.
+        bandwidth: acceptable errors of speeds over acceptable errors of positions, rad/s.
         effort: scalar or (m,) acceptable deviation of the main efforts, N or N·m, for example their limit less their
             planned peak.
         carrier_force: scalar or (k,) the same for the carriers, N.
@@ -256,10 +256,10 @@ class TimeVaryingLqr(Tracking):
     """Plan plus linear state feedback, u = u_d(t) − K(t) δz, gains from the Riccati equation along the plan.
 
     Main actuators and carriers are inputs alike. The linear model exists at type II poses, and so do the gains: the
-    carriers hold what the main actuators cannot. The final cost is that of holding the last pose for ever (algebraic
-    Riccati equation at the end); where that has no solution (the last pose cannot be held) it is Q for one second.
+    carriers supply the force that the main actuators cannot. The final cost is the cost of keeping the last pose for
+    ever (algebraic Riccati equation at the end); if no control can keep the pose it is Q for one second.
 
-    Without ``sampling`` the gains are those of the continuous equation, linear between nodes. With it they are those of
+    Without ``sampling`` the gains solve the continuous equation, linear between nodes. With it they are gains for
     the zero-order hold, and the efforts that still act during the delay are part of the state.
 
     Its feedback holds the carriers too, by their forces: ``simulate(carriers="motion")`` refuses it.
@@ -279,7 +279,7 @@ class TimeVaryingLqr(Tracking):
         model: the linear model along the reference.
         t: (N + 1,) instants of the gains, s.
         riccati: cost to go and gains.
-        holds_end: whether the last pose can be held, by the algebraic Riccati equation.
+        holds_end: whether the last pose can be stabilised, by the algebraic Riccati equation.
 
     Raises:
         InputError: weights of the wrong shape or sign, a delay of more than one period.
@@ -332,7 +332,7 @@ class TimeVaryingLqr(Tracking):
         self._memory: tuple[float, Array, Array] = (np.inf, nothing, nothing)
 
     def gain(self, t: float) -> Array:
-        """Return K (m + k, e) at time t: linear between nodes, or that of the sampling instant at or before t."""
+        """Return K (m + k, e) at time t: linear between nodes, or the gain of the last sampling instant up to t."""
         K = self.riccati.K
         if self.sampling is not None:  # a reading at an instant may come a rounding before it
             i = int(np.searchsorted(self.t, t + 1e-6 * self.sampling.period, side="right")) - 1
@@ -387,7 +387,7 @@ def _sampled(model: LinearModel, weights: LqrWeights, sampling: Sampling) -> tup
 
 
 def _final(solve: Callable[[], Array], fallback: Array) -> tuple[Array, bool]:
-    """Return the cost of holding the last pose, or, where it cannot be held, that of one second of error."""
+    """Return the cost of holding the last pose or, if no control can hold it, the cost of one second of error."""
     try:
         final = np.asarray(solve())
     except (LinAlgError, ValueError):

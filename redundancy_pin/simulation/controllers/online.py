@@ -82,9 +82,9 @@ class OnlineReference(MotionReference):
 class OnlinePlanning(ComputedTorque):
     """Computed torque along plans that are made while the machine moves.
 
-    At every tick ``RecedingHorizon`` plans over the next half second, from where the carriers will be once the plan is
-    there: on their last plan, and beside it by a share of what they are measured to be beside it now. Until then the
-    last plan goes on. Nothing beyond the horizon is looked at.
+    At every control update ``RecedingHorizon`` plans over the next half second, from the predicted carrier state at the
+    start of the plan: the last plan plus a share of the measured deviation from it. Until then the last plan
+    continues. The planner does not use the motion beyond the horizon.
 
     Args:
         planner: new, before its first tick; its robot is the model that the controller knows.
