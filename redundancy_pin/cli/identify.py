@@ -15,8 +15,9 @@ from redundancy_pin.identification.fit import identify as run_identification
 from redundancy_pin.identification.records import Records
 from redundancy_pin.identification.robot_file import write_robot
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.trajectory.csv_file import read_measured
+from redundancy_pin.trajectory.csv_file import coordinate_names, read_measured
 from redundancy_pin.visualisation.figures.identification import write_report
 
 
@@ -24,20 +25,21 @@ def _records(path: str, robot: Robot) -> Records:
     """Return the records of a file: columns by the names of the joints."""
     columns = read_measured(path)
 
-    def of(prefix: str, joints: Sequence[str], needed: bool) -> Array | None:
-        names = [f"{prefix}{joint}" for joint in joints]
+    def stacked(names: Sequence[str], optional: bool = False) -> Array:
         absent = [name for name in names if name not in columns]
-        if absent and (needed or len(absent) < len(names)):
+        if absent and not (optional and len(absent) == len(names)):
             hint = did_you_mean(absent[0], list(columns)) or f"Its columns are {', '.join(columns)}."
             raise InputError(f"{path} has no column {absent[0]!r}.", remedy=hint, name="records", column=absent[0])
-        return None if absent or not joints else np.stack([columns[name] for name in names], axis=1)
+        return np.array([columns[name] for name in names if not absent]).reshape(-1, len(columns["t"])).T
 
-    axes = robot.platform.axes if robot.platform else ()
-    position = of("q:", robot.actuated, needed=False)
-    platform = of("", axes, needed=True) if position is None else None
-    effort = np.asarray(of("tau:", robot.actuated, needed=True))
-    carriers, force = (of(prefix, robot.carriers, needed=False) for prefix in ("s:", "tau:"))
-    return Records(columns["t"], effort, position, platform=platform, carriers=carriers, carrier_force=force)
+    q, tau = ([f"{symbol}:{joint}" for joint in robot.actuated] for symbol in ("q", "tau"))
+    s, force = ([f"{symbol}:{joint}" for joint in robot.carriers] for symbol in ("s", "tau"))
+    if any(name in columns for name in q) or is_pose(robot):
+        moved = {"position": stacked(q)}
+    else:
+        moved = {"platform": stacked(coordinate_names(robot))}
+    carried = {"carriers": stacked(s, optional=True), "carrier_force": stacked(force, optional=True)}
+    return Records(columns["t"], stacked(tau), **moved, **carried)
 
 
 @click.command()
@@ -47,7 +49,7 @@ def _records(path: str, robot: Robot) -> Records:
               help="Of the splines through the positions: above the motion, below the noise.")  # fmt: skip
 @click.option("--parameters", multiple=True, metavar="PATTERN", help="Such as 'mass of *'. May be repeated.")
 @click.option("--sensors", multiple=True, metavar="PATTERN",
-              help="'offset of *' or 'factor of *'. May be repeated.")  # fmt: skip
+              help="'offset of *', 'factor of *' or 'tilt * of gravity'. May be repeated.")  # fmt: skip
 @click.option("--out", metavar="YAML",
               help="The robot, with the nearest real bodies: a declaration, its model beside it.")  # fmt: skip
 @click.option("--report", "page", metavar="HTML", help="Page with the parameters, forces and residuals.")
@@ -82,7 +84,11 @@ def identify(
         loaded = robot.load()
         read = [_records(path, loaded) for path in records]
         advance(1, 3, "fit")
-        fit = run_identification(loaded, read, **keywords)
+        try:
+            fit = run_identification(loaded, read, **keywords)
+        except InputError as error:
+            message = error.message.replace("physical=True", "--out")
+            raise InputError(message, remedy=error.remedy, **error.details) from error
         advance(2, 3, "writing")
         if out:
             write_robot(fit.robot, out)

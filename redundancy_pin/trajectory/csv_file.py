@@ -57,6 +57,9 @@ POSE = (*AXES[:3], *_QUATERNION)
 _RESULTS = re.compile(r"(?:q|qd|qdd|tau):.*|status|margin|residual", re.DOTALL)
 """Columns that are results of a motion: they are written, and ignored where a motion is read."""
 
+_MEASURED = re.compile(r"(?:x|q|s|tau):.*", re.DOTALL)
+"""Columns of joints that are read where a file has measurements."""
+
 _INDEXED = re.compile(r"([xs])(d{0,2})(0|[1-9]\d{0,3}|:.*)", re.DOTALL | re.ASCII)
 """Coordinates and carriers by number or by the name of a joint, and their rates: symbol, dots, which one."""
 
@@ -64,13 +67,14 @@ _POINTS_REMEDY = "Name the columns t,x,y,xd,yd,xdd,ydd for a motion with rates, 
 
 # --- units ------------------------------------------------------------------------------------------------------------
 
-LENGTH, ANGLE, TIME, NUMBER = "length", "angle", "time", "number"
+LENGTH, ANGLE, TIME, NUMBER, EFFORT = "length", "angle", "time", "number", "effort"
 
 _BASES: Mapping[str, tuple[str, float]] = {
     **{"m": (LENGTH, 1.0), "mm": (LENGTH, 1e-3), "cm": (LENGTH, 1e-2), "um": (LENGTH, 1e-6), "µm": (LENGTH, 1e-6)},
     **{"rad": (ANGLE, 1.0), "mrad": (ANGLE, 1e-3), "deg": (ANGLE, np.pi / 180.0), "°": (ANGLE, np.pi / 180.0)},
     **{"s": (TIME, 1.0), "ms": (TIME, 1e-3), "us": (TIME, 1e-6), "µs": (TIME, 1e-6), "min": (TIME, 60.0)},
     **{"1": (NUMBER, 1.0), "-": (NUMBER, 1.0), "": (NUMBER, 1.0)},
+    **{"N": (EFFORT, 1.0), "N*m": (EFFORT, 1.0), "N·m": (EFFORT, 1.0)},
 }
 """Units that are read: what they measure, and their value in SI."""
 
@@ -371,17 +375,15 @@ def read_table(path: str | os.PathLike[str]) -> MotionTable:
     place = os.fspath(path)
     header, rows = _header_and_rows(place)
     blocks = iter(lambda: list(islice(rows, _ROWS)), [])
-    values = np.concatenate([_numbers(header, block, place) for block in blocks]).T
+    values = np.concatenate([_numbers(header.names, header.read, block, place) for block in blocks]).T
     columns = {name: column * header.factor[name] for name, column in zip(header.read, values, strict=True)}
     return MotionTable(place, header.coordinates, header.rates, header.carriers, columns, header.measures)
 
 
-_OF_JOINT = {"q": (LENGTH, ANGLE), "s": (LENGTH, ANGLE), "tau": ()}
-"""What measured columns of joints measure; efforts are in N or N·m."""
-
-
 def read_measured(path: str | os.PathLike[str]) -> dict[str, Array]:
-    """Read a CSV file of measurements: t, q:JOINT, s:JOINT, tau:JOINT and platform coordinates; others are ignored.
+    """Read a CSV file of measurements: t, platform coordinates, x:JOINT, q:JOINT, s:JOINT, tau:JOINT.
+
+    Other columns are ignored.
 
     Returns:
         Values (N,) in SI, by column name.
@@ -393,35 +395,14 @@ def read_measured(path: str | os.PathLike[str]) -> dict[str, Array]:
         >>> read_measured("run.csv")["tau:base_1"]
     """
     place = os.fspath(path)
-    rows = _rows(place)
-    first = next(rows, (0, []))[1]
-    given = [_name_and_unit(unescape_formula(cell.strip())) for cell in first]
-    names = [name for name, _ in given]
-    factors: dict[str, float] = {}
-    for name, unit in given:
-        stem = name.partition(":")[0] if ":" in name else name
-        if (kinds := {"t": (TIME,), **_OF_JOINT, **dict.fromkeys(AXES, (LENGTH, ANGLE))}.get(stem)) is None:
-            continue
-        known = _unit(unit or "")
-        if unit in ("N", "N*m", "N·m") and not kinds:
-            known = "", 0, 1.0
-        if known is None or known[1] or (unit and known[0] not in (*kinds, "")) or name in factors:
-            message = f", column {name!r}: {shown(unit)} is no unit of it, or it is there twice."
-            raise _bad(place, message, "Give units such as [rad], [mm] or [N*m], or none for SI.", column=name)
-        factors[name] = known[2]
-    body = list(rows)
-    if "t" not in factors or not body:
-        raise _bad(place, " has no column 't', or no rows of numbers.", "Give a row of names: t,q:JOINT,...,tau:JOINT.")
-    values = _numbers(_Columns(names, list(factors)), body, place)
-    return {name: column * factors[name] for name, column in zip(factors, values.T, strict=True)}
-
-
-@dataclass(frozen=True)
-class _Columns:
-    """Names of all columns of a file, and of those that are read."""
-
-    names: list[str]
-    read: list[str]
+    cells, rows = _cells_and_rows(place)
+    units = _units(cells, place)
+    read = [name for name in units if name == "t" or name in AXES or _MEASURED.fullmatch(name)]
+    if "t" not in units:
+        raise _missing("t", units, place, "Name the columns t,q:JOINT,...,tau:JOINT,....")
+    factors = [_factor(name, unit, place)[0] if (unit := units[name]) is not None else 1.0 for name in read]
+    values = _numbers(list(units), read, list(rows), place)
+    return dict(zip(read, (values * factors).T, strict=True))
 
 
 def has_rates(path: str | os.PathLike[str]) -> bool:
@@ -430,7 +411,13 @@ def has_rates(path: str | os.PathLike[str]) -> bool:
 
 
 def _header_and_rows(path: str) -> tuple[_Header, Iterator[tuple[int, list[str]]]]:
-    """Return the first row of a file, and the others with their numbers."""
+    """Return what the first row of a file says of its columns, and the others with their numbers."""
+    cells, rows = _cells_and_rows(path)
+    return _Header(cells, path), rows
+
+
+def _cells_and_rows(path: str) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
+    """Return the cells of the first row of a file, and the others with their numbers."""
     rows = _rows(path)
     names, first = next(rows, None), next(rows, None)
     if names is None or first is None:
@@ -438,7 +425,17 @@ def _header_and_rows(path: str) -> tuple[_Header, Iterator[tuple[int, list[str]]
         raise _bad(path, " has 0 rows of numbers.", remedy)
     cells = [unescape_formula(cell.strip()) for cell in names[1]]
     _require_names(cells, first[1], path)
-    return _Header(cells, path), chain([first], rows)
+    return cells, chain([first], rows)
+
+
+def _units(cells: Sequence[str], path: str) -> dict[str, str | None]:
+    """Return the unit of each column by its name, from the cells of the first row."""
+    names = [_name_and_unit(cell)[0] for cell in cells]
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
+    if twice:
+        cells_of = ", ".join(shown(cell) for cell, name in zip(cells, names, strict=True) if name == twice[0])
+        raise _bad(path, f" has the column {twice[0]!r} more than once: {cells_of}.", column=twice[0])
+    return dict(map(_name_and_unit, cells))
 
 
 def _rows(path: str) -> Iterator[tuple[int, list[str]]]:
@@ -466,12 +463,8 @@ class _Header:
     """
 
     def __init__(self, cells: Sequence[str], path: str) -> None:
-        units = dict(given := [_name_and_unit(cell) for cell in cells])
-        self._path, self.names = path, [name for name, _ in given]
-        twice = sorted(name for name, count in Counter(self.names).items() if count > 1)
-        if twice:
-            cells_of = ", ".join(shown(cell) for cell, name in zip(cells, self.names, strict=True) if name == twice[0])
-            raise _bad(path, f" has the column {twice[0]!r} more than once: {cells_of}.", column=twice[0])
+        units = _units(cells, path)
+        self._path, self.names = path, list(units)
         own = [name for name in self.names if name not in _TIMES and not _RESULTS.fullmatch(name)]
         # by name what a column is of, and how often that is differentiated
         of = {name: _differentiated(name, units) for name in own}
@@ -484,7 +477,7 @@ class _Header:
         self.carriers = self._number_order("s", tracks, [stem for stem, _ in of.values()])
         self.rates = self._rates() if moved else ()
         if (moved or self.carriers) and "t" not in units:
-            raise self._missing("t")
+            raise _missing("t", self.names, self._path)
         timed = [name for name in _TIMES if name in units and (name != "speed" or not moved)]
         needed = [*self.coordinates, *self.carriers]
         needed += [rate_name(name, order) for order in (1, 2) for name in (*self.rates, *self.carriers)]
@@ -493,14 +486,14 @@ class _Header:
         absent += [stem for name, (stem, order) in of.items() if order and name not in needed]
         absent += [rate_name(name, 1) for name in (*self.coordinates, "x") if self.carriers and not moved]
         if absent:
-            raise self._missing(absent[0])
+            raise _missing(absent[0], self.names, self._path)
         self.read = [*timed, *needed]
         self.factor: dict[str, float] = dict.fromkeys(self.read, 1.0)
         self.measures: dict[str, str] = {}
         for name in self.read:
             if (unit := units[name]) is not None:
                 stem, order = of.get(name, (name, 0))
-                self.factor[name], self.measures[name] = self._factor(name, unit, _quantities(stem), order)
+                self.factor[name], self.measures[name] = _factor(name, unit, path, stem, order)
 
     def _number_order(self, symbol: str, names: Sequence[str], moved: Sequence[str]) -> tuple[str, ...]:
         """Return coordinates, or carriers, in the order of their numbers, if they have numbers: all, from zero on."""
@@ -510,7 +503,7 @@ class _Header:
         count = max(1, len(set(numbered) & set(names)))
         absent = [name for k in range(count) if (name := f"{symbol}{k}") not in names]
         if absent:
-            raise self._missing(absent[0])
+            raise _missing(absent[0], self.names, self._path)
         others = [name for name in names if name not in numbered]
         if others:
             message = f" names columns in two ways: {symbol}0 and {others[0]}."
@@ -522,28 +515,10 @@ class _Header:
         if set(_QUATERNION) & set(self.coordinates):
             absent = [name for name in POSE if name not in self.coordinates]
             if absent:
-                raise self._missing(absent[0])
+                raise _missing(absent[0], self.names, self._path)
             return AXES
         of_pose = self.coordinates == tuple(f"x{k}" for k in range(len(POSE))) and "xd6" not in self.names
         return self.coordinates[: len(AXES)] if of_pose else self.coordinates
-
-    def _factor(self, name: str, unit: str, quantities: Sequence[str], order: int) -> tuple[float, str]:
-        """Return the value of a unit in SI, and what it measures."""
-        known = _unit(unit)
-        order += name == "speed"
-        if known is not None and known[0] in quantities and known[1] == order:
-            return known[2], known[0]
-        units = [
-            f"{each}{('', '/s', '/s^2')[order]}" for each, (what, _) in _BASES.items() if what in quantities and each
-        ]
-        wrong = "is no unit of" if known else "is no unit that is known; a column of"
-        message = f", column {name!r}: {shown(unit)} {wrong} {' or '.join(quantities)}{_PER[order]}"
-        remedy = f"Give one of {', '.join(units)}, or no unit for SI."
-        raise _bad(self._path, f"{message}{'' if known else ' is expected'}.", remedy, column=name, unit=unit)
-
-    def _missing(self, name: str) -> InputError:
-        message = f" has no column {name!r}; its columns are {', '.join(map(repr, self.names))}."
-        return _bad(self._path, message, _POINTS_REMEDY, column=name, seen=tuple(self.names))
 
 
 _TIMES = ("t", "speed")
@@ -574,9 +549,30 @@ def _quantities(stem: str) -> tuple[str, ...]:
         return (TIME,)
     if stem in _QUATERNION:
         return (NUMBER,)
+    if stem.startswith("tau:"):
+        return (EFFORT,)
     if stem in AXES or stem == "speed":
         return (ANGLE if stem.startswith("r") else LENGTH,)
     return LENGTH, ANGLE
+
+
+def _factor(name: str, unit: str, path: str, stem: str = "", order: int = 0) -> tuple[float, str]:
+    """Return the value of a unit in SI, and what it measures; ``stem`` is what a rate is the rate of."""
+    known, quantities = _unit(unit), _quantities(stem or name)
+    order += name == "speed"
+    if known is not None and known[0] in quantities and known[1] == order:
+        return known[2], known[0]
+    units = [f"{each}{('', '/s', '/s^2')[order]}" for each, (what, _) in _BASES.items() if what in quantities and each]
+    wrong = "is no unit of" if known else "is no unit that is known; a column of"
+    message = f", column {name!r}: {shown(unit)} {wrong} {' or '.join(quantities)}{_PER[order]}"
+    remedy = f"Give one of {', '.join(units)}, or no unit for SI."
+    raise _bad(path, f"{message}{'' if known else ' is expected'}.", remedy, column=name, unit=unit)
+
+
+def _missing(name: str, names: Iterable[str], path: str, remedy: str = _POINTS_REMEDY) -> InputError:
+    seen = tuple(names)
+    message = f" has no column {name!r}; its columns are {', '.join(map(repr, seen))}."
+    return _bad(path, message, remedy, column=name, seen=seen)
 
 
 def sort_coordinates(names: Iterable[str]) -> list[str]:
@@ -602,13 +598,12 @@ def _require_names(names: Sequence[str], first: Sequence[str], path: str) -> Non
             raise _bad(path, message, "Put commas between the columns, and points into the numbers.")
 
 
-def _numbers(header: _Header | _Columns, rows: Sequence[tuple[int, list[str]]], path: str) -> Array:
+def _numbers(names: Sequence[str], read: Sequence[str], rows: Sequence[tuple[int, list[str]]], path: str) -> Array:
     """Return (N, c) the numbers of the columns that are read."""
-    names = header.names
     for line, row in rows:
         if len(row) != len(names):
             raise _bad(path, f", row {line}: {len(row)} cells under {len(names)} column names.", row=line)
-    at = [names.index(name) for name in header.read]
+    at = [names.index(name) for name in read]
     cells = [[row[k] for k in at] for _, row in rows]
     try:
         if any("_" in cell or not cell.isascii() for row in cells for cell in row):
@@ -620,7 +615,7 @@ def _numbers(header: _Header | _Columns, rows: Sequence[tuple[int, list[str]]], 
     bad = np.argwhere(~(np.abs(values) <= LARGEST))
     if len(bad):
         r, c = (int(i) for i in bad[0])
-        line, cell, name = rows[r][0], cells[r][c], header.read[c]
+        line, cell, name = rows[r][0], cells[r][c], read[c]
         message = f", row {line}, column {name!r}: {shown(cell)} is not a finite number."
         raise _bad(path, message, "Use a decimal point and no unit.", row=line, column=name)
     return values

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import jinja2
 import numpy as np
-from scipy.signal import periodogram
+from scipy.signal import welch
 
 from redundancy_pin.io.files import write_text
-from redundancy_pin.visualisation.figures.style import figure
+from redundancy_pin.robot.scales import is_revolute, turning_coordinates
+from redundancy_pin.visualisation.figures.style import brief, figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,7 +34,8 @@ td:first-child,th:first-child{text-align:left}tr:nth-child(even){background:#f4f
 {% for name, before, value, half, unit in rows %}<tr><td>{{ name }}</td><td>{{ before }}</td><td>{{ value }}</td>
 <td>{{ half }}</td><td>{{ unit }}</td></tr>
 {% endfor %}</table>
-{% if fit.base.unseen %}<p>Not shown by the motion: {{ fit.base.unseen|join(", ") }}.</p>{% endif %}
+{% if fit.base.unseen %}<details><summary>{{ fit.base.unseen|length }} parameters are not shown by the motion.</summary>
+<p>{{ fit.base.unseen|join(", ") }}</p></details>{% endif %}
 {% for name, picture in pictures.items() %}<h2>{{ name }}</h2>
 <img alt="{{ name }}" src="data:image/png;base64,{{ picture }}">
 {% endfor %}</body></html>
@@ -64,28 +66,33 @@ def write_report(fit: Fit, path: str | Path) -> None:
 
 def _pictures(fit: Fit) -> dict[str, str]:
     """Return pictures of parameters, forces and residuals, base64, by their headings."""
-    half, sizes = 0.5 * np.diff(fit.intervals, axis=1)[:, 0], fit.base.sizes[fit.base.independent]
-    places, count = np.arange(len(fit.base))[::-1], fit.measured.shape[1]
-    with figure(9.0, 1.2 + 0.25 * len(fit.base)) as bars:
+    robot, base, scales = fit.before, fit.base, fit.base.sizes[fit.base.independent]
+    names = [*(robot.platform.axes if robot.platform else robot.independent_joints), *robot.carriers]
+    turning = [*turning_coordinates(robot), *(is_revolute(robot, joint) for joint in robot.carriers)]
+    places, half = np.arange(len(base))[::-1], 0.5 * np.diff(fit.intervals, axis=1)[:, 0]
+    with figure(9.0, 1.2 + 0.25 * len(base)) as bars:
         axes = bars.subplots()
-        axes.errorbar(fit.values / sizes, places, xerr=half / sizes, fmt="o", capsize=3, label="estimate, 95 %")
-        axes.plot((fit.base.combination @ fit.base.standard) / sizes, places, "x", color="0.4", label="declared")
-        axes.set_yticks(places, [fit.base.parameters[k].name for k in fit.base.independent])
-        axes.set_xlabel("value over the robot's scale [1]")
+        axes.errorbar(fit.values / scales, places, xerr=half / scales, fmt="o", capsize=3, label="estimate, 95 %")
+        axes.plot((base.combination @ base.standard) / scales, places, "x", color="0.4", label="declared")
+        axes.set_yticks(places, [brief(name.split(" + ")[0].split(" - ")[0]) for name in base.names])
+        axes.set(xlabel="base parameter, named by its first term, over the robot's scale [1]", ylim=(-0.7, len(base)))
         axes.legend()
-    with figure(9.0, 2.0 * count + 0.6) as forces:
-        for j, panel in enumerate(forces.subplots(count, squeeze=False)[:, 0]):
-            panel.plot(fit.t, fit.measured[:, j], ".", ms=2, color="0.6", label="measured")
-            panel.plot(fit.t, fit.predicted[:, j], lw=1.0, label="predicted")
-            panel.set(ylabel=f"force {j + 1} [N, N·m]", xlabel="t [s]")
-            panel.legend(loc="upper right")
+    columns = list(zip(names, turning, fit.measured.T, fit.predicted.T, fit.residual.T, strict=False))
+    with figure(9.0, 2.0 * len(columns) + 0.6) as forces:
+        panels = forces.subplots(len(columns), squeeze=False, sharex=True)[:, 0]
+        for panel, (name, turns, measured, predicted, _) in zip(panels, columns, strict=True):
+            panel.plot(fit.t, measured, ".", ms=2, color="0.6", label="measured")
+            panel.plot(fit.t, predicted, lw=1.0, label="predicted")
+            panel.set_ylabel(f"{brief(name)} [{'N·m' if turns else 'N'}]")
+        panels[0].legend(loc="upper right")
+        panels[-1].set_xlabel("t [s]")
     with figure(9.0, 3.2) as spectra:
         axes, rate = spectra.subplots(), 1.0 / float(np.median(np.diff(fit.t)))
-        for j, column in enumerate(fit.residual.T):
-            frequency, density = periodogram(column, fs=rate, detrend=False)
-            axes.loglog(frequency[1:], density[1:] * 0.5 * rate, lw=0.8, label=f"force {j + 1}")
-        axes.axhline(1.0, color="0.4", ls="--")
-        axes.set(xlabel="frequency [Hz]", ylabel="residual over white noise [1]")
+        for name, *_, residual in columns:
+            frequency, density = welch(residual, fs=rate, nperseg=min(128, len(residual)), detrend=False)
+            axes.loglog(frequency[1:], density[1:] * 0.5 * rate, lw=0.8, label=brief(name))
+        axes.axhline(1.0, color="0.4", ls="--", label="white noise")
+        axes.set(xlabel="frequency [Hz]", ylabel="density over white noise [1]")
         axes.legend()
     drawn = {"Parameters over their scales": bars, "Measured and predicted": forces, "Residual spectrum": spectra}
     return {name: _png(page) for name, page in drawn.items()}
