@@ -103,7 +103,7 @@ class ClosureForces(Frozen):
         push = self.component(closure, normal)
         others = [axis for axis in "xyz" if axis != normal and f"{axis} of {closure}" in self.names]
         tangents = [self.component(closure, axis) for axis in others]
-        if len(tangents) < 2:  # the cone of a plane has two sides, or one that is no condition
+        if len(tangents) < 2:  # the cone of a plane has two sides, or one that gives no condition
             sides, within, around = 2, mu, np.array([[1.0, -1.0]])[: len(tangents)]
         else:
             angle = 2.0 * np.pi * np.arange(sides) / sides

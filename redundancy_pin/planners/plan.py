@@ -247,7 +247,7 @@ class Plan(Frozen):
             InputError: ``parameters`` or ``diagnostics`` hold something that is not plain data.
         """
         robot, platform = self.robot.saved_beside(path), self.functions.platform
-        # a trajectory is no plain data
+        # a trajectory is not plain data
         functions = replace(self.functions, platform=replace(platform, source=platform.polynomials))
         write_archive(path, PLAN_FORMAT, PLAN_VERSION, replace(self, functions=functions, robot=robot))
 

@@ -252,7 +252,7 @@ def _times(
     elif controller.end is not None:
         last = float(controller.end)
     else:
-        raise InputError("No duration given.", remedy="Pass duration=, in seconds.")
+        raise InputError("Nothing says how long to simulate.", remedy="Pass duration=, in seconds.")
     if not (np.isfinite(last) and last > start):
         raise InputError(
             f"The simulation would last from {start} to {last} s.", remedy="Pass a positive, finite duration."

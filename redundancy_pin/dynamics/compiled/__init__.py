@@ -191,7 +191,7 @@ class _Calls(threading.local):
 
     def __init__(self, dynamics: CompiledDynamics) -> None:
         self._dynamics = dynamics
-        lapack()  # kinematics take what the C does not close: what they import would hold up a control loop
+        lapack()  # kinematics follow where the C fails: a late import would delay a control loop
 
     @cached_property
     def sample(self) -> SampleCall:

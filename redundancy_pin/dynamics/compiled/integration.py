@@ -171,7 +171,7 @@ class CompiledIntegration:
         except BaseException as error:  # C cannot raise it: the caller does
             self._error = error
             return 0
-        return int(math.isfinite(sum(whole.tolist())))  # of a few numbers sooner known than by np.isfinite
+        return int(math.isfinite(sum(whole.tolist())))  # for a few numbers faster than np.isfinite
 
     def _memory(self, address: int, size: int) -> Array:
         """Return the memory of C at an address; C hands over the same few again and again."""

@@ -93,7 +93,7 @@ class VirtualWork(Dynamics):
         springs = (load.joint for load in of_kind(self._robot.loads, JointForces) if load.stiffness)
         if any(is_revolute(self._robot, joint) for joint in springs):
             raise UnsupportedRobotError(
-                "One sample does not determine the number of turns of a hinge, on which its spring depends.",
+                "One sample does not determine the whole turns of a hinge, on which its spring depends.",
                 remedy="Use reduce and distribute for whole motions, or RneaDynamics.",
             )
         return solve_reduced_sample(self, given, t)

@@ -314,7 +314,7 @@ def _singular_node(task: Task, grid: Grid, index: int) -> SingularNode:
     reduced = here.reduce()
     u, values, v = np.linalg.svd(scaled(reduced.W, reduced.row_scale, reduced.column_scale)[0])
     size = float(values[0])
-    if len(values) == 1:  # the only one vanishes: it is small beside what it is elsewhere
+    if len(values) == 1:  # the only one vanishes: compare it with its values elsewhere
         usual = dynamics.along(source.sample_at(_spread(source))).reduce()
         size = float(np.linalg.norm(scaled(usual.W, usual.row_scale, usual.column_scale), axis=(1, 2)).max())
     kept = int((values > LOST * size).sum())

@@ -131,7 +131,7 @@ class Terms:
 
     def at(self, preview: Preview, t: Array, sigma: Array, rate: Array, bend: Array) -> CarrierTerms:
         """Return them at (N,) times t, s, at which the preview is at σ, s, with σ̇ and σ̈; NaN where out of reach."""
-        once, place = np.unique(sigma, return_inverse=True)  # a platform that stands still
+        once, place = np.unique(sigma, return_inverse=True)  # a platform at rest
         x, xd, xdd = (part[place] for part in preview.states(once))
         if (rate != 1.0).any() or bend.any():
             xd, xdd = scaled_rates(xd, xdd, rate, bend)

@@ -163,7 +163,7 @@ class RecedingHorizon:
             InputError: no plan exists yet.
         """
         if self.updates.last is None:
-            raise InputError("No plan exists to continue.", remedy="Call update first.")
+            raise InputError("There is no plan to continue.", remedy="Call update first.")
         reason = "the update was missed"
         return replace(self.updates.last.command, t=self._time(t), status=UpdateStatus.FALLBACK, reason=reason)
 

@@ -138,7 +138,7 @@ def run_online(
         np.concatenate([np.arange(source.start, source.end, SAMPLES), times, source.breaks, source.knots])
     )
     decided = pieces_of(planner, source, carriers, commands)
-    for part, _ in decided:  # of what is narrower than a sample the continuous motion is judged
+    for part, _ in decided:  # parts narrower than a sample are evaluated on the continuous motion
         short = part.end - part.start < SAMPLES
         nodes = nodes[~((nodes > part.start) & (nodes < part.end) & short)]
     functions = PlanFunctions(source, carriers, prescribed=tuple(part for part, _ in decided))
@@ -212,7 +212,7 @@ def _require_progress(command: Command, source: Motion, planner: RecedingHorizon
             first = int(beyond.argmax())
             where = place_of(np.asarray(ahead.x[first]))
             raise InfeasiblePlanError(
-                f"The platform is at rest at t = {t:.6g} s, where the motion is at {reached:.6g} s: at "
+                f"The platform stands at t = {t:.6g} s, where the motion is at {reached:.6g} s: at "
                 f"{ahead.t[first]:.6g} s it leads where the machine cannot go, to {where}.",
                 remedy="Lead the platform along another path.",
                 constraint="preview",
@@ -267,7 +267,7 @@ def pieces_of(
         planned = np.array([command.efforts.at(t) for command, t in zip(latest, ends, strict=True)])
         inner = (ends > source.start) & (ends < source.end) & np.isfinite(tau).all(axis=1)
         tau = np.where(inner[:, None], tau, planned)
-        # one tick sees a singular instant where another does, but for rounding
+        # two updates see a singular instant at the same time, up to rounding errors
         roots = singular_instants_met(commands)
         roots = roots[(roots > ends[0]) & (roots < ends[1])]
         roots = roots[np.append(True, np.diff(roots) > 1e-4)] if len(roots) else roots

@@ -120,7 +120,7 @@ def ramp_down(
     return PiecewisePolynomial.joined([quintic, PiecewisePolynomial.constant(zero, end, window.end)]), at_end
 
 
-# --- why there is no motion ----------------------------------------------------------------------------------------
+# --- causes of infeasibility ----------------------------------------------------------------------------------------
 
 _RANK_LOSS = 1e-8
 """Smallest singular value of F that counts as zero at a minimum found by search, relative to its largest."""

@@ -194,7 +194,7 @@ class Tracking(Controller):
         self.reference = plan if isinstance(plan, MotionReference) else plan_reference(plan, motion=motion)
         self.robot = self.reference.robot
         self.sampling = sampling
-        # efforts kink at the edges of the reference; those of a sampled controller are constant between samples
+        # efforts kink at the edges of the reference; a sampled controller's efforts are constant between samples
         self.breaks = self.reference.edges[1:-1] if sampling is None else self.reference.edges[:0]
         self.end = self.reference.end
         self.lead = 0.0 if sampling is None else sampling.delay + 0.5 * sampling.period
