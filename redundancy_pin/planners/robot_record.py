@@ -345,7 +345,7 @@ def _changed(record: RobotRecord, place: str | Path, what: str) -> PlanFileError
 
 
 def record_difference(then: RobotRecord, now: RobotRecord) -> str:
-    """Say what differs first between two records; empty if they describe the same robot."""
+    """Return the first difference between two records; empty if they describe the same robot."""
     for name in ("arguments", "working_mode", "actuated", "carriers", "carrier_limits", "loads"):
         before, after = getattr(then, name), then.known_arguments(now) if name == "arguments" else getattr(now, name)
         if name == "arguments" and not now.arguments:

@@ -248,7 +248,7 @@ def linearise(robot: Robot, state: State, tau: Array, carrier_force: Array | Non
     Raises:
         SingularPoseError: a type I pose, where platform and carriers are no coordinates.
         IllPosedModelError: a free motion has no inertia.
-        UnsupportedRobotError: a joint has more than one freedom.
+        UnsupportedRobotError: a joint has more than one degree of freedom.
     """
     loads = np.zeros(robot.k) if carrier_force is None else np.asarray(carrier_force, dtype=float)
     dynamics = ForwardDynamics(robot)

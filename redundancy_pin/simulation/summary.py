@@ -76,7 +76,7 @@ def summary(run: Simulation, reference: MotionReference, robot: Robot) -> Summar
 
 
 def _warnings(run: Simulation, reference: MotionReference, robot: Robot) -> list[str]:
-    """Return why a simulation ended early, and what helps."""
+    """Return the reason why a simulation ended early, and a remedy."""
     if run.status is ResultStatus.NOT_CONVERGED:
         return [f"could not go on at t = {run.t[-1]:.6g} s: {run.reason}"]
     if run.status is not ResultStatus.STOPPED:

@@ -56,7 +56,7 @@ def close_motion(
         start: state where the branch starts, in place of the reference.
 
     Raises:
-        RedundancyPinError: what ``kinematics.inverse_kinematics`` raises.
+        RedundancyPinError: any error of ``kinematics.inverse_kinematics``.
         WorkingModeError: also as ``Follower.require_near``.
     """
     lifted, here = None, _state_of(robot, start)

@@ -124,7 +124,7 @@ class _Branch:
             a rank loss of the closures.
         known: whether a start or a sample has determined the branch; before that it is the reference's.
         passed: the last sample at a rank loss of the closures, q and its state: Γ determines the branch, q does not.
-        refused: what kinematics refused last, and from where: None once a sample is solved.
+        refused: the last sample refused by kinematics, and its start: None once a sample is solved.
     """
 
     def __init__(self, robot: Robot, code: Code) -> None:
@@ -178,7 +178,7 @@ class _Branch:
 
         Args:
             given: as of ``refuses``.
-            solve: what solves it from a start, and raises ``REFUSALS``.
+            solve: function that solves it from a start, and raises ``REFUSALS``.
         """
         key = self._key(given)
         if self.refused is not None and self.refused[0] == key:
@@ -198,7 +198,7 @@ class _Branch:
         return b"".join(part.tobytes() for part in (self.state, self._signs, given)) + bytes([self.known])
 
     def save(self) -> tuple[Array, Array, bool]:
-        """Return what ``restore`` takes."""
+        """Return the state for ``restore``."""
         return self.state.copy(), self._signs.copy(), self.known
 
     def restore(self, saved: tuple[Array, Array, bool]) -> None:

@@ -411,7 +411,7 @@ class _Device(ABC):
 
     @abstractmethod
     def wait(self) -> None:
-        """Return when what was asked of the device is done."""
+        """Wait until the device has finished the submitted work."""
 
     def column(self, array: Any) -> tuple[int, int, int]:
         """Return the ``Column`` of an array, the samples along its first axis: address and strides, in doubles."""

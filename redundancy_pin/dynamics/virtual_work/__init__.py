@@ -176,7 +176,7 @@ class VirtualWorkAlongMotion(Frozen):
         return wrench_values(self.robot.loads, self.motion.t, self.motion.x, self.motion.xd)
 
     def _efforts(self, carriers: Carriers, *, derivatives: bool = False) -> Efforts:
-        """Return what links, carriers and loads require."""
+        """Return the generalised forces of links, carriers and loads."""
         efforts = self._dynamics.efforts(carriers, derivatives=derivatives)
         add_loads(efforts, self.robot, self._wrenches, self._dynamics, carriers)
         return efforts

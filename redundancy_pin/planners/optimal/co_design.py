@@ -87,7 +87,7 @@ class DesignTask(Frozen):
         options: keywords of ``plan_whole_trajectory``: objective, limits, mesh, solver and the others. Without carriers
             options of the carriers' motion have no effect. The objective "time" cannot be combined with others; with
             it, the other keywords are for ``plan_time_optimal``.
-        weight: of its least cost, over what that is for the robot to begin with.
+        weight: of its least cost, relative to the least cost of the initial robot.
     """
 
     dynamics: Dynamics
@@ -411,7 +411,7 @@ def compare_machines(
     iterations: int = 30,
     progress: Callable[[str], None] | None = None,
 ) -> list[dict[str, Any]]:
-    """Return what every task costs by the machine to begin with, by one made for each task, and by one for all.
+    """Return the costs of every task for the initial machine, a machine made for each task, and one for all tasks.
 
     Args:
         tasks: by name.

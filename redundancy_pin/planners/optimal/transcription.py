@@ -114,7 +114,7 @@ def half_range(kind: str, lower: Array, upper: Array) -> Array:
 class Transcription(Quantities):
     """The programme of a problem while it is put together, and its quantities as expressions.
 
-    In an elastic programme each kind of limit has one fraction e ≥ 0 by which all of its bounds are let out.
+    In an elastic programme each kind of limit has one fraction e ≥ 0 by which all of its bounds are relaxed.
     """
 
     def __init__(self, problem: Problem, elastic: Sequence[str]) -> None:
@@ -225,7 +225,7 @@ class Transcription(Quantities):
     def limit(
         self, kind: str, expression: Expression, lower: Expression, upper: Expression, at: IntArray | None = None
     ) -> None:
-        """Keep lower ≤ expression ≤ upper, all of them scaled; in an elastic programme let out by its fraction.
+        """Keep lower ≤ expression ≤ upper, all of them scaled; in an elastic programme relaxed by its fraction.
 
         ``at``: the node of each row; 0, 1, 2 and so on when left out.
         """

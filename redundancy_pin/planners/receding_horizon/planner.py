@@ -41,7 +41,7 @@ class RecedingHorizon:
             is then the time of the preview that is reached, and the status is ``TIME_SCALED``.
 
     Attributes:
-        limits: in force from the next update on; may be set between updates. ``resolved`` has them as arrays.
+        limits: active from the next update on; may be set between updates. ``resolved`` has them as arrays.
         slows_down: whether it leads the platform more slowly.
 
     Raises:
@@ -102,7 +102,7 @@ class RecedingHorizon:
         self.updates.set_limits(self.resolved)
 
     def update(self, t: float, preview: Source, s: ArrayLike | None = None, sd: ArrayLike | None = None) -> Command:
-        """Return what to do from a time on.
+        """Return the command from a time on.
 
         Args:
             t: the tick, s; not before the one before.

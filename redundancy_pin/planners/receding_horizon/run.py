@@ -49,7 +49,7 @@ class OnLineRun(Frozen):
     commands: tuple[Command, ...]
 
     def summary(self) -> Summary:
-        """Return what ``Plan.summary`` does, ticks by status, and the time that an update took, ms.
+        """Return ``Plan.summary`` plus the updates by status and the time that an update took, ms.
 
         Example:
             >>> print(run_online(RecedingHorizon("2rpr"), circle).summary())

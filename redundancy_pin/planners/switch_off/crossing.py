@@ -65,7 +65,7 @@ def cross(
         window: when the actuators are off, s.
         ramp_time: duration of the ramp-down before it, s.
         datum: (k,) where the carriers park before, m.
-        row_scale: (n,) what forces are measured in.
+        row_scale: (n,) scales of the forces.
 
     Raises:
         InfeasiblePlanError: the carriers cannot balance the motion; carries constraint, time and amount.

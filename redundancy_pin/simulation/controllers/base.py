@@ -55,7 +55,7 @@ class Sampling:
 
 
 class EffortLaw(Protocol):
-    """The least that ``simulate`` needs of what drives a machine; see ``Controller`` for what else it may have."""
+    """The least interface that ``simulate`` needs of a controller; see ``Controller`` for optional members."""
 
     def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,), N or N·m, and carrier forces (k,), N, at time t, s."""
@@ -82,7 +82,7 @@ class Controller(ABC):
     open_loop: PiecewisePolynomial | None = None
 
     def class_name(self) -> str:
-        """Return what errors and results call it."""
+        """Return the name of the class, for errors and results."""
         return type(self).__name__
 
     @abstractmethod
@@ -246,7 +246,7 @@ class Amplifiers:
     """A controller with its amplifiers: its output is checked, and saturates.
 
     Args:
-        controller: what commands the efforts.
+        controller: the controller that commands the efforts.
         tau_limit: (m,) largest |τ|, N or N·m; infinite if unlimited.
         force_limit: (k,) largest |carrier force|, N.
     """
