@@ -1,4 +1,4 @@
-"""A whole motion planned as if on line: one plan a tick, of which the carriers follow the first piece."""
+"""A whole motion planned as if on line: one plan per control update; the carriers follow the first piece of each."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class OnLineRun(Frozen):
 
     Attributes:
         plan: what the carriers did and which efforts that takes, judged as any other plan.
-        commands: one a tick.
+        commands: one per control update.
     """
 
     plan: Plan
@@ -89,10 +89,10 @@ def run_online(
     tick: float | None = None,
     start: ArrayLike = 0.0,
 ) -> OnLineRun:
-    """Plan along a motion tick after tick, each plan with a preview of one horizon.
+    """Plan along a motion, one control update after another, each plan with a preview of one horizon.
 
     Args:
-        planner: the planner, before its first tick.
+        planner: the planner, before its first update.
         motion: the whole motion.
         tick: between plans, s, at most a horizon; a step when left out.
         start: scalar or (k,) where the carriers are at the start, m.
@@ -105,7 +105,7 @@ def run_online(
 
     Raises:
         InputError: a step or a horizon that is too long for the motion.
-        InfeasiblePlanError: a start off the track; a tick was refused, or the platform does not get along however slow;
+        InfeasiblePlanError: a start off the track; a refused control update, or a motion that no speed makes feasible;
             carries how far the motion is possible.
     """
     tick = planner.step if tick is None else positive(tick, "tick", "s")

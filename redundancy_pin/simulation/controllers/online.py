@@ -87,8 +87,8 @@ class OnlinePlanning(ComputedTorque):
     continues. The planner does not use the motion beyond the horizon.
 
     Args:
-        planner: new, before its first tick; its robot is the model that the controller knows.
-        motion: the platform's motion, of which each tick sees what its horizon reaches.
+        planner: new, before its first update; its robot is the model that the controller knows.
+        motion: the platform's motion; each control update uses it up to its horizon.
         sampling: of the simulation.
         tick: between plans, s.
         delay: from reading the state to the plan that comes of it, s: at least the time that planning takes.
