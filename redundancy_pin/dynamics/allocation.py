@@ -165,7 +165,7 @@ def least_miss(matrix: Array, goal: Array, lower: Array, upper: Array) -> Array:
         problem = matrix[:, free], rest / size, (lower[free] / size, upper[free] / size)
         with np.errstate(divide="ignore", invalid="ignore"):
             fit = lsq_linear(*problem, method="bvls", tol=ROUNDING, max_iter=1000)
-        if not np.isfinite(fit.x).all():  # columns that are equal to rounding may give 0/0
+        if not np.isfinite(fit.x).all():  # columns equal to machine precision may give 0/0
             fit = lsq_linear(*problem, method="trf", tol=ROUNDING, max_iter=1000)
         u[free] = np.clip(size * fit.x, lower[free], upper[free])
     return u

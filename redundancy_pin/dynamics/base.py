@@ -99,7 +99,7 @@ _Backend = TypeVar("_Backend", bound="Dynamics")
 
 
 class Dynamics(Protocol):
-    """From platform and carrier motion to W τ = f. Planners know this and nothing else; a backend defines ``along``."""
+    """From platform and carrier motion to W τ = f: the only interface of planners; a backend defines ``along``."""
 
     @property
     def robot(self) -> Robot:
@@ -183,7 +183,7 @@ class Dynamics(Protocol):
         *,
         t: float = 0.0,
     ) -> ReducedSample:
-        """Return W, f and carrier forces at one sample: ``reduce`` for those who ask sample after sample.
+        """Return W, f and carrier forces at one sample: ``reduce`` for repeated single samples.
 
         Arguments as of ``torque``. Tracks are not checked.
 
@@ -242,7 +242,7 @@ class Dynamics(Protocol):
         return self._torque((x, xd, xdd, s, sd, sdd), t, start)
 
     def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
-        """Return what ``torque`` returns, by a backend."""
+        """Return ``torque`` evaluated by a backend."""
         raise _has_no(self, "torque", "reduce and distribute")
 
     def acceleration(

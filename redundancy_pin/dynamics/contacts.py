@@ -48,8 +48,8 @@ class ClosureForces(Frozen):
 
         Args:
             direction: (c, r) or (r,) in the closure rows, see ``component``; differences squeeze between two contacts.
-            lower: scalar or (c,) N; −inf for none.
-            upper: scalar or (c,) N; inf for none.
+            lower: scalar or (c,) N; −inf if unbounded.
+            upper: scalar or (c,) N; inf if unbounded.
 
         Raises:
             InputError: wrong shapes, or lower above upper.
@@ -82,7 +82,7 @@ class ClosureForces(Frozen):
     def friction_cone(
         self, closure: str, friction: float, *, normal: str = "z", sides: int = 8, least: float = 0.0
     ) -> EffortRows:
-        """Return what a contact can hold: a normal force of at least so much, and a tangential one within a pyramid.
+        """Return the limits of a contact: a least normal force, and a tangential force within a pyramid.
 
         The pyramid lies inside Coulomb's cone |λ_t| ≤ μ λ_n and touches it along its edges.
 
@@ -103,7 +103,7 @@ class ClosureForces(Frozen):
         push = self.component(closure, normal)
         others = [axis for axis in "xyz" if axis != normal and f"{axis} of {closure}" in self.names]
         tangents = [self.component(closure, axis) for axis in others]
-        if len(tangents) < 2:  # the cone of a plane has two sides, or one that is no condition
+        if len(tangents) < 2:  # the cone of a plane has two sides, or one that gives no condition
             sides, within, around = 2, mu, np.array([[1.0, -1.0]])[: len(tangents)]
         else:
             angle = 2.0 * np.pi * np.arange(sides) / sides

@@ -29,7 +29,7 @@ def as_dynamics(dynamics: DynamicsLike) -> Dynamics:
 
     Raises:
         InputError: neither a backend nor a robot, its name or its path.
-        RedundancyPinError: what ``load_robot`` raises.
+        RedundancyPinError: any error of ``load_robot``.
 
     Warns:
         RuntimeWarning: RNEA is used because no compiler is found (the remedy names the extra ``compiler``), it fails,

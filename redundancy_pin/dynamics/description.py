@@ -32,7 +32,7 @@ _UNLIMITED = 1e300
 
 
 def describe(robot: Robot, description: str = "", defaults: Mapping[str, object] | None = None) -> Summary:
-    """Return what there is to know about a robot, SI units: a mapping, whose ``print`` shows tables.
+    """Return a description of a robot, SI units: a mapping, whose ``print`` shows tables.
 
     Args:
         robot: the robot.

@@ -50,7 +50,7 @@ class Distribution(Frozen):
     length, so that W has no unit and f is in newtons.
 
     Attributes:
-        tau: (N, m) efforts, N or N·m by joint; positive along the joint rate. NaN where there are none.
+        tau: (N, m) efforts, N or N·m by joint; positive along the joint rate. NaN if none exist.
         status: (N,) a ``SampleStatus`` each.
         rank: (N,) rank of the scaled W; 0 where unreachable.
         residual: (N,) N, scaled. Where tau is finite the norm of W τ − f. Where the status is inconsistent the part
@@ -115,13 +115,13 @@ a multiple of it; a hundredfold covers that. To it is added ``FORCE_TOLERANCE`` 
 
 @dataclass(frozen=True, eq=False)
 class EffortRows(Frozen):
-    """Linear conditions on the efforts, lower ≤ matrix τ ≤ upper: what contacts hold, a squeeze, a preload.
+    """Linear conditions on the efforts, lower ≤ matrix τ ≤ upper, for example of contacts, a squeeze or a preload.
 
     ``dynamics.contacts`` makes them of closure forces. Equal bounds make an equation.
 
     Attributes:
         matrix: (N, c, m), or (c, m) for all samples; each row may have another unit.
-        lower, upper: (N, c) or (c,); −inf and inf for none.
+        lower, upper: (N, c) or (c,); −inf and inf if unbounded.
     """
 
     matrix: Array
@@ -451,7 +451,7 @@ def _check_tolerances(tolerances: dict[str, float]) -> None:
 
 
 def _within_bounds(problem: _Problem, efforts: Array, right: Array, rank: IntArray) -> tuple[Array, BoolArray]:
-    """Return (N, m) efforts within the bounds, and (N,) where there are none although there are efforts."""
+    """Return (N, m) efforts within the bounds, and (N,) where none exist although unbounded efforts do."""
     m = efforts.shape[1]
     bounded = np.clip(efforts, problem.lower[:, :m], problem.upper[:, :m])
     at = leaves_bounds(np.einsum("Ncj,Nj->Nc", problem.rows, efforts), problem.lower, problem.upper)

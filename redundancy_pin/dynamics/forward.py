@@ -56,7 +56,7 @@ class LinearParts(NamedTuple):
 
 
 class Accelerations(NamedTuple):
-    """What acts at one state: tree acceleration (nv,), closure forces (r,), and what the forces miss (nv,)."""
+    """Result at one state: tree acceleration (nv,), closure forces (r,), and residual forces (nv,)."""
 
     a: Array
     closure_force: Array
@@ -65,7 +65,7 @@ class Accelerations(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """What an integration must keep to, and what makes a step one that its caller wants to see.
+    """Tolerances, limits and forces of an integration, and the events at which it returns a step to its caller.
 
     Attributes:
         method: "DOP853" or "RK45", explicit Runge-Kutta methods of scipy.
@@ -162,13 +162,13 @@ class ForwardKernel(Protocol):
     def accelerations(
         self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None
     ) -> Accelerations | None:
-        """Return what acts at a closed state under generalised forces (nv,).
+        """Return accelerations and forces at a closed state under generalised forces (nv,).
 
         None if the closures have lost rank or a free motion has no inertia; ``ForwardDynamics`` distinguishes them.
         """
 
     def project(self, y: Array, tolerance: float) -> tuple[Array, float, float] | None:
-        """Return the closed state nearest to y (nq + nv,), the residual before and after, m; None if none is."""
+        """Return the closed state nearest to y (nq + nv,), the residual before and after, m; None if not found."""
 
     def equations(self, q: Array, v: Array) -> Equations:
         """Return the equations of the tree and its closures at a state."""

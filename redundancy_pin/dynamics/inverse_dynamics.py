@@ -81,7 +81,7 @@ class InverseDynamics(Frozen):
     Attributes:
         reduced: W τ = f and the carrier forces, (N, ...).
         efforts: the main efforts, with a status for each sample.
-        bounds: (m, 2) smallest and largest main efforts, N or N·m; infinite for none, or one for each sample.
+        bounds: (m, 2) smallest and largest main efforts, N or N·m; infinite if unbounded, or one for each sample.
     """
 
     reduced: ReducedDynamics
@@ -193,7 +193,7 @@ class InverseDynamics(Frozen):
         return Summary(facts, TextTable(f"{robot.name}: {len(self.efforts)} samples", rows), warnings=self.warnings())
 
     def warnings(self) -> Iterator[str]:
-        """Give where no finite efforts exist, and what the samples do not show, a sentence each."""
+        """Give the places without finite efforts, and limits of the sampling, a sentence each."""
         unbounded = [one for one in self.instants if one.unbounded]
         if unbounded:
             listed = ", ".join(f"{one.t:.9g}" for one in unbounded[:_LISTED])
@@ -322,7 +322,7 @@ def _instants(
     met: list[Crossing],
     unreachable: OnUnreachable,
 ) -> tuple[SingularInterval, ...]:
-    """Return what the efforts do at crossings, which are put among the samples: one branch is followed through all."""
+    """Return the efforts at crossings, which are inserted among the samples: one branch is followed through all."""
     t = np.array([one.t for one in met])
     new = ~np.isin(t, motion.t)
     order = np.argsort(np.concatenate([motion.t, t[new]]), kind="stable")

@@ -64,14 +64,14 @@ def _unit_of_W(robot: Robot) -> Array:
 def solve_sample(
     robot: Robot, sample: ReducedSample, q: Array, kinematics: tuple[float, float], given: SampleArrays, t: float
 ) -> TorqueSample:
-    """Return the efforts of one sample with a status, of a backend that knows the configuration.
+    """Return the efforts of one sample with a status, for a backend that solves the configuration.
 
     Args:
         robot: the robot.
         sample: W (n, m), f (n,) and carrier forces (k,).
         q: (nq,) configuration, m and rad; ranges are checked with the carriers at s.
         kinematics: closure residual of q, m, and lower bound of the distance to type I.
-        given: what the sample is made of.
+        given: arguments of the sample.
         t: time, s, for wrenches that depend on it.
 
     Example:
@@ -94,11 +94,11 @@ def solve_sample(
 
 
 def solve_reduced_sample(dynamics: Dynamics, given: SampleArguments, t: float) -> TorqueSample:
-    """Return the efforts of one sample with a status, of a backend that knows ``reduce`` alone: a closed form.
+    """Return the efforts of one sample with a status, for a backend with ``reduce`` only: a closed form.
 
     Args:
         dynamics: the backend.
-        given: what the sample is made of.
+        given: arguments of the sample.
         t: time, s, for wrenches that depend on it.
 
     Raises:

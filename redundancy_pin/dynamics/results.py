@@ -62,7 +62,7 @@ class ReducedDynamics(Frozen):
 
 
 class ReducedSample(Protocol):
-    """W τ = f at one sample; what ``Dynamics.sample`` returns."""
+    """W τ = f at one sample; the result of ``Dynamics.sample``."""
 
     @property
     def W(self) -> Array:
@@ -86,10 +86,10 @@ class Sample(NamedTuple):
 
 
 class TorqueSample(NamedTuple):
-    """Efforts of one sample, with a status; what ``Dynamics.torque`` returns.
+    """Efforts of one sample, with a status; the result of ``Dynamics.torque``.
 
     Attributes:
-        tau: (m,) efforts of the main actuators, N or N·m; NaN where there are none.
+        tau: (m,) efforts of the main actuators, N or N·m; NaN if none exist.
         status: as ``distribute`` gives it.
         margin: singularity margin of type II, the smallest singular value of the scaled W, no unit; NaN without W.
         carrier_force: (k,) force of each carrier's actuator, N or N·m; NaN without W.
@@ -108,7 +108,7 @@ class TorqueSample(NamedTuple):
 
 
 class AccelerationSample(NamedTuple):
-    """Accelerations of the tree at one state, with a status; what ``Dynamics.acceleration`` returns.
+    """Accelerations of the tree at one state, with a status; the result of ``Dynamics.acceleration``.
 
     Attributes:
         a: (nv,) acceleration of the tree, m/s² and rad/s²; NaN unless the status is ok.
@@ -121,7 +121,7 @@ class AccelerationSample(NamedTuple):
 
 
 class JointStateSample(NamedTuple):
-    """All joints and the platform at one instant; what ``Dynamics.joint_state`` returns.
+    """All joints and the platform at one instant; the result of ``Dynamics.joint_state``.
 
     Attributes:
         q: (nq,) configuration of the tree, m and rad, as Pinocchio has it: carriers included.

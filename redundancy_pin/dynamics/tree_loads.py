@@ -94,7 +94,7 @@ class TreeLoads:
     def body_forces(self, data: pin.Data, state: TreeState) -> list[pin.Force]:
         """Return the wrench on each body, by joint index, in its joint frame: RNEA's external forces.
 
-        Index 0 holds what springs and rotors exert on the base; wrenches on the base are left out.
+        Index 0 has the forces of springs and rotors on the base; wrenches on the base are left out.
         """
         total = [pin.Force.Zero() for _ in range(self.model.njoints)]
         if not self._on_bodies:
@@ -128,7 +128,7 @@ class TreeLoads:
         return effort
 
     def rotor_mass(self, data: pin.Data, q: Array) -> Array:
-        """Return (nv, nv) what the rotors add to the mass matrix: T = ½ I G² v² + I G v z·ω."""
+        """Return (nv, nv) the rotors' part of the mass matrix: T = ½ I G² v² + I G v z·ω."""
         model = self.model
         mass = np.zeros((model.nv, model.nv))
         if self._rotors:

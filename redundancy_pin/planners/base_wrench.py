@@ -1,4 +1,4 @@
-"""The wrench on the base as planners need it: about a point, less the load at rest, by the carriers' terms.
+"""The wrench on the base for planners: about a point, minus the load at rest, by the carriers' terms.
 
 The base wrench (``DynamicsAlongMotion.base_wrench``) is the gravity of all moving bodies minus the rate of change of
 their momentum. Like f, it is a sum of ``carrier_model.terms`` over independent carriers that slide or turn. Its

@@ -291,7 +291,7 @@ def _turning_terms(along: DynamicsAlongMotion) -> tuple[Array, Array, Array, Arr
     """Return W and the coefficients where some carriers turn, from exact derivatives at ten motions of the carriers."""
     robot, samples, count = along.robot, len(along.motion), len(TERM_NAMES)
     parked = along.reduce(CarrierMotion.parked(samples, robot.k))
-    # five angles tell the waves apart, and two rates the terms with ṡ from those with ṡ²
+    # five angles separate the harmonics, and two rates the terms in ṡ and in ṡ²
     at = np.stack([np.tile(0.4 * np.pi * np.arange(5), 2), np.repeat([0.0, 1.0], 5), np.zeros(10)])
     read = [along.carrier_derivatives(CarrierMotion(*(np.full((samples, robot.k), x) for x in one))) for one in at.T]
     by_f, by_force = (
@@ -442,7 +442,7 @@ class TimedModel:
         shapes = ((n, m), (n,), (n, k, TERMS), (k,), (k, TERMS))
         terms = np.arange(TERMS)
         units = (np.array(0), np.array(1), 2 + terms, np.array(2 + TERMS), 3 + TERMS + terms)
-        # coefficients of one unit are held to one tolerance
+        # coefficients of one unit have one tolerance
         group = np.concatenate([np.broadcast_to(u, shape).ravel() for u, shape in zip(units, shapes, strict=True)])
 
         def values(times: Array) -> Array:

@@ -88,7 +88,7 @@ def finish_plan(planned: PlannedMotion, check: IntersampleCheck | None = None) -
     )
 
 
-# --- a plan judged anew ---
+# --- a plan validated again ---
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
     left, size = imbalance(along.reduce(plan.carriers), plan.tau)
     unbalanced = left / (size or 1.0)
     balanced = unbalanced <= BALANCE_TOLERANCE
-    # W τ = f leaves efforts open there: what they tend to is found anew
+    # W τ = f does not determine the efforts there: their limit is computed again
     on_singularity = plan.sample_status == SampleStatus.SINGULAR_CONSISTENT
     again = finish_plan(
         PlannedMotion(

@@ -100,7 +100,7 @@ class PlanFunctions(Frozen):
         for t, value in limits.items():
             at_end = (np.abs(left - t) <= slack) | (
                 np.abs(right - t) <= slack
-            )  # an edge may be a knot beside the sample
+            )  # an edge may be a breakpoint next to the sample
             for i in np.flatnonzero(at_end):
                 tau[i] = _beside((times[i] - t) / (right[i] - left[i]), tau[i], value)
         _require_finite(tau, edges, reduced)

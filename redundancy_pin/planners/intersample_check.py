@@ -470,7 +470,7 @@ class _Scale:
         size = np.abs(values).max(axis=(0, 1), initial=0.0, where=np.isfinite(values))
         loads = robot.m + robot.k
         limited = np.concatenate([limits.of(key)[joints] for key, joints in limits.evaluated().items()])[loads:]
-        size[loads:] = np.maximum(size[loads:], SMALL * limited)  # an actuator that stands has a rate of rounding
+        size[loads:] = np.maximum(size[loads:], SMALL * limited)  # an actuator at rest has a rate of rounding errors
         rounding = np.zeros(len(size))
         if reduced.force_size is not None:
             arms = np.concatenate([reduced.column_scale, velocity_scale(robot)[robot.carrier_velocity]])
@@ -566,7 +566,7 @@ def joint_ranges_of(planned: PlannedMotion) -> tuple[LimitedQuantity, ...]:
     if not joints:
         return ()
     if along.q is None or along.gamma is None:  # of a closed form, which knows no passive joints
-        with warnings.catch_warnings():  # a note that another backend takes longer is none about this one
+        with warnings.catch_warnings():  # a note that another backend takes longer does not concern this one
             warnings.simplefilter("ignore", RuntimeWarning)
             along = as_dynamics(robot).along(planned.motion, unreachable="mark")
     t, q, gamma = planned.motion.t, along.q, along.gamma

@@ -56,7 +56,7 @@ class Plan(Frozen):
         residual: (N,) scaled norm of W τ − f, N.
         margin: (N,) smallest singular value of the scaled W.
         condition: (N,) condition number of the scaled W.
-        phase: (N,) index into ``phases``: what the planner was doing.
+        phase: (N,) index into ``phases`` of each sample.
         phases: names of the phases.
         limits: limits broken and touched.
         status: status of the whole plan.
@@ -64,8 +64,8 @@ class Plan(Frozen):
         backend: name of the backend.
         robot: the robot, in plain data.
         parameters: the planner's parameters, in plain data.
-        findings: what the planner found that others read.
-        diagnostics: what else it found (windows, counts, …), in plain data.
+        findings: results of the planner for other functions.
+        diagnostics: its other results (windows, counts, …), in plain data.
         functions: platform, carriers and efforts as functions of time, between the samples too: what ``simulate``,
             controllers and engines play. Whoever replaces ``motion`` or ``carriers`` replaces it too.
         between: largest efforts and forces of the continuous motion.
@@ -175,7 +175,7 @@ class Plan(Frozen):
 
     @property
     def main_energy(self) -> float:
-        """∫ Σ |τ q̇| dt of the main actuators at the samples, J: what motors that cannot recover energy would draw."""
+        """∫ Σ |τ q̇| dt of the main actuators at the samples, J: the energy drawn without recuperation."""
         return _absolute_integral(self.main_power, self.t)
 
     @property
@@ -247,7 +247,7 @@ class Plan(Frozen):
             InputError: ``parameters`` or ``diagnostics`` hold something that is not plain data.
         """
         robot, platform = self.robot.saved_beside(path), self.functions.platform
-        # a trajectory is no plain data
+        # a trajectory is not plain data
         functions = replace(self.functions, platform=replace(platform, source=platform.polynomials))
         write_archive(path, PLAN_FORMAT, PLAN_VERSION, replace(self, functions=functions, robot=robot))
 

@@ -133,7 +133,7 @@ class MotionReference:
         return ReferencePoint(t, *(*self._states(t), *self.loads(t)))
 
     def course(self, t: float) -> tuple[Array, Array, Array, Array, Array]:
-        """Return x, ẋ, s, ṡ and all efforts (m + k) at time t, s: what a feedback compares with."""
+        """Return x, ẋ, s, ṡ and all efforts (m + k) at time t, s: the reference values of a feedback controller."""
         x, xd, _, s, sd, *_ = self._states(t)
         return x, xd, s, sd, self.efforts.at(t)
 

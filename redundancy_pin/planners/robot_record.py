@@ -349,11 +349,11 @@ def _changed(record: RobotRecord, place: str | Path, what: str, name: str = "") 
 
 
 def record_difference(then: RobotRecord, now: RobotRecord) -> str:
-    """Say what differs first between two records; empty if they describe the same robot."""
+    """Return the first difference between two records; empty if they describe the same robot."""
     for name in ("arguments", "working_mode", "actuated", "carriers", "carrier_limits", "loads"):
         before, after = getattr(then, name), then.known_arguments(now) if name == "arguments" else getattr(now, name)
         if name == "arguments" and not now.arguments:
-            continue  # files that were written for this machine have none: what they stood for is compared below
+            continue  # files written for this machine have none: their content is compared below
         if name == "loads":  # payloads are in the mass properties
             before, after = (tuple(one for one in loads if not one.startswith("Payload(")) for loads in (before, after))
         if before != after:

@@ -108,7 +108,7 @@ class SingularInstant(Frozen):
         crossed = rate * self.duration > CROSSED * self.size  # the others are rounding
         weight = self.size / rate[crossed]
         lost = self.u * self.row_scale
-        kept = (np.eye(len(self.f)) - lost.T @ lost) / self.row_scale  # of W τ = f all but what is lost
+        kept = (np.eye(len(self.f)) - lost.T @ lost) / self.row_scale  # the rows of W τ = f that are not lost
         matrix = np.concatenate([kept @ self.W, weight[:, None] * rows[crossed]])
         force = np.concatenate([kept @ self.f, weight * right[crossed]])
         start = np.zeros(self.W.shape[1]) if preferred is None else preferred

@@ -133,7 +133,7 @@ def _optimum(plan: Plan) -> Iterator[tuple[str, str]]:
 
 
 def advice(plan: Plan) -> str | None:
-    """Return what reduces the reversals of efforts near singularities of an optimised plan; None if there are few.
+    """Return a remedy for the reversals of efforts near singularities of an optimised plan; None if there are few.
 
     Least efforts, and least peaks above all, leave the solver free to oscillate there: a price on their rate does not.
     """
@@ -181,7 +181,7 @@ def warnings_of(plan: Plan, *, ranges: bool = True) -> Iterator[str]:
 
 
 def _unplanned(plan: Plan) -> Iterator[str]:
-    """Give the updates of an on-line run without a plan within every limit, and what helps."""
+    """Give the updates of an on-line run without a plan within every limit, and a remedy."""
     ticks: Any = plan.diagnostics.get("ticks", {})
     without = {
         each.value: ticks[each.value] for each in (UpdateStatus.RELAXED, UpdateStatus.FALLBACK) if ticks.get(each.value)

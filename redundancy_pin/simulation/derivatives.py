@@ -255,7 +255,7 @@ def linearise(robot: Robot, state: State, tau: Array, carrier_force: Array | Non
     Raises:
         SingularPoseError: a type I pose, where platform and carriers are no coordinates.
         IllPosedModelError: a free motion has no inertia.
-        UnsupportedRobotError: a joint has more than one freedom.
+        UnsupportedRobotError: a joint has more than one degree of freedom.
 
     Example:
         >>> from redundancy_pin.simulation import closed_state, linearise
@@ -286,7 +286,7 @@ def linearise_along(
     loads = list(zip(states, tau, carrier_force, strict=True))
     accelerations = None if kernel is None else [_code_acceleration(robot, kernel, *one) for one in loads]
     if kernel is None or accelerations is None or any(a is None for a in accelerations):
-        return [linearise(robot, *one) for one in loads]  # which says what is wrong, if something is
+        return [linearise(robot, *one) for one in loads]  # it raises the cause, if something is wrong
     q, v, a = np.array([s.q for s in states]), np.array([s.v for s in states]), np.array(accelerations)
     parts = kernel.linear(q, v, a, np.asarray(tau, dtype=float))
     result = []

@@ -408,6 +408,6 @@ def _root(functions: EventFunctions, step: Step, index: int, left: float, right:
     if at_left * at_right < 0.0:
         # secants crawl towards a root of third order or more
         fraction = brentq(value, left, right, xtol=1e-14, rtol=1e-14, maxiter=10_000)
-    else:  # zero to rounding at one end: it starts or ends there
+    else:  # zero to machine precision at one end: it starts or ends there
         fraction = left if abs(at_left) <= abs(at_right) else right
     return step.time(fraction)

@@ -54,7 +54,7 @@ class Conditions:
     friction: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check what goes together."""
+        """Check the combination of the settings."""
         for name in self.friction:
             if name not in FRICTION:
                 remedy = f"{did_you_mean(name, FRICTION)}It takes {', '.join(FRICTION)}."

@@ -155,7 +155,7 @@ class ForwardDynamics:
         self._inverse_scale = 1.0 / self._scale[partition.independent]
         self._system = np.empty((self.chain.rows, len(partition.independent) + 1), order="F")
         self._columns = np.concatenate([partition.dependent, partition.independent])
-        # dependent velocities are solved for without units: the pivots say how good the choice is
+        # dependent velocities are solved for without units: the pivots measure the quality of the choice
         dependent = self._unit[partition.dependent]
         self._row_scale = 1.0 / self.chain.closure_unit
         self._column_scale = self._row_scale[:, None] * self._unit[self._columns]
@@ -218,7 +218,7 @@ class ForwardDynamics:
         return self._solve(motion.q, motion.v, force, basis, motion.particular, inverse_scale)
 
     def _solve(self, q: Array, v: Array, force: Array, basis: Array, particular: Array, inverse_scale: Array) -> Array:
-        if not basis.shape[1]:  # every motion is held
+        if not basis.shape[1]:  # no motion is free
             self.least_inertia = 1.0
             return particular.copy()
         model, data = self.robot.model, self.chain.data
@@ -248,7 +248,7 @@ class ForwardDynamics:
         chain = self.chain
         chain.update(q, v)
         missing = tree_equations(self.robot, chain.data, q, v, a)[0] - force
-        # J_cᵀ λ = missing holds in all rows; those of the dependent velocities are square and well conditioned
+        # J_cᵀ λ = missing holds in all rows; the rows of the dependent velocities are square and well conditioned
         relative, closure = chain.closure_rows(), np.full(chain.rows, np.nan)
         dependent = self._choose(relative, q).dependent if sheet is None else sheet.dependent
         block = relative[:, np.searchsorted(chain.pose_columns, dependent)]

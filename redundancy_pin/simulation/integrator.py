@@ -167,7 +167,7 @@ def _step(
     stepped = _advance(problem, progress, stepper, rate)
     if stepped.status is not None:
         return stepped
-    # events and samples come from the interpolant, which is that of the step before its end is projected
+    # events and samples come from the interpolant of the step before its end is projected
     step = Step(stepper, before)
     located = _locate_events(problem, progress, step)
     if isinstance(located, SimulationProgress):
@@ -183,7 +183,7 @@ def _step(
         return stepped
     if stepped.sheet is not None and _leaves(stepped.sheet, *np.split(stepped.y, [stepped.functions.nq])):
         stepped, rate.sheet = replace(stepped, sheet=None), None
-    # the integrator goes on from the projected state, with the rate there: its first stage
+    # the integrator continues from the projected state, with the rate there: its first stage
     stepper.y = stepped.y
     if stepper.status == "running":
         stepper.f = rate(stepper.t, stepped.y)

@@ -156,7 +156,7 @@ def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet |
     chain.update(q, np.zeros(model.nv))
     _, values, vectors = np.linalg.svd(chain.closure_rows())
     allowed, lost = vectors[chain.rows :].T, bool(values[-1] < 1e-3 * values[0])
-    if lost:  # the velocity is what tells the branches apart
+    if lost:  # only the velocity distinguishes the branches
         if count > 1:
             return None
         allowed = (moving * scale)[columns, None] / size

@@ -61,7 +61,7 @@ class Replay:
 
     Attributes:
         plan: name of the plan.
-        drive: what drove the machine.
+        drive: name of the controller.
         status: value of the simulation's ``ResultStatus``; "not_converged" also where forces do not determine the
             motion at the start (or no linear model exists), "unbounded" if the plan has no finite efforts.
         reason: why it is not "ok"; may be empty.
@@ -130,7 +130,7 @@ def replay(
 
     Args:
         plan: from any planner.
-        drive: what drives the machine.
+        drive: controller of the machine.
         name: of the plan, for the result.
         motion: the trajectory that was planned for.
         sampling: of the controllers.

@@ -80,11 +80,11 @@ class Simulation(Frozen):
         stop_force: (N, nv) generalised forces of stops on the joints that they hold, N or N·m; zero elsewhere.
         gap: (N,) largest closure residual, m; angles count times the characteristic length.
         energy: (N,) kinetic plus potential energy, J (zero height at the world origin).
-        events: what happened, in order of time.
+        events: events, in order of time.
         violated: limits of the robot that the samples exceed, as those of a plan, by time.
         status: how it ended.
         reason: why it failed; empty otherwise.
-        statistics: what the integration took.
+        statistics: effort of the integration.
         robot: the robot, in plain data.
         parameters: how it was run, in plain data.
     """

@@ -1,4 +1,4 @@
-"""``simulate``: from a robot and what drives it to a simulated motion."""
+"""``simulate``: from a robot and its controller to a simulated motion."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def simulate(
         atol: its absolute tolerance, characteristic lengths or rad; for velocities over the shorter one of the duration
             and the time in which gravity or the start velocity moves the robot by its own length.
         max_step: longest step, s.
-        max_steps: number of steps after which it is given up.
+        max_steps: number of steps after which the simulation fails.
         integrator: explicit Runge-Kutta method of scipy: of order 8, or of order 5; or the implicit "Radau" of order 5,
             for machines with stiff springs or dampers, whose steps are not bound by them.
         restart_at: where integration restarts: at all breaks of the controller, where its efforts jump or kink, so
@@ -260,7 +260,7 @@ def _times(
     elif controller.end is not None:
         last = float(controller.end)
     else:
-        raise InputError("No duration given.", remedy="Pass duration=, in seconds.")
+        raise InputError("Nothing says how long to simulate.", remedy="Pass duration=, in seconds.")
     if not (np.isfinite(last) and last > start):
         raise InputError(
             f"The simulation would last from {start} to {last} s.", remedy="Pass a positive, finite duration."

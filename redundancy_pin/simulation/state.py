@@ -66,7 +66,7 @@ class Manifold:
             step = np.zeros(len(v))
             step[self._columns] = -self._shortest(chain.closure_rows()[:, self._moving], chain.relative_residual())
             q = pin.integrate(chain.model, q, step)
-        # velocities last: those that the closures allow are those of the projected configuration
+        # velocities last: the closures allow velocities at the projected configuration
         jacobian = chain.closure_rows()[:, self._moving]
         v[self._columns] -= self._shortest(jacobian, jacobian.dot(v[self._columns] / self._unit))
         return q, v, before, largest
@@ -76,7 +76,7 @@ class Manifold:
         if not len(rate):
             return np.zeros(len(self._columns))
         _, multiplier, failed = lapack.dposv(jacobian.dot(jacobian.T), rate)
-        if failed:  # the closures have lost rank: the partition says so
+        if failed:  # the closures have lost rank: the partition raises it
             return np.zeros(len(self._columns))
         step: Array = self._unit * jacobian.T.dot(multiplier)
         return step

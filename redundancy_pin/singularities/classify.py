@@ -211,7 +211,7 @@ def classify(robot: RobotLike, q: ArrayLike, *, tolerance: float = RANK_TOLERANC
 
     twists = K[:, len(system.rows) :] @ locked.Vh.transpose(0, 2, 1)
     least_controlled = left_singular(W)[0][:, :, -1]
-    unknown = np.isnan(least_controlled).any(axis=1)  # at type I: there T tells it
+    unknown = np.isnan(least_controlled).any(axis=1)  # at type I: there T determines it
     least_controlled[unknown] = _unit(twists[unknown, :, locked.S.shape[1] - 1])
     uncontrolled = np.where(type_i[:, None], _widest(twists, locked.S, tolerance), least_controlled)
     uncontrolled[~type_ii] = np.nan

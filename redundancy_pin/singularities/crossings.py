@@ -270,7 +270,7 @@ class FollowedPath:
 
     def _raise_border(self, t: float, end: BranchEnd) -> NoReturn:
         """Raise UnreachablePoseError with the time before t at which the path leaves the workspace."""
-        # a search that started at its second sample asks for times before all known states
+        # a search that started at its second sample needs times before all known states
         inside, outside = self._known[max(bisect(self._known, t) - 1, 0)], t
         while (middle := 0.5 * (inside + outside)) not in (inside, outside):
             closed = assemble(self.system, end.last.q[None], self.law.sample_at(np.array([middle])).x).closed[0]

@@ -300,7 +300,7 @@ def _contours(values: Array, shape: tuple[int, ...]) -> list[list[tuple[int, int
         lines = [np.asarray(line)[:, ::-1] for line in contour_generator(z=z, corner_mask=True).lines(0.0)]
     contours = []
     for line in lines:
-        # next to a masked node a contour ends on the diagonal of a cell, which is no edge of the grid
+        # next to a masked node a contour ends on the diagonal of a cell, which is not an edge of the grid
         line = line[(line == np.round(line)).sum(axis=1) >= z.ndim - 1]
         low, high = (np.ravel_multi_index(tuple(side(line).astype(np.intp).T), shape) for side in (np.floor, np.ceil))
         ends = np.where((values[low] > values[high])[:, None], np.stack([low, high], 1), np.stack([high, low], 1))

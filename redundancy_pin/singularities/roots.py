@@ -182,9 +182,9 @@ def _brackets(value: Array, joined: BoolArray, interesting: float) -> Iterator[t
     right = np.append(np.where(joined | np.isinf(value[1:]), value[1:], -np.inf), np.inf)
     for i in np.flatnonzero(np.isfinite(value) & (value <= left) & (value <= right)).tolist():
         low, high = i - int(np.isfinite(left[i])), i + int(np.isfinite(right[i]))
-        # by convexity of a dip: between two samples it falls by less than twice what it falls outside of them
+        # by convexity of a dip: between two samples it falls by less than twice its fall outside of them
         fall = 2.0 * (max(value[low], value[high]) - value[i])
-        # in the first or last step nothing is outside on one side, and the step before tells how steeply it falls
+        # in the first or last step nothing is outside on one side, and the step before gives its slope
         if i in (0, len(value) - 1) and len(value) > 2:
             fall = max(fall, value[2 if i == 0 else i - 2] - value[1 if i == 0 else i - 1])
         if value[i] - fall <= interesting:

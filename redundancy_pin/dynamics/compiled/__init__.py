@@ -122,7 +122,7 @@ class CompiledDynamics(Dynamics):
         *,
         t: float = 0.0,
     ) -> Sample:
-        """Return W (n, m), f (n,) and the carrier forces (k,) of one sample: what a control loop needs.
+        """Return W (n, m), f (n,) and the carrier forces (k,) of one sample, for control loops.
 
         As ``Dynamics.sample``. Newton's method starts from the last sample of this thread, and from the
         reference if no straight line leads on from there.
@@ -191,12 +191,12 @@ class _Calls(threading.local):
     """The calls of one thread, made on first use, each with its memory and the branch that it follows.
 
     Args:
-        dynamics: whose they are.
+        dynamics: the dynamics to call.
     """
 
     def __init__(self, dynamics: CompiledDynamics) -> None:
         self._dynamics = dynamics
-        lapack()  # kinematics take what the C does not close: what they import would hold up a control loop
+        lapack()  # kinematics follow where the C fails: a late import would delay a control loop
 
     @cached_property
     def sample(self) -> SampleCall:

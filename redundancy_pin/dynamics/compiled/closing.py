@@ -56,7 +56,7 @@ def close_motion(
         start: state where the branch starts, in place of the reference.
 
     Raises:
-        RedundancyPinError: what ``kinematics.inverse_kinematics`` raises.
+        RedundancyPinError: any error of ``kinematics.inverse_kinematics``.
         WorkingModeError: also as ``Follower.require_near``.
     """
     lifted, here = None, _state_of(robot, start)
@@ -75,7 +75,7 @@ def close_motion(
 
 def _lift(robot: Robot, kernel: Library, motion: PlatformMotion, q0: Array) -> ClosedMotion | None:
     """Return the tree's motion on the branch of a closed configuration (nq,); None where the driver loses it."""
-    # a motion keeps the layout it was given in, say of a transposed array; C reads row by row
+    # a motion keeps the layout of its input, for example of a transposed array; C reads row by row
     given = [np.ascontiguousarray(part) for part in (motion.t, motion.x, motion.xd, motion.xdd)]
     samples, nq, nv, n, m = len(motion), robot.model.nq, robot.model.nv, robot.n, robot.m
     shapes = ((nq,), (2 * len(turning_joints(robot)),), (nv,), (nv,), (nv, n), (n, m), (), (2,))

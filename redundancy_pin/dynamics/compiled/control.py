@@ -124,7 +124,7 @@ class _Branch:
             at a rank loss of the closures.
         known: whether a start or a sample has determined the branch; before that it is the reference's.
         passed: the last sample at a rank loss of the closures, q and its state: Γ determines the branch, q does not.
-        refused: what kinematics refused last, and from where: None once a sample is solved.
+        refused: the last sample refused by kinematics, and its start: None once a sample is solved.
     """
 
     def __init__(self, robot: Robot, code: Code) -> None:
@@ -178,7 +178,7 @@ class _Branch:
 
         Args:
             given: as of ``refuses``.
-            solve: what solves it from a start, and raises ``REFUSALS``.
+            solve: function that solves it from a start, and raises ``REFUSALS``.
         """
         key = self._key(given)
         if self.refused is not None and self.refused[0] == key:
@@ -198,7 +198,7 @@ class _Branch:
         return b"".join(part.tobytes() for part in (self.state, self._signs, given)) + bytes([self.known])
 
     def save(self) -> tuple[Array, Array, bool]:
-        """Return what ``restore`` takes."""
+        """Return the state for ``restore``."""
         return self.state.copy(), self._signs.copy(), self.known
 
     def restore(self, saved: tuple[Array, Array, bool]) -> None:
@@ -265,7 +265,7 @@ class SampleCall:
             return TorqueSample(self._tau.copy(), _STATUSES[code], self._margin(), self._force.copy(), *margins)
         solved = False
         if start is not None:
-            self._branch.begin(start)  # as it was given, which is what is asked again while a set-point is held
+            self._branch.begin(start)  # as given: repeated calls at one set-point compare with it
         try:
             answer = self._answer(code, t)
             solved = int(answer.status) not in _WITHOUT_RESULT
@@ -361,7 +361,7 @@ class JointStateCall:
         self._ends = np.cumsum([model.nq, model.nv, int(np.prod(self._shape)), robot.n]).tolist()
         self._results = np.zeros(self._ends[-1] + 2)
         branch = self._branch = _Branch(robot, code)
-        branch.known = True  # that of the reference
+        branch.known = True  # the branch of the reference
         self._robot, self._ranges = robot, range_table(robot)
         self._own_coordinates = robot.platform is None and set(robot.independent_joints) == set(robot.actuated)
         given = branch.numbers, branch.state, self._arguments.memory, self._results
@@ -394,7 +394,7 @@ class JointStateCall:
         else:
             if code == _FOR_KINEMATICS:
                 if start is not None:
-                    branch.begin(start)  # as it was given, which is what is asked again while a set-point is held
+                    branch.begin(start)  # as given: repeated calls at one set-point compare with it
                 code = self._by_kinematics()
             if code in _WITHOUT_RESULT:
                 self._results[:-1] = np.nan

@@ -122,7 +122,7 @@ class MotionDerivatives(Frozen):
         """Return the derivatives of the closure forces (N, r), as ``joint_reactions`` defines them.
 
         Args:
-            tau: (N, m) main efforts that produce the motion, W τ = f; ``efforts.tau``, if nothing else is wanted.
+            tau: (N, m) main efforts that produce the motion, W τ = f, for example ``efforts.tau``.
             tau_by: the derivatives of ``tau``; zero when left out (constant efforts). Derivatives along efforts that
                 keep producing the motion need them (``self.tau``).
 
@@ -325,7 +325,7 @@ def _block(
     y_a = inverse @ (right[2] - C_q @ y - C_v @ y_v)
 
     def along(by_q: Array, by_v: Array, by_a: Array, own: Array) -> Array:
-        """Return the derivative of what depends on the tree's motion, and on the parameters by themselves."""
+        """Return the derivative of a quantity that depends on the tree's motion, and on the parameters directly."""
         total = by_q[..., pose] @ y + by_v[..., pose] @ y_v + by_a[..., pose] @ y_a
         total[..., by_carriers] += np.concatenate([part[..., carried] for part in (by_q, by_v, by_a)], axis=-1)
         total[..., by_design] += own

@@ -1,4 +1,4 @@
-"""C99 from casadi's expressions: one assignment an operation, nothing else.
+"""C99 from casadi's expressions: one assignment per operation.
 
 casadi's own generator adds a runtime and unused parameters. Here a function is
 

@@ -77,14 +77,14 @@ class CompiledForward(Code):
     def accelerations(
         self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None
     ) -> Accelerations | None:
-        """Return what acts at a closed state; see ``ForwardKernel.accelerations``."""
+        """Return accelerations and forces at a closed state; see ``ForwardKernel.accelerations``."""
         a, closure_force, missing = np.empty(self._nv), np.empty(self._rows), np.empty(self._nv)
         given = [None if part is None else _plain(part) for part in (q, v, force, None, carrier_acceleration)]
         status = self.call("rp_accelerations", *given, a, closure_force, missing)
         return None if status else Accelerations(a, closure_force, missing)
 
     def project(self, y: Array, tolerance: float) -> tuple[Array, float, float] | None:
-        """Return the closed state nearest to y (nq + nv,), the residual before and after, m; None if none is."""
+        """Return the closed state nearest to y (nq + nv,), the residual before and after, m; None if not found."""
         state, residuals = np.array(y, dtype=np.float64), np.zeros(2)
         if not self.call("rp_projected", state, ctypes.c_double(tolerance), residuals):
             return None

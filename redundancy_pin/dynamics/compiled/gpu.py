@@ -126,7 +126,7 @@ class GpuDynamics:
         one_of(device, "device", ("gpu", "cpu"))
         one_of(threads, "threads", range(32, 257, 32))
         if not self.robots:
-            raise InputError("No robot given.", remedy="Pass at least one.")
+            raise InputError("There is no robot.", remedy="Pass at least one.")
         self.robot = robot = self.robots[0]
         if not robot.m:
             raise UnsupportedRobotError(f"{robot.name} has no main actuators.", remedy="Declare which are actuated.")
@@ -418,7 +418,7 @@ class _Device(ABC):
 
     @abstractmethod
     def wait(self) -> None:
-        """Return when what was asked of the device is done."""
+        """Wait until the device has finished the submitted work."""
 
     def column(self, array: Any) -> tuple[int, int, int]:
         """Return the ``Column`` of an array, the samples along its first axis: address and strides, in doubles."""

@@ -171,10 +171,10 @@ class CompiledIntegration:
         except BaseException as error:  # C cannot raise it: the caller does
             self._error = error
             return 0
-        return int(math.isfinite(sum(whole.tolist())))  # of a few numbers sooner known than by np.isfinite
+        return int(math.isfinite(sum(whole.tolist())))  # for a few numbers faster than np.isfinite
 
     def _memory(self, address: int, size: int) -> Array:
-        """Return the memory of C at an address; C hands over the same few again and again."""
+        """Return the memory of C at an address; C passes the same few addresses repeatedly."""
         view = self._views.get(address)
         if view is None or len(view) != size:
             view = self._views[address] = np.ctypeslib.as_array((ctypes.c_double * size).from_address(address))

@@ -94,7 +94,7 @@ class LoadSymbols:
         return effort, moment
 
     def energy(self, joint: Callable[[int], tuple[SX, SX, SX, SX]]) -> SX:
-        """Return what rotors and springs add to the energy, J; ``joint`` gives q, v, axis and spin, world axes."""
+        """Return the energy of rotors and springs, J; ``joint`` gives q, v, axis and spin, world axes."""
         total = self.ca.SX(0.0)
         for i, load in self._loads_of(JointForces):
             _, _, _, stiffness, rest, inertia, gear = self._numbers(i, JOINT_NUMBERS)

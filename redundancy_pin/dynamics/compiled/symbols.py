@@ -293,7 +293,7 @@ class SymbolicChain:
         between = rotation_a.T @ rotation_b
         i, j = (k + 1) % 3, (k + 2) % 3
         free = [c for c in range(3) if AXES[3 + c] not in closure.axes]
-        if free == [j]:  # the other column of the hinge's own axis says the same, and stays exact for large angles
+        if free == [j]:  # the other column of the hinge's own axis is equivalent, and stays exact for large angles
             return -between[i, j]
         return between[j, i]
 

@@ -98,7 +98,7 @@ class VirtualWork(Dynamics):
         springs = (load.joint for load in of_kind(self._robot.loads, JointForces) if load.stiffness)
         if any(is_revolute(self._robot, joint) for joint in springs):
             raise UnsupportedRobotError(
-                "One sample does not determine the number of turns of a hinge, on which its spring depends.",
+                "One sample does not determine the whole turns of a hinge, on which its spring depends.",
                 remedy="Use reduce and distribute for whole motions, or RneaDynamics.",
             )
         return solve_reduced_sample(self, given, t)
@@ -181,7 +181,7 @@ class VirtualWorkAlongMotion(Frozen):
         return wrench_values(self.robot.loads, self.motion.t, self.motion.x, self.motion.xd)
 
     def _efforts(self, carriers: Carriers, *, derivatives: bool = False) -> Efforts:
-        """Return what links, carriers and loads require."""
+        """Return the generalised forces of links, carriers and loads."""
         efforts = self._dynamics.efforts(carriers, derivatives=derivatives)
         add_loads(efforts, self.robot, self._wrenches, self._dynamics, carriers)
         return efforts

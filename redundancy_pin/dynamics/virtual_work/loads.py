@@ -49,7 +49,7 @@ def require_known(robot: Robot, frames: Sequence[str], joints: Sequence[str]) ->
 def add_loads(
     efforts: Efforts, robot: Robot, wrenches: Sequence[Array], dynamics: PlanarDynamics, carriers: Carriers
 ) -> None:
-    """Add to the efforts what the loads of a robot require at N samples.
+    """Add the efforts that balance the loads of a robot at N samples.
 
     Args:
         efforts: the sum, changed in place.

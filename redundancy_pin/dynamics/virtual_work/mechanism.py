@@ -254,7 +254,7 @@ class PlanarDynamics(ABC):
         return efforts
 
     def efforts(self, carriers: Carriers, *, derivatives: bool = False) -> Efforts:
-        """Return what the links and carriers require (Parsa 2014, eqs. 2.17 and 2.53, with gravity)."""
+        """Return the generalised forces of the links and carriers (Parsa 2014, eqs. 2.17 and 2.53, with gravity)."""
         efforts, others = Efforts(*self.shape, derivatives=derivatives), self._without_carriers
         efforts.f += others.f
         efforts.ground += others.ground

@@ -34,12 +34,12 @@ LEAST_COST = 1e-9
 
 
 def calmed(planning: Planning, planned: Planned, seconds: float) -> tuple[Planned, dict[str, object]]:
-    """Return a calmer plan than the one of least cost, or that one itself; and what was found, as plain data.
+    """Return a calmer plan than the least-cost plan, or the least-cost plan itself; and diagnostics, as plain data.
 
     Args:
         planning: the planner, whose task has the fraction ``calm`` that may be spent.
         planned: its least-cost plan.
-        seconds: time bound, s; none is tried without any left.
+        seconds: time bound, s; no attempt is made if no time remains.
 
     Returns:
         The plan, the least-cost plan unless one with fewer reversals passes the check; and ``tried``, ``kept``, and,

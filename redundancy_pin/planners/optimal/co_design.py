@@ -87,7 +87,7 @@ class DesignTask(Frozen):
         options: keywords of ``plan_whole_trajectory``: objective, limits, mesh, solver and the others. Without carriers
             options of the carriers' motion have no effect. The objective "time" cannot be combined with others; with
             it, the other keywords are for ``plan_time_optimal``.
-        weight: of its least cost, over what that is for the robot to begin with.
+        weight: of its least cost, relative to the least cost of the initial robot.
     """
 
     dynamics: Dynamics
@@ -170,7 +170,7 @@ def co_design(
             progress(", ".join(f"{name} {value:.5g}" for name, value in history[-1].items()))
         u, promised = _modelled(here, bundle, hessian, radius)
         if promised <= _STATIONARY * here.cost:
-            # a region that has shrunk, as beside machines without a plan, promises little whatever the slopes
+            # a region that has shrunk, as near machines without a plan, promises little for any slopes
             optimal = _modelled(here, bundle, hessian, max(radius, _SEEN))[1] <= _STATIONARY * here.cost
             break
         if not np.isfinite(promised):
@@ -187,7 +187,7 @@ def co_design(
                 here = there
                 history.append(search.record(here))
             elif there.cost + float(there.slope @ (here.u - there.u)) > here.cost:
-                radius *= 0.5  # not convex: the slopes there say nothing about here
+                radius *= 0.5  # not convex: the slopes there do not bound the cost here
         if radius < _LEAST:
             break
     pressed = zip(search.names, here.at_bound, strict=True)
@@ -310,7 +310,7 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
             raise InputError(f"A task has {len(one)} entries.", remedy=remedy)
     tasks = tuple(one if isinstance(one, DesignTask) else DesignTask(*one) for one in given)
     if not tasks:
-        raise InputError("No task given to design for.", remedy=remedy)
+        raise InputError("There is no task to design for.", remedy=remedy)
     for task in tasks:
         require_type(task.options, Mapping, "A mapping of a task's options", remedy)
         positive(task.weight, "weight", "")
@@ -411,7 +411,7 @@ def compare_machines(
     iterations: int = 30,
     progress: Callable[[str], None] | None = None,
 ) -> list[dict[str, Any]]:
-    """Return what every task costs by the machine to begin with, by one made for each task, and by one for all.
+    """Return the costs of every task for the initial machine, a machine made for each task, and one for all tasks.
 
     Args:
         tasks: by name.

@@ -191,7 +191,7 @@ class _Search:
         return found
 
     def alone(self, least: Outcome, exceeded: list[str]) -> dict[tuple[str, ...], Outcome]:
-        """Return the relaxations of one kind of limits that do by themselves, of those that gave way or are touched."""
+        """Return the relaxations of one kind of limits that suffice by themselves, of those relaxed or touched."""
         nodes, solution = least.problem, least.solution
         # one that is only touched may do as well: with a price on all, others gave way in its place
         touched = [one for one in self.kinds if one not in exceeded and is_touched(least, self.robot, one)]
@@ -222,7 +222,7 @@ class _Search:
 
 
 def _remedy(problem: Problem, *, coarse: bool = False) -> str:
-    """Return what a user can do where limits have to be wider; ``coarse``: the nodes do not show by how much."""
+    """Return a remedy for limits that must be wider; ``coarse``: the nodes do not show by how much."""
     settings, timed = problem.settings, problem.timing is not None
     more = "a few per cent more than that (the least leaves no room)"
     if coarse:
@@ -290,7 +290,7 @@ def slack(solution: Solution, kind: str) -> float:
 
 
 def _exceeded(elastic: Solution) -> list[str]:
-    """Return the kinds of limits that gave way."""
+    """Return the kinds of limits that were relaxed."""
     found = [kind for kind in elastic.rows["elastic"] if slack(elastic, kind) > NOTHING]
     return [kind for kind in found if slack(elastic, kind) > NOISE] or found
 

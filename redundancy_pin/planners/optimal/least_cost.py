@@ -1,4 +1,4 @@
-"""The least cost of one task by one robot, and its derivatives by numbers of the robot: what co-design minimises.
+"""The least cost of one task by one robot, and its derivatives by numbers of the robot, for co-design.
 
 The objective "time" is the duration of a path by ``plan_time_optimal``, of any robot. For other objectives a robot with
 carriers has a plan to choose: its least cost is the cost of ``plan_whole_trajectory``. Both have the derivatives of

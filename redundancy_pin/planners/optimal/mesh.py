@@ -87,7 +87,7 @@ def near_singular(reduced: ReducedDynamics) -> BoolArray:
 def singular_ratio(reduced: ReducedDynamics) -> Array:
     """Return (M,) the smallest singular value of the scaled W over the largest."""
     values = spectrum_of(scaled(reduced.W, reduced.row_scale, reduced.column_scale)).singular_values
-    # the only singular value of a single freedom is compared with what it is elsewhere
+    # the only singular value of a single DOF is compared with its values elsewhere
     size = values[:, 0] if values.shape[1] > 1 else values.max()
     return np.asarray(values[:, -1] / size)
 

@@ -167,7 +167,7 @@ class NLP:
 
     @cached_property
     def functions(self) -> dict[str, Expression]:
-        """The finished programme, as the solver wants it."""
+        """The finished programme, in the form of the solver."""
         x = ca.vertcat(*(ca.vec(block) for block in self.blocks.values()))
         return {"x": x, "f": self.cost, "g": ca.densify(ca.vertcat(*self._rows))}
 
@@ -276,7 +276,7 @@ def solve_nlp(
 
 
 def _observer(bounds: Mapping[str, Array], progress: Progress | None, patience: float) -> Any:
-    """Return what the solver calls at every iteration: it reports now and then, and ends a search that stalls.
+    """Return the iteration callback of the solver: it reports now and then, and ends a search that stalls.
 
     An exception raised by ``progress`` stops the solver and is kept in the attribute ``error``; ``stalled``: whether
     the violation of the rows did not shrink for ``patience`` iterations.

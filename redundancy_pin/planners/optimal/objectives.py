@@ -44,7 +44,7 @@ class Scales:
 
 
 class Quantities(ABC):
-    """What formulas may use: matrices with a row a node, in units, as expressions of the programme or as numbers.
+    """Arguments of formulas: matrices with a row per node, in units, as expressions of the programme or as numbers.
 
     ``s``, ``sd``, ``sdd`` (M, k) motion of the carriers, m, m/s, m/s²; ``force`` (M, k) forces of the carriers'
     actuators, N; the programme has them only where something needs them; ``tau``, ``tau_target``, ``actuated_rate`` (M,
@@ -93,14 +93,14 @@ class Quantities(ABC):
     def absolute(self, values: Expression, size: ArrayLike) -> Expression:
         """Return |values|, which has to be minimised.
 
-        ``size``: what the values are scaled by, one number or (c,) one for each of their columns.
+        ``size``: scale of the values, one number or (c,) one for each of their columns.
         """
 
     @abstractmethod
     def largest(self, values: Expression, size: ArrayLike) -> Expression:
         """Return the largest of all |values|, which has to be minimised.
 
-        ``size``: what the values are scaled by. With one number the result has the unit of the values; with (c,) one
+        ``size``: scale of the values. With one number the result has the unit of the values; with (c,) one
         for each of their columns, as ``scales.sd``, it is the largest fraction |values| / size, without a unit.
         """
 

@@ -1,4 +1,4 @@
-"""The numbers of a programme: what a backend contributes at the nodes.
+"""The numbers of a nonlinear programme: the dynamics and limits at the nodes.
 
 f is exactly a sum of terms over independent carriers that slide or turn (``carrier_model``): W, f and
 the carrier forces are coefficients at each node. Where carriers carry one another, f is an expression of generated
@@ -57,7 +57,7 @@ INSTANTS = 3
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A planning task: what does not depend on the nodes."""
+    """A planning task: the part of a problem that does not depend on the nodes."""
 
     dynamics: Dynamics
     source: Motion
@@ -125,7 +125,7 @@ def required(timing: PathTiming | None) -> PathTiming:
 
 
 def powers_of(*pace: Expression) -> tuple[Expression, ...]:
-    """Return what coefficients are multiplied by: 1, and ṗ, ṗ² and p̈ where ṗ and p̈ are unknown."""
+    """Return the factors of the coefficients: 1, and ṗ, ṗ² and p̈ if ṗ and p̈ are unknown."""
     if not pace:
         return (1.0,)
     pd, pdd = pace
@@ -233,7 +233,7 @@ def linear_model(along: DynamicsAlongMotion) -> CarrierModel:
 
 
 def reader_of(task: Task) -> Reader:
-    """Return what reads the coefficients of a task off its backend.
+    """Return the function that reads the coefficients of a task off its backend.
 
     Carriers that slide, and those that turn, have terms of their own. Where f has others at some instants of the
     motion, as with carriers on carriers, it is the backend's expression.
@@ -273,7 +273,7 @@ def read_problem(task: Task, grid: Grid, before: Problem | None = None) -> Probl
 
 
 def scales_of(model: CarrierModel, settings: Settings, parked: ReducedDynamics, duration: float, rate: Array) -> Scales:
-    """Return sizes from the limits, and from the parked robot where there are none."""
+    """Return sizes from the limits, and from the parked robot without limits."""
     row_scale, columns = parked.row_scale, parked.column_scale
     (lower, upper), speed, acceleration = settings.limits.track.T, settings.limits.speed, settings.limits.acceleration
     s = np.where(np.isfinite(upper - lower), 0.5 * (upper - lower), 1.0)
@@ -314,7 +314,7 @@ def _singular_node(task: Task, grid: Grid, index: int) -> SingularNode:
     reduced = here.reduce()
     u, values, v = np.linalg.svd(scaled(reduced.W, reduced.row_scale, reduced.column_scale)[0])
     size = float(values[0])
-    if len(values) == 1:  # the only one vanishes: it is small beside what it is elsewhere
+    if len(values) == 1:  # the only one vanishes: compare it with its values elsewhere
         usual = dynamics.along(source.sample_at(_spread(source))).reduce()
         size = float(np.linalg.norm(scaled(usual.W, usual.row_scale, usual.column_scale), axis=(1, 2)).max())
     kept = int((values > LOST * size).sum())

@@ -41,7 +41,7 @@ PHASES = ("optimised",)
 
 
 class Planning(ABC):
-    """One planning of a task: what least time does differently from a whole trajectory is in the subclasses.
+    """One planning of a task; the subclass has the differences between least time and a whole trajectory.
 
     Attributes:
         name: of the planner.
@@ -121,7 +121,7 @@ class Planning(ABC):
         )
 
     def planned(self, outcome: Outcome) -> PlannedMotion:
-        """Return what a solution plans.
+        """Return the planned motion of a solution.
 
         At singular nodes the efforts are taken from the solution, the limit of W⁻¹ f; elsewhere, and with as many main
         actuators as coordinates, W τ = f leaves no choice. With more actuators the efforts are the nearest to the
@@ -164,7 +164,7 @@ class Planned:
 
     @property
     def best(self) -> Outcome:
-        """The programme and solution that the plan is made of."""
+        """The programme and solution of the plan."""
         return self.solutions.best
 
     @property
@@ -203,7 +203,7 @@ def plan_and_refine(planning: Planning, position: PiecewisePolynomial | None = N
     limits at the adjacent nodes are lowered.
 
     Args:
-        planning: the task, and what its planner does differently.
+        planning: the task, with the functions of its planner.
         position: of the carriers, to begin with in place of parked ones.
 
     Raises:

@@ -213,7 +213,7 @@ def _lagrangian(outcome: Outcome, problem: Problem) -> float:
     cost, rows = ca.Function("rows", [functions["x"]], [functions["f"], functions["g"]])(x)
 
     def beyond(values: Array, multipliers: Array, name: str) -> float:
-        """Return what multipliers make of the distances from the bounds that they belong to."""
+        """Return Σ multiplier (value − bound): each with the bound that its sign selects, finite bounds only."""
         bound = np.where(multipliers > 0.0, bounds[f"ub{name}"], bounds[f"lb{name}"])
         near = np.isfinite(bound)
         return float(multipliers[near] @ (values - bound)[near])

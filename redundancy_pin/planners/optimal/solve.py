@@ -41,7 +41,7 @@ AROUND = 2
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A problem, and what the solver ended with."""
+    """A problem, and the final values of the solver."""
 
     problem: Problem
     solution: Solution
@@ -71,7 +71,7 @@ def solve(
 
     ``guess``: first guess, scaled blocks by name; with efforts, an optimum of the same task; ``seconds``: time bound,
     s; ``stop``: ends the rounds in which rows are added;
-    ``elastic``: kinds of limits that give way (``transcribe``); ``most``: bound of the iterations; ``first``: options
+    ``elastic``: relaxed kinds of limits (``transcribe``); ``most``: bound of the iterations; ``first``: options
     from the first guess, ``FIRST`` or, with efforts, ``warm`` when left out; ``warm``: those from an optimum.
 
     Returns:
@@ -121,7 +121,7 @@ def solve(
 
 
 def preference(solution: Solution) -> tuple[bool, bool, float]:
-    """Return what orders solutions, the best first: what keeps the limits, then optima, then by cost."""
+    """Return the sort key of solutions, the best first: first those within limits, then optima, then by cost."""
     return not solution.feasible, not solution.optimal, solution.cost
 
 

@@ -114,7 +114,7 @@ def half_range(kind: str, lower: Array, upper: Array) -> Array:
 class Transcription(Quantities):
     """The programme of a problem while it is put together, and its quantities as expressions.
 
-    In an elastic programme each kind of limit has one fraction e ≥ 0 by which all of its bounds are let out.
+    In an elastic programme each kind of limit has one fraction e ≥ 0 by which all of its bounds are relaxed.
     """
 
     def __init__(self, problem: Problem, elastic: Sequence[str]) -> None:
@@ -225,7 +225,7 @@ class Transcription(Quantities):
     def limit(
         self, kind: str, expression: Expression, lower: Expression, upper: Expression, at: IntArray | None = None
     ) -> None:
-        """Keep lower ≤ expression ≤ upper, all of them scaled; in an elastic programme let out by its fraction.
+        """Keep lower ≤ expression ≤ upper, all of them scaled; in an elastic programme relaxed by its fraction.
 
         ``at``: the node of each row; 0, 1, 2 and so on when left out.
         """
@@ -265,7 +265,7 @@ class Transcription(Quantities):
         nodes = [node for node in problem.singular for _ in node.lost]
         u = np.concatenate([node.lost for node in problem.singular])
         at = np.array([node.index for node in nodes])
-        # both steps beside a node have one jerk, but where the reference jumps: there each node has a step of its own
+        # both steps at a node have one jerk, except where the reference jumps: there each node has a step of its own
         h = problem.grid.h
         step = np.array([i if i < len(h) and h[i] > 0.0 else i - 1 for i in at])
 
@@ -344,7 +344,7 @@ class Transcription(Quantities):
         self.equal(y0 + h * yd0 + h**2 / 6.0 * (2.0 * ydd0 + ydd1) - y1, 0.0, sizes[0])
         self.equal(yd0 + h / 2.0 * (ydd0 + ydd1) - yd1, 0.0, sizes[1])
         at = np.flatnonzero(grid.smooth)
-        # over the size of both steps, so that the row has that of ÿ
+        # over the size of both steps, so that the row has the size of ÿ
         usual = (grid.h if self._problem.timing is None else self._problem.timing.h)[:, None]
         before, after = (h[i, :] / (usual[at - 1] + usual[at]) for i in (at - 1, at))
         self.equal(after * ydd[at - 1, :] + before * ydd[at + 1, :] - (before + after) * ydd[at, :], 0.0, sizes[2])
@@ -443,7 +443,7 @@ class PathTranscription(Transcription):
         super().__init__(problem, elastic)
         timing, nodes = required(problem.timing), len(problem.grid.t)
         fastest = timing.fastest / timing.speed * (1.0 - RESERVE)
-        if problem.shares is not None:  # the last columns are those of the actuators' rates
+        if problem.shares is not None:  # the last columns are the actuators' rates
             rates = len(problem.settings.limits.evaluated()["actuator_speed"])
             fastest = fastest * problem.shares[:, problem.shares.shape[1] - rates :].min(axis=1, initial=1.0)
         if not problem.settings.lap:

@@ -142,7 +142,7 @@ class WholeTrajectory(Planning):
 
     def finer(self, outcome: Outcome, found: IntersampleCheck, marked: BoolArray, first: bool) -> Problem:
         """Return the problem with nodes in the middle of steps in which efforts are larger, and of their neighbours."""
-        # on the first mesh the carriers still use what they find between the nodes, and most of it goes by itself
+        # on the first mesh the carriers still exploit gaps between the nodes; most of these vanish on finer meshes
         nodes = outcome.problem.grid
         for least in (0.0,) if first else (0.0, TWICE):
             nodes = with_middles(nodes, steps_around(nodes.t, found.middle[marked & (found.worst > least)], NEIGHBOURS))

@@ -69,10 +69,10 @@ GOALS = {"peak": Weights(), "effort": Weights(effort=1.0, peak=0.0)}
 
 @dataclass(frozen=True, eq=False)
 class Command(Frozen):
-    """What the carriers and the main actuators are to do from a tick on. m main actuators, k carriers.
+    """Motion of the carriers and efforts of the main actuators from a control update on. m main actuators, k carriers.
 
     Attributes:
-        t: the tick, s.
+        t: time of the control update, s.
         status: result of the control update.
         reason: explanation, if ``status`` is not ``OK``.
         carriers: positions (k,), m, as functions of time to the end of the horizon; s̈ is linear between nodes.
@@ -120,12 +120,12 @@ class Command(Frozen):
 
     @property
     def sdd(self) -> Array:
-        """(k,) acceleration of the carriers at the tick, m/s²."""
+        """(k,) acceleration of the carriers at the control update, m/s²."""
         return self.motion_at(self.t)[2]
 
     @property
     def tau(self) -> Array:
-        """(m,) main efforts at the tick, N or N·m."""
+        """(m,) main efforts at the control update, N or N·m."""
         return self.efforts.at(self.t)
 
 

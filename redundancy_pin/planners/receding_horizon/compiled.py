@@ -131,7 +131,7 @@ class Terms:
 
     def at(self, preview: Preview, t: Array, sigma: Array, rate: Array, bend: Array) -> CarrierTerms:
         """Return them at (N,) times t, s, at which the preview is at σ, s, with σ̇ and σ̈; NaN where out of reach."""
-        once, place = np.unique(sigma, return_inverse=True)  # a platform that stands still
+        once, place = np.unique(sigma, return_inverse=True)  # a platform at rest
         x, xd, xdd = (part[place] for part in preview.states(once))
         if (rate != 1.0).any() or bend.any():
             xd, xdd = scaled_rates(xd, xdd, rate, bend)
@@ -155,7 +155,7 @@ class CompiledPlanner:
         dynamics: the backend.
         step, horizon: s.
         weights: of the objective.
-        limits: in force; ``set_limits`` changes them.
+        limits: active limits; ``set_limits`` changes them.
         slow_down: whether the platform may go more slowly where no plan keeps every limit.
         memory, last, number, layout: state of a running planner, with the number of its preview and a key that shows
             whether its memory has the layout used here.
@@ -364,7 +364,7 @@ class CompiledPlanner:
 
 
 def sizes_of(robot: Robot, step: float, horizon: float, terms: int) -> dict[str, int]:
-    """Return what C needs to know of a robot and its plans: ``COUNT``, nodes of a plan, among them."""
+    """Return the constants of C for a robot and its plans: ``COUNT``, nodes of a plan, among them."""
     steps = round(horizon / step)
     count = min(steps, NEAR) + max(steps - NEAR, 0) // 2 + EXTRA + 1
     places = 16 if is_pose(robot) else robot.n

@@ -1,4 +1,4 @@
-"""One plan a tick over the path known ahead, from where the carriers are."""
+"""One plan per control update over the previewed path, from the present positions of the carriers."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from redundancy_pin.status import UpdateStatus
 
 
 class RecedingHorizon:
-    """Plans the carriers and the efforts again and again, over the path known for a short time ahead.
+    """Receding-horizon planner of carriers and efforts, over a short preview of the path.
 
-    Each tick solves a convex quadratic programme: s, ṡ, s̈ and τ at nodes 20 ms apart, from a fifth of a second on 40,
+    Each control update solves a convex quadratic programme: s, ṡ, s̈ and τ at nodes 20 ms apart, 40 ms after 0.2 s,
     fixed in time, with s̈ linear in between, W τ = f linearised about the last plan, its curvature in the cost as far
     as convexity allows, and carrier limits between the nodes. If the linearisation error is too large, it iterates.
     W⁻¹ is not formed: type II singularities ahead become nodes with what makes τ finite and continuous there
@@ -41,7 +41,7 @@ class RecedingHorizon:
             is then the time of the preview that is reached, and the status is ``TIME_SCALED``.
 
     Attributes:
-        limits: in force from the next update on; may be set between updates. ``resolved`` has them as arrays.
+        limits: active from the next update on; may be set between updates. ``resolved`` has them as arrays.
         slows_down: whether it leads the platform more slowly.
 
     Raises:
@@ -107,10 +107,10 @@ class RecedingHorizon:
         self.updates.set_limits(self.resolved)
 
     def update(self, t: float, preview: Source, s: ArrayLike | None = None, sd: ArrayLike | None = None) -> Command:
-        """Return what to do from a time on.
+        """Return the command from a time on.
 
         Args:
-            t: the tick, s; not before the one before.
+            t: time of the control update, s; not before the last one.
             preview: the platform's motion ahead; a trajectory or samples that are passed again are read once.
             s: scalar or (k,) where the carriers are, m; where the last plan has them when left out, at first 0. Within
                 two steps of a singular instant the last plan continues regardless.
@@ -168,7 +168,7 @@ class RecedingHorizon:
             InputError: no plan exists yet.
         """
         if self.updates.last is None:
-            raise InputError("No plan exists to continue.", remedy="Call update first.")
+            raise InputError("There is no plan to continue.", remedy="Call update first.")
         reason = "the update was missed"
         return replace(self.updates.last.command, t=self._time(t), status=UpdateStatus.FALLBACK, reason=reason)
 

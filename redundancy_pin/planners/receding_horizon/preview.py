@@ -56,7 +56,7 @@ class Preview(Frozen):
     def states(self, times: Array) -> tuple[Array, Array, Array]:
         """Return x (N, n), or (N, 4, 4), ẋ and ẍ (N, n) at (N,) increasing times, s."""
         if (continuous := self._continuous) is not None:
-            return continuous.states_at(times)  # whose values nobody need look at again
+            return continuous.states_at(times)  # its values need no further check
         motion = self.motion(times)
         return motion.x, motion.xd, motion.xdd
 

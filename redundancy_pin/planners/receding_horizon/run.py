@@ -1,4 +1,4 @@
-"""A whole motion planned as if on line: one plan a tick, of which the carriers follow the first piece."""
+"""A whole motion planned as if on line: one plan per control update; the carriers follow the first piece of each."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ class OnLineRun(Frozen):
 
     Attributes:
         plan: what the carriers did and which efforts that takes, judged as any other plan.
-        commands: one a tick.
+        commands: one per control update.
     """
 
     plan: Plan
     commands: tuple[Command, ...]
 
     def summary(self) -> Summary:
-        """Return what ``Plan.summary`` does, ticks by status, and the time that an update took, ms.
+        """Return ``Plan.summary`` plus the updates by status and the time that an update took, ms.
 
         Example:
             >>> print(run_online(RecedingHorizon("2rpr"), circle).summary())
@@ -89,10 +89,10 @@ def run_online(
     tick: float | None = None,
     start: ArrayLike = 0.0,
 ) -> OnLineRun:
-    """Plan along a motion tick after tick, each plan with a preview of one horizon.
+    """Plan along a motion, one control update after another, each plan with a preview of one horizon.
 
     Args:
-        planner: the planner, before its first tick.
+        planner: the planner, before its first update.
         motion: the whole motion.
         tick: between plans, s, at most a horizon; a step when left out.
         start: scalar or (k,) where the carriers are at the start, m.
@@ -105,7 +105,7 @@ def run_online(
 
     Raises:
         InputError: a step or a horizon that is too long for the motion.
-        InfeasiblePlanError: a start off the track; a tick was refused, or the platform does not get along however slow;
+        InfeasiblePlanError: a start off the track; a refused control update, or a motion that no speed makes feasible;
             carries how far the motion is possible.
 
     Example:
@@ -144,7 +144,7 @@ def run_online(
         np.concatenate([np.arange(source.start, source.end, SAMPLES), times, source.breaks, source.knots])
     )
     decided = pieces_of(planner, source, carriers, commands)
-    for part, _ in decided:  # of what is narrower than a sample the continuous motion is judged
+    for part, _ in decided:  # parts narrower than a sample are evaluated on the continuous motion
         short = part.end - part.start < SAMPLES
         nodes = nodes[~((nodes > part.start) & (nodes < part.end) & short)]
     functions = PlanFunctions(source, carriers, prescribed=tuple(part for part, _ in decided))
@@ -218,7 +218,7 @@ def _require_progress(command: Command, source: Motion, planner: RecedingHorizon
             first = int(beyond.argmax())
             where = place_of(np.asarray(ahead.x[first]))
             raise InfeasiblePlanError(
-                f"The platform is at rest at t = {t:.6g} s, where the motion is at {reached:.6g} s: at "
+                f"The platform stands at t = {t:.6g} s, where the motion is at {reached:.6g} s: at "
                 f"{ahead.t[first]:.6g} s it leads where the machine cannot go, to {where}.",
                 remedy="Lead the platform along another path.",
                 constraint="preview",
@@ -273,7 +273,7 @@ def pieces_of(
         planned = np.array([command.efforts.at(t) for command, t in zip(latest, ends, strict=True)])
         inner = (ends > source.start) & (ends < source.end) & np.isfinite(tau).all(axis=1)
         tau = np.where(inner[:, None], tau, planned)
-        # one tick sees a singular instant where another does, but for rounding
+        # two updates see a singular instant at the same time, up to rounding errors
         roots = singular_instants_met(commands)
         roots = roots[(roots > ends[0]) & (roots < ends[1])]
         roots = roots[np.append(True, np.diff(roots) > 1e-4)] if len(roots) else roots

@@ -214,7 +214,7 @@ def _require_time(settings: StepwiseSettings, course: Course, first: int, durati
         return
     carrier = settings.limits.names[j]
     if settings.stop == "after":
-        why = "and the platform keeps moving, so it cannot wait while they stop"
+        why = "and the platform moves on, so it cannot be held while they stop"
     else:
         why = f"which takes {late:.3g} s longer than the motion"
     raise InfeasiblePlanError(

@@ -259,7 +259,7 @@ def _prolonged(motion: PlatformMotion, added: Array) -> PlatformMotion:
 
 
 def _diagnostics(course: Course, gradient: float, limits: ResolvedLimits) -> dict[str, object]:
-    """Return what the planner found, as plain data.
+    """Return the planner's results, as plain data.
 
     - ``largest_gradient``: the largest deviation of a step from the first-order conditions of a minimum, N or N·m: the
       gradient of ½ ‖r‖² over the largest slope.

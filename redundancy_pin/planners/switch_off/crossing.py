@@ -65,7 +65,7 @@ def cross(
         window: when the actuators are off, s.
         ramp_time: duration of the ramp-down before it, s.
         datum: (k,) where the carriers park before, m.
-        row_scale: (n,) what forces are measured in.
+        row_scale: (n,) scales of the forces.
 
     Raises:
         InfeasiblePlanError: the carriers cannot balance the motion; carries constraint, time and amount.
@@ -120,7 +120,7 @@ def ramp_down(
     return PiecewisePolynomial.joined([quintic, PiecewisePolynomial.constant(zero, end, window.end)]), at_end
 
 
-# --- why there is no motion ----------------------------------------------------------------------------------------
+# --- causes of infeasibility ----------------------------------------------------------------------------------------
 
 _RANK_LOSS = 1e-8
 """Smallest singular value of F that counts as zero at a minimum found by search, relative to its largest."""

@@ -91,7 +91,7 @@ def plan_switch_off(
     The carriers' motion is integrated with error control (see ``carrier_equation``), so the efforts are continuous at
     switch-on. The thesis's backward differences of ṡ and s̈ make them jump there, in proportion to the step.
 
-    Limits are not enforced (a crossing leaves no freedom to do so) but judged: see ``Plan.limits`` and ``Plan.status``.
+    Limits are evaluated, not enforced (a crossing leaves no freedom for that): see ``Plan.limits`` and ``Plan.status``.
     ``return_time="shortest"`` chooses the shortest return within the limits of the carriers.
 
     Args:
@@ -227,7 +227,7 @@ def _assemble_plan(
     settings: SwitchOffSettings,
     actuation: Actuation,
 ) -> Plan:
-    """Sample the crossings and have the plan judged."""
+    """Sample the crossings and finish the plan."""
     times, position = _sample_times(source, crossings, settings), _position(source, crossings, settings)
     before, after = (carriers_at(position, times, side) for side in ("left", "right"))
     first_of_two = np.append(times[1:] == times[:-1], False)

@@ -60,7 +60,7 @@ class Sampling:
 
 
 class EffortLaw(Protocol):
-    """The least that ``simulate`` needs of what drives a machine; see ``Controller`` for what else it may have."""
+    """The least interface that ``simulate`` needs of a controller; see ``Controller`` for optional members."""
 
     def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,), N or N·m, and carrier forces (k,), N, at time t, s."""
@@ -87,7 +87,7 @@ class Controller(ABC):
     open_loop: PiecewisePolynomial | None = None
 
     def class_name(self) -> str:
-        """Return what errors and results call it."""
+        """Return the name of the class, for errors and results."""
         return type(self).__name__
 
     @abstractmethod
@@ -199,7 +199,7 @@ class Tracking(Controller):
         self.reference = plan if isinstance(plan, MotionReference) else plan_reference(plan, motion=motion)
         self.robot = self.reference.robot
         self.sampling = sampling
-        # efforts kink at the edges of the reference; those of a sampled controller are constant between samples
+        # efforts kink at the edges of the reference; a sampled controller's efforts are constant between samples
         self.breaks = self.reference.edges[1:-1] if sampling is None else self.reference.edges[:0]
         self.end = self.reference.end
         self.lead = 0.0 if sampling is None else sampling.delay + 0.5 * sampling.period
@@ -257,7 +257,7 @@ class Amplifiers:
     """A controller with its amplifiers: its output is checked, and saturates.
 
     Args:
-        controller: what commands the efforts.
+        controller: the controller that commands the efforts.
         tau_limit: (m,) largest |τ|, N or N·m; infinite if unlimited.
         force_limit: (k,) largest |carrier force|, N.
     """

@@ -1,4 +1,4 @@
-"""What a controller knows of a real machine: encoders with steps, and speeds filtered from their differences."""
+"""Measurements of a real machine for a controller: encoders with steps, and speeds filtered from their differences."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class Encoders(Controller):
         self._rate = np.zeros(robot.model.nv)
 
     def estimate(self, t: float, state: State) -> State:
-        """Return what the controller takes the state for. Call it in order of time; the same time twice is one reading.
+        """Return the estimated state. Call it in order of time; the same time twice is one reading.
 
         Args:
             t: time of the reading, s.

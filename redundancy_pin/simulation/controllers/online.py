@@ -87,8 +87,8 @@ class OnlinePlanning(ComputedTorque):
     continues. The planner does not use the motion beyond the horizon.
 
     Args:
-        planner: new, before its first tick; its robot is the model that the controller knows.
-        motion: the platform's motion, of which each tick sees what its horizon reaches.
+        planner: new, before its first update; its robot is the model that the controller knows.
+        motion: the platform's motion; each control update uses it up to its horizon.
         sampling: of the simulation.
         tick: between plans, s.
         delay: from reading the state to the plan that comes of it, s: at least the time that planning takes.
@@ -153,7 +153,7 @@ class OnlinePlanning(ComputedTorque):
 
     def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,) and carrier forces (k,) at time t; call it in order of time."""
-        if self._live.plan is None:  # the machine stands, and has time
+        if self._live.plan is None:  # the machine is at rest, and has time
             self._live.plan = self._plan(t, state.s, state.sd)
             self._next = t + self.tick
         elif t >= self._next - 1e-9 and self._live.path_time(t + self.planning_delay)[0] <= self._known_until:
