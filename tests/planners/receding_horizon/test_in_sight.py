@@ -132,6 +132,9 @@ CASES = {
     "twice from an instant to the next": (
         polynomial(0.1003, 0.1017, size=20.0), [0.1003, 0.1017]
     ),
+    "twice before the last instant in sight": (
+        polynomial(0.0983, 0.0997, size=20.0), [0.0983, 0.0997]
+    ),
     "twice around an instant": (polynomial(0.0995, 0.1005, size=20.0), [0.0995, 0.1005]),
     "touching": (polynomial(0.1011, 0.1011, size=20.0), [0.1011]),
     "touching on the grid": (polynomial(0.1, 0.1, size=20.0), [0.1]),
