@@ -38,7 +38,7 @@ EQUAL = 1e-12
 INDEPENDENT = 1e-8
 """Of the largest effort, against Pinocchio: both close the loops to their own tolerance."""
 
-ROBOTS = [name for name in shipped_robots() if machine(name).m]
+ROBOTS = shipped_robots()
 LONG = ("excavator", "five_bar", "2rpr", "gough")
 """Of kinds that others have: couplings of the ankle, planar chains of the 3-RRR, poses of two arms."""
 SOLVED = (SampleStatus.OK, SampleStatus.NEAR_SINGULAR, SampleStatus.SINGULAR_CONSISTENT, SampleStatus.OUT_OF_RANGE)

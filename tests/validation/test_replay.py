@@ -14,11 +14,17 @@ FOLLOWED = 1e-6
 """m and rad, as required; what is reached is 1e-11."""
 
 
+CIRCLE = rp.trajectory.reference.circle(speed=0.5)
+_DOWN = rp.trajectory.Line((0.15, 0.1), (0.2, -0.1))
+ACROSS = rp.trajectory.Trajectory(_DOWN, rp.trajectory.RestToRest(_DOWN.length, duration=0.6))
+"""Through two type II poses of the 2-RPR, and through one."""
+
+
 @cache
-def crossing():
-    """The 2-RPR with mass through two type II poses, and the circle it was planned for."""
-    robot, circle = rp.load_robot("2rpr", end_effector_mass=0.5), rp.trajectory.reference.circle(speed=0.5)
-    return robot, circle, rp.plan_whole_trajectory(rp.RneaDynamics(robot), circle, mesh=rp.Mesh(dt=0.01))
+def crossing(motion):
+    """The 2-RPR with mass, and its plan for a motion."""
+    robot = rp.load_robot("2rpr", end_effector_mass=0.5)
+    return robot, rp.plan_whole_trajectory(rp.RneaDynamics(robot), motion, mesh=rp.Mesh(dt=0.01))
 
 
 @cache
@@ -35,13 +41,14 @@ def largest_error(run, reference):
     return platform, carriers
 
 
-@pytest.mark.long_for("True")
+@pytest.mark.long_for("circle-True", "circle-False")
 @pytest.mark.parametrize("with_trajectory", [True, False])
-def test_a_whole_trajectory_plan_through_two_singular_poses(with_trajectory):
-    robot, circle, plan = crossing()
+@pytest.mark.parametrize(("motion", "poses"), [(CIRCLE, 2), (ACROSS, 1)], ids=["circle", "line"])
+def test_a_whole_trajectory_plan_through_singular_poses(motion, poses, with_trajectory):
+    robot, plan = crossing(motion)
     singular = plan.findings.singular_instants
-    assert len(singular) == 2
-    drive = FeedForward(plan, motion=circle if with_trajectory else None)
+    assert len(singular) == poses
+    drive = FeedForward(plan, motion=motion if with_trajectory else None)
     # the nodes next to the singular instants are where W⁻¹ f magnifies what samples and solver leave, to 4e-7
     assert drive.reference.effort_deviation < 1e-8
     run = rp.simulate(robot, drive, dt=0.05)
@@ -52,7 +59,7 @@ def test_a_whole_trajectory_plan_through_two_singular_poses(with_trajectory):
     crossed = [event.t for event in run.events if event.kind == "type_II"]
     np.testing.assert_allclose(crossed, singular, atol=1e-6)
     # against the trajectory itself, not what became of its samples
-    np.testing.assert_allclose(run.x, circle.evaluate(np.minimum(run.t, circle.duration)).x, atol=FOLLOWED)
+    np.testing.assert_allclose(run.x, motion.evaluate(np.minimum(run.t, motion.duration)).x, atol=FOLLOWED)
     assert run.gap.max() < 1e-9
 
 
