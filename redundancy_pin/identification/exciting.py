@@ -21,7 +21,7 @@ from scipy.linalg import null_space
 from scipy.optimize import BFGS, NonlinearConstraint, OptimizeResult, minimize
 from scipy.special import logsumexp, softmax
 
-from redundancy_pin.arrays import Array, Frozen, frozen, read_only
+from redundancy_pin.arrays import Array, Frozen, fraction, frozen, positive, read_only, whole
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.rnea import RneaAlongMotion, RneaDynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError, RedundancyPinError
@@ -34,7 +34,14 @@ from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import PlannedMotion, intersample_check
-from redundancy_pin.planners.limits import LIMIT_TOLERANCE, LimitEvent, ResolvedLimits, worst_events
+from redundancy_pin.planners.limits import (
+    LIMIT_TOLERANCE,
+    QUANTITIES,
+    LimitEvent,
+    ResolvedLimits,
+    States,
+    worst_events,
+)
 from redundancy_pin.planners.options import Limits
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.checks import is_pose
@@ -49,24 +56,29 @@ from redundancy_pin.trajectory.quaternions import angular_rates, poses_of, quate
 _NODES = 12
 """Samples in the shortest period at which information and limits are evaluated while a motion is sought."""
 
-_SHARP = 60.0
-"""Exponent of the smooth maximum over samples, which is at most log(samples)/60 too large."""
+_SHARPNESS = 60.0
+"""Exponent of the smooth maximum over samples, which exceeds the maximum by at most log(samples)/60."""
 
 _STEP = 1e-6
-"""Differences of w and its derivatives, relative to their sizes."""
+"""Step of the differences by w and its derivatives, relative to their scales."""
 
 _SETTLED, _SPAN = 0.1, 20
-"""Gain of log det M per parameter in so many iterations below which a motion is as good as the optimum."""
+"""The search ends when log det M per parameter gains less than ``_SETTLED`` in ``_SPAN`` iterations."""
 
-_HALVINGS, _MOST = 14, 8.0
-"""Of the interval in which the largest amplitude within limits is sought, and the largest factor of it."""
+_FACTORS = 1.25 ** -np.arange(60.0)
+"""Factors of the amplitude among which the largest within the limits is bracketed, before bisection."""
 
-_BROKEN = 3.0
-"""Used fraction of every limit at a sample without efforts."""
+_MOST = 8.0
+"""Largest factor of the amplitude."""
 
+_BISECTIONS = 12
+"""Of the bracket: the factor is known to 6e-5 of itself."""
+
+_LOST = 3.0
+"""Largest used fraction of a limit in the search, and that at a pose that the robot does not reach."""
 
 _NEAR = 1.1
-"""Margins up to so many times the least that are looked at between the samples."""
+"""Singularity margin over the least one that is allowed, below which it is sampled twenty times as densely."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -156,30 +168,32 @@ def exciting_motion(
 
     Raises:
         InputError: arguments out of range; parameters that no motion shows; a singular home position.
-        InfeasiblePlanError: the robot exceeds a limit at rest.
+        InfeasiblePlanError: the robot exceeds a limit at rest, or in any motion of this duration.
 
     Example:
         >>> motion = rp.exciting_motion("five_bar", limits=rp.Limits(effort=30.0, actuator_speed=4.0), duration=5.0)
         >>> motion.sample_at(np.arange(0.0, 5.0, 0.004))
     """
     robot = as_robot(robot)
-    if not (0.0 < duration < np.inf and harmonics == max(int(harmonics), 2) and 0.0 < margin < 1.0):
-        raise InputError(
-            f"duration is {duration:g} s, harmonics {harmonics:g}, margin {margin:g}.",
-            remedy="Pass a positive duration, a whole number of at least 2 harmonics, and a margin between 0 and 1.",
-        )
+    duration, harmonics = positive(duration, "duration", "s"), whole(harmonics, "harmonics", 2, 1000)
+    iterations, seed = whole(iterations, "iterations", 0, 10**6), whole(seed, "seed", 0, 2**63)
+    if fraction(margin, "margin") in (0.0, 1.0):
+        raise InputError(f"margin is {margin:g}.", remedy="Pass a number between 0 and 1, such as 0.3.")
     resolved = (Limits() if limits is None else limits).resolved(robot)
-    search = _Search(robot, parameters_of(robot, parameters), resolved, (float(duration), int(harmonics)), margin)
+    search = _Search(robot, parameters_of(robot, parameters), resolved, duration, harmonics, margin)
     start = np.random.default_rng(seed).standard_normal(search.size)
-    start *= 0.9 * _largest(lambda factor: bool(np.abs(search.evaluate(search.motion(factor * start))[1]).max() < 1.0))
+    smallest = _FACTORS[-1] * start
+    start = 0.9 * _largest(start, lambda theta: search.largest_use(theta) < 1.0)
     if not start.any():
-        used = np.abs(search.evaluate(search.motion(start))[1]).max()
+        used = search.largest_use(smallest)
         raise InfeasiblePlanError(
-            f"No motion of {robot.name} about home keeps the limits: at rest there it uses {used:.3g} of one.",
-            remedy="Allow larger efforts, or declare a reference configuration that is farther from limits.",
+            f"No motion of {robot.name} about home keeps the limits: one of {_FACTORS[-1]:.0e} of its size in "
+            f"{duration:g} s uses {used:.3g} of one.",
+            remedy="Allow larger efforts, pass a longer duration, or declare a reference configuration that is farther "
+            "from limits.",
             constraint="home",
             time=0.0,
-            amount=float(used),
+            amount=used,
         )
     search.choose_base(start)
     values: list[float] = []
@@ -188,7 +202,7 @@ def exciting_motion(
         values.append(float(state.fun))
         return len(values) > _SPAN and values[-_SPAN] - values[-1] < _SETTLED
 
-    # steps of SLSQP leave the workspace and do not come back; a trust region holds, with limits as barriers
+    # SLSQP leaves the workspace and does not come back; a trust region shrinks there
     found = minimize(
         lambda theta: search.at(theta)[0],
         start,
@@ -203,7 +217,8 @@ def exciting_motion(
     )
     status = ResultStatus.OK if len(values) < iterations else ResultStatus.NOT_CONVERGED
     for theta in (found.x, start):
-        if (result := search.scaled(theta)) is not None:
+        largest = _largest(theta, lambda scaled: search.checked(scaled) is not None)
+        if (result := search.checked(largest)) is not None:
             return replace(result, status=status)
         status = ResultStatus.NOT_CONVERGED
     raise InfeasiblePlanError(
@@ -215,21 +230,23 @@ def exciting_motion(
 
 
 class _Search:
-    """Information and used fractions of limits of w(t) = basis · θ; θ (P (n + k),) is relative to the robot's size."""
+    """Information and use of the limits of w(t) = basis · θ; θ (P (n + k),) is relative to the robot's size."""
 
     def __init__(
         self,
         robot: Robot,
         parameters: Sequence[Parameter],
         limits: ResolvedLimits,
-        span: tuple[float, int],
+        duration: float,
+        harmonics: int,
         margin: float,
     ) -> None:
-        self.robot, self.parameters, self.limits, self.span, self.margin = robot, parameters, limits, span, margin
-        self.dynamics, self.t = RneaDynamics(robot), np.linspace(0.0, span[0], _NODES * span[1], endpoint=False)
-        at_rest = np.concatenate([_fourier(np.zeros(1), *span, order) for order in range(3)])
+        self.robot, self.parameters, self.limits, self.margin = robot, parameters, limits, margin
+        self.dynamics, self.duration = RneaDynamics(robot), duration
+        self.t = np.linspace(0.0, duration, _NODES * harmonics, endpoint=False)
+        at_rest = np.concatenate([_fourier(np.zeros(1), duration, harmonics, order) for order in range(3)])
         self.free = null_space(at_rest / np.abs(at_rest).max(axis=1, keepdims=True))
-        self.basis = np.stack([_fourier(self.t, *span, order) @ self.free for order in range(3)])
+        self.basis = np.stack([_fourier(self.t, duration, harmonics, order) @ self.free for order in range(3)])
         of_carriers = velocity_unit(robot)[robot.carrier_velocity]
         self.unit = 0.1 * np.concatenate([coordinate_unit(robot), of_carriers])
         self.size = self.basis.shape[2] * len(self.unit)
@@ -237,14 +254,9 @@ class _Search:
         lengths = np.concatenate([column_scale(robot), robot.characteristic_length / of_carriers])
         self.noise = largest if np.isfinite(largest).all() else lengths
         self.independent = np.arange(len(parameters))
-        self.known: tuple[Array, tuple[float, Array, Array, Array]] | None = None
+        self.known: tuple[Array, tuple[float, Array, Array, Array]] = np.zeros(0), (0.0, *np.zeros((3, 0)))
         still = np.zeros((3, 1, len(self.unit)))
         self.home = _margins(self.dynamics.along(_platform(robot, np.zeros(1), still)))[0]
-
-    def series(self, theta: Array) -> Array:
-        """Return (2 H + 1, n + k) coefficients."""
-        result: Array = self.free @ theta.reshape(-1, len(self.unit)) * self.unit
-        return result
 
     def motion(self, theta: Array) -> Array:
         """Return (3, N, n + k) w, its rate and second rate at the samples."""
@@ -260,105 +272,101 @@ class _Search:
             raise InputError(f"No motion of {self.robot.name} shows the parameters.", remedy="Choose others.")
 
     def evaluate(self, w: Array) -> tuple[Array, Array]:
-        """Return the weighted regressor (N, r, b) per parameter's size, and used fractions of limits (N, c)."""
+        """Return the regressor of efforts over Σ per parameter's size (N, m + k, b), and used fractions (N, c)."""
         robot, limits, chosen = self.robot, self.limits, [self.parameters[int(k)] for k in self.independent]
         carriers, along = _carriers(robot, w), self.dynamics.along(_platform(robot, self.t, w), unreachable="mark")
-        reduced = along.reduce(carriers)
-        efforts = np.concatenate([distribute(reduced).tau, reduced.carrier_force], axis=1)
+        reduced, m = along.reduce(carriers), robot.m
+        moved = carriers.s, carriers.sd, carriers.sdd
         rates = np.einsum("Nnm,Nn->Nm", reduced.W, along.motion.xd)
-        moved = [carriers.s, carriers.sd, carriers.sdd]
-        ends = [limits.track, *(each[:, None] * [-1.0, 1.0] for each in (limits.speed, limits.acceleration))]
+        states = States(distribute(reduced).tau, rates, reduced.carrier_force, *moved)
+        limited = list(zip(moved, *limits.bounds, strict=False))
         for joint in joint_ranges(robot):
-            moved.append(joint.counted(along.q[:, joint.at], False)[:, None])
-            ends.append(np.array([[joint.lower, joint.upper]]))
-        parts = [efforts / np.concatenate([limits.effort, limits.carrier_force]), rates / limits.actuator_speed]
-        for values, pair in zip(moved, ends, strict=True):
-            bounded = np.isfinite(pair).all(axis=1)
-            middle, half = pair[bounded].mean(axis=1), 0.5 * np.diff(pair[bounded], axis=1)[:, 0]
-            parts.append((values[:, bounded] - middle) / half)
+            limited.append((joint.counted(along.q[:, [joint.at]], False), [joint.lower], [joint.upper]))
+        for key, joints in limits.evaluated().items():
+            largest = limits.of(key)[joints]
+            limited.append((QUANTITIES[key].values(states)[:, joints], -largest, largest))
+        values, lower, upper = (np.concatenate(parts, axis=-1) for parts in zip(*limited, strict=True))
+        bounded = np.isfinite(lower) & np.isfinite(upper)
+        low, high = lower[bounded], upper[bounded]
         with np.errstate(divide="ignore"):
-            used = np.concatenate([*parts, self.margin * self.home / _margins(along)], axis=1)
+            by_margin = self.margin * self.home / _margins(along)
+        used = np.concatenate([(2.0 * values[:, bounded] - low - high) / (high - low), by_margin], axis=1)
         lost = ~np.isfinite(used).all(axis=1)
-        used[lost] = _BROKEN
-        E = np.zeros((len(w[0]), robot.n + robot.k, robot.m + robot.k))
-        E[:, : robot.n, : robot.m] = np.where(lost[:, None, None], 0.0, reduced.W)
-        E[:, robot.n :, robot.m :] = np.eye(robot.k)
-        E *= self.noise
-        floor = 1e-12 * (E**2).sum(axis=(1, 2)).max() * np.eye(E.shape[1])
-        rows = np.linalg.inv(np.linalg.cholesky(E @ E.transpose(0, 2, 1) + floor))
-        rows = rows @ np.where(lost[:, None, None], 0.0, chain_regressor(along, chosen, carriers))
-        return rows * np.array([p.size for p in chosen]), np.clip(used, -_BROKEN, _BROKEN)
+        used[lost] = _LOST
+        Y = chain_regressor(along, chosen, carriers) * np.array([p.size for p in chosen])
+        of_motors = np.linalg.pinv(np.where(lost[:, None, None], 1.0, reduced.W * self.noise[:m])) @ Y[:, : robot.n]
+        rows = np.concatenate([of_motors, Y[:, robot.n :] / self.noise[m:, None]], axis=1)
+        return np.where(lost[:, None, None], 0.0, rows), used
+
+    def clipped(self, w: Array) -> tuple[Array, Array]:
+        """Return what ``evaluate`` does, used fractions up to ``_LOST``."""
+        rows, used = self.evaluate(w)
+        return rows, np.clip(used, -_LOST, _LOST)
+
+    def largest_use(self, theta: Array) -> float:
+        """Return the largest used fraction of a limit at the samples."""
+        return float(np.abs(self.evaluate(self.motion(theta))[1]).max())
 
     def at(self, theta: Array) -> tuple[float, Array, Array, Array]:
-        """Return −log det M / b, its gradient, what is left of each limit (c,), and its Jacobian (c, P (n + k)).
+        """Return −log det M / b, its gradient, the smooth minimum of what is left of each limit (c,), and its Jacobian.
 
         Each sample depends on w and its rates there alone: one difference by each of them serves all samples.
         """
-        if self.known is not None and np.array_equal(self.known[0], theta):
+        if np.array_equal(self.known[0], theta):
             return self.known[1]
         self.dynamics = RneaDynamics(self.robot).with_cache()  # a carrier that moves leaves the platform as it is
-        w, b = self.motion(theta), len(self.base)
-        rows, used = self.evaluate(w)
-        flat = rows.reshape(-1, b)
-        gain = np.linalg.pinv(flat).T.reshape(rows.shape)
-        both = _SHARP * np.stack([used, -used])
-        left = 1.0 - logsumexp(both, axis=(0, 1)) / _SHARP
-        weight = softmax(both, axis=(0, 1))
-        by_value, by_left = np.zeros((self.size // len(self.unit), len(self.unit))), np.zeros((len(left), self.size))
-        by_left = by_left.reshape(len(left), -1, len(self.unit))
+        w = self.motion(theta)
+        rows, used = self.clipped(w)
+        flat, both = rows.reshape(-1, rows.shape[2]), _SHARPNESS * np.stack([used, -used])
+        by_rows = -2.0 / rows.shape[2] * np.linalg.pinv(flat).T.reshape(rows.shape)
+        by_used = np.subtract(*softmax(both, axis=(0, 1)))
+        by_w = np.zeros((1 + used.shape[1], *w.shape))
         for order, j in np.ndindex(3, len(self.unit)):
-            step = _STEP * self.unit[j] * self.span[0] ** -order
-            moved = w.copy()
+            step, moved = _STEP * self.unit[j] * self.duration**-order, w.copy()
             moved[order, :, j] += step
-            other, more = self.evaluate(moved)
-            by_value[:, j] -= self.basis[order].T @ (gain * (other - rows)).sum(axis=(1, 2)) * (2.0 / b / step)
-            by_left[:, :, j] -= ((weight[0] - weight[1]) * (more - used) / step).T @ self.basis[order]
-        value = -np.linalg.slogdet(flat.T @ flat)[1] / b
-        gradients = (by_value * self.unit).ravel(), (by_left * self.unit).reshape(len(left), -1)
-        self.known = theta.copy(), (value, gradients[0], left, gradients[1])
+            other, more = self.clipped(moved)
+            by_w[0, order, :, j] = (by_rows * (other - rows)).sum(axis=(1, 2)) / step
+            by_w[1:, order, :, j] = -(by_used * (more - used)).T / step
+        by_theta = (np.einsum("oNp,coNj->cpj", self.basis, by_w, optimize=True) * self.unit).reshape(len(by_w), -1)
+        value = -float(np.linalg.slogdet(flat.T @ flat)[1]) / rows.shape[2]
+        left = 1.0 - logsumexp(both, axis=(0, 1)) / _SHARPNESS
+        self.known = theta.copy(), (value, by_theta[0], left, by_theta[1:])
         return self.known[1]
-
-    def scaled(self, theta: Array) -> ExcitingMotion | None:
-        """Return the largest multiple of a motion that keeps all limits between its samples; None if none does."""
-        return self.checked(_largest(lambda factor: self.checked(factor * theta) is not None) * theta)
 
     def checked(self, theta: Array) -> ExcitingMotion | None:
         """Return the motion if it keeps all limits and margins at the samples and between them."""
-        robot, limits = self.robot, self.limits
-        rows = self.evaluate(self.motion(theta))[0]
-        information = np.einsum("Nrb,Nrc->bc", rows, rows) / len(rows)
-        moving = ExcitingMotion(
-            robot,
-            self.span[0],
-            read_only(self.series(theta)),
-            ResultStatus.OK,
-            (),
-            0.0,
-            self.base,
-            read_only(information),
-        )
-        t = np.linspace(0.0, self.span[0], 4 * len(self.t) + 1)
-        position = PiecewisePolynomial.constant(np.zeros(0), 0.0, self.span[0])
-        if robot.k:
-            position = PiecewisePolynomial.fit(
-                lambda times: moving.carriers_at(times).s,
-                frozen([0.0, self.span[0]]),
-                frozen([]),
-                lambda s: np.abs(s).max(axis=0) + self.unit[robot.n :],
-                1e-12,
-            )
+        robot, limits, end = self.robot, self.limits, self.duration
+        t = np.linspace(0.0, end, 4 * len(self.t) + 1)
         try:
+            rows, used = self.evaluate(self.motion(theta))
+            if np.abs(used).max() > 1.0 + LIMIT_TOLERANCE:  # what follows takes ten times as long
+                return None
+            moving = ExcitingMotion(
+                robot=robot,
+                duration=end,
+                series=read_only(self.free @ theta.reshape(-1, len(self.unit)) * self.unit),
+                status=ResultStatus.OK,
+                binding=(),
+                margin=0.0,
+                base=self.base,
+                information=read_only(np.einsum("Nrb,Nrc->bc", rows, rows) / len(rows)),
+            )
             along = self.dynamics.along(moving.sample_at(t))
-            low = (_margins(along) / self.home).min(axis=1)
-            near = t[low < _NEAR * low.min()]  # a dip between samples is sought beside the lowest
-            dense = np.unique(np.clip(near[:, None] + t[1] * np.linspace(-1.0, 1.0, 21), 0.0, self.span[0]))
+            near = t[(_margins(along) / self.home).min(axis=1) < _NEAR * self.margin]
+            beside = near[:, None] + t[1] * np.linspace(-1.0, 1.0, 21)
+            dense = np.unique(np.clip(np.append(t, beside), 0.0, end))
             low = (_margins(self.dynamics.along(moving.sample_at(dense))) / self.home).min(axis=1)
             least, at = float(low.min()), float(dense[low.argmin()])
-            functions = PlanFunctions(as_motion(moving), position)
-            planned = PlannedMotion(
-                self.dynamics, functions, along, moving.carriers_at(t), limits, "exciting motion", chooses_timing=True
+            position = PiecewisePolynomial.constant(np.zeros(0), 0.0, end)
+            if robot.k:
+                ends, largest = frozen([0.0, end]), self.unit[robot.n :]
+                position = PiecewisePolynomial.fit(
+                    lambda times: moving.carriers_at(times).s, ends, frozen([]), lambda s: largest, 1e-12
+                )
+            functions, carriers = PlanFunctions(as_motion(moving), position), moving.carriers_at(t)
+            check = intersample_check(
+                PlannedMotion(self.dynamics, functions, along, carriers, limits, "exciting motion", chooses_timing=True)
             )
-            check = intersample_check(planned)
         except RedundancyPinError:
             return None
         if check.violated or not check.within_limits or not least >= self.margin:
@@ -369,17 +377,16 @@ class _Search:
         return replace(moving, binding=events, margin=least)
 
 
-def _largest(holds: Callable[[float], bool]) -> float:
-    """Return the largest factor up to which a property holds, near one if it can be; 0 if it holds for none."""
-    low, high = 0.0, 1.0
-    while high < _MOST and holds(high):
-        low, high = high, 1.25 * high
-    while not low and high > 1.0 / _MOST**4:
-        low, high = (0.8 * high, high) if holds(0.8 * high) else (0.0, 0.8 * high)
-    for _ in range(_HALVINGS if low else 0):
+def _largest(theta: Array, holds: Callable[[Array], bool]) -> Array:
+    """Return the largest multiple of θ that has a property, next to the first of ``_FACTORS``; zero where none has."""
+    low = next((float(factor) for factor in _FACTORS if holds(factor * theta)), 0.0)
+    while 1.0 <= low < _MOST and holds(1.25 * low * theta):
+        low *= 1.25
+    high = 1.25 * low
+    for _ in range(_BISECTIONS if low else 0):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if holds(middle) else (low, middle)
-    return low
+        low, high = (middle, high) if holds(middle * theta) else (low, middle)
+    return low * theta
 
 
 def _margins(along: RneaAlongMotion) -> Array:
