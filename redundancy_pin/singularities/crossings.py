@@ -289,9 +289,20 @@ class FollowedPath:
 
 
 def _sampling_times(robot: Robot, law: Motion, spacing: float) -> Array:
-    """Return (N,) times with steps of at most ``spacing`` characteristic lengths between them."""
-    t = np.linspace(law.start, law.end, _FEWEST_STEPS + 1)
+    """Return (N,) times with steps of at most ``spacing`` characteristic lengths of path between them.
+
+    The path is measured at the breakpoints of the motion too: one that oscillates between even instants would hide.
+    """
+    even = np.linspace(law.start, law.end, _FEWEST_STEPS + 1)
+    inner = np.concatenate([law.breaks, law.knots])
+    t = np.union1d(even, inner[(inner > law.start) & (inner < law.end)])
     x = law.sample_at(t).x
-    steps = distance(robot, x[1:], x[:-1]) / robot.characteristic_length
-    nodes = np.concatenate([[0.0], np.cumsum(np.maximum(np.ceil(steps / spacing), 1.0))])
-    return np.interp(np.arange(nodes[-1] + 1.0), nodes, t)
+    path = np.concatenate([[0.0], np.cumsum(distance(robot, x[1:], x[:-1]) / robot.characteristic_length)])
+    at = np.searchsorted(t, even)
+    lengths = np.diff(path[at])
+    counts = np.maximum(np.ceil(lengths / spacing), 1.0).astype(np.intp)
+    times = [
+        np.interp(np.linspace(path[a], path[b], count + 1)[:-1], path[a : b + 1], t[a : b + 1]) if count > 1 else t[[a]]
+        for a, b, count in zip(at, at[1:], counts, strict=False)
+    ]
+    return np.unique(np.concatenate([*times, t[-1:]]))

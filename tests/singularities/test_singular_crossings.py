@@ -17,7 +17,7 @@ from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeE
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.singularities.classify import SingularityKind
-from redundancy_pin.singularities.crossings import Crossing, find_crossings
+from redundancy_pin.singularities.crossings import Crossing, _sampling_times, find_crossings
 from redundancy_pin.singularities.roots import below_zero, minima, zeros
 from redundancy_pin.trajectory import (
     PoseLine,
@@ -28,6 +28,7 @@ from redundancy_pin.trajectory import (
     through_points,
     with_constant,
 )
+from redundancy_pin.trajectory.continuous_motion import as_motion
 
 TIME = 1e-11
 """Brent's method stops at 1e-13 of the duration (seconds here), the margin is exact to 1e-15."""
@@ -384,3 +385,25 @@ def test_intervals_at_the_ends_are_open():
     intervals = below_zero(lambda t: 0.25 - np.abs(t - 0.5), np.linspace(0.0, 1.0, 33))
     assert [(i.open_start, i.open_end) for i in intervals] == [(True, False), (False, True)]
     assert intervals[0].end == pytest.approx(0.25, abs=1e-14)
+
+
+def shaken(frequency: float, duration: float = 1.0) -> PlatformMotion:
+    """A 2-RPR shaken across its singular line y = 0, 20 samples a period."""
+    t = np.linspace(0.0, duration, round(20 * frequency * duration) + 1)
+    turn, rest = 2.0 * np.pi * frequency, 0.0 * t
+    y, yd = 0.02 + 0.03 * np.sin(turn * t), 0.03 * turn * np.cos(turn * t)
+    return PlatformMotion(
+        t, *(np.stack(pair, axis=1) for pair in ((rest + 0.25, y), (rest, yd), (rest, turn**2 * (0.02 - y))))
+    )
+
+
+@pytest.mark.parametrize("frequency", [50.0, 200.0, 310.0])
+def test_no_oscillation_hides_between_the_samples_of_the_search(frequency: float) -> None:
+    """At 200 Hz each of the 400 even steps is half a period: y is the same at all of them."""
+    motion = as_motion(shaken(frequency))
+    y = motion.sample_at(_sampling_times(rp.load_robot("2rpr"), motion, 0.01)).x[:, 1]
+    assert (np.diff(np.sign(y)) != 0.0).sum() == 2 * frequency
+
+
+def test_each_crossing_of_an_oscillation_is_found() -> None:
+    assert len(find_crossings("2rpr", shaken(400.0, duration=0.02))) == 16

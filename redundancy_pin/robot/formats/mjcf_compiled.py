@@ -167,8 +167,8 @@ def _compiled(path: Path, trust: bool, included: Sequence[str]) -> Compiled:
         ) from error
     finally:
         mujoco.set_mju_user_warning(before)
-    for name in (name for name in dir(model) if name.startswith(_KEPT)):
-        values = getattr(model, name)
+    read = {name: getattr(model, name) for name in dir(model) if name.startswith(_KEPT)}
+    for name, values in {**read, "gravity": model.opt.gravity}.items():
         if isinstance(values, np.ndarray) and not np.abs(values.astype(float)).max(initial=0.0) <= LARGEST:
             what = f"{path}: {name.replace('_', ' ')} has a number beyond {LARGEST:g}"
             raise ModelFileError(f"{what}.", remedy="Correct it.", path=str(path))
