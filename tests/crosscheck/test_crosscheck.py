@@ -411,6 +411,15 @@ def test_a_device_is_compared_too(name):
     assert [row for row in report.rows if row not in own] == list(plain.rows)
 
 
+def test_states_that_the_straight_way_does_not_reach_are_judged_on_a_device():
+    drawn = random_states("gough", 40, 2, 2)  # of eight of them the way from the reference ends
+    straight = rp.GpuDynamics(drawn.robot, device="cpu").torque(drawn.motion.x, 0.0, 0.0)
+    assert np.isnan(straight.tau).any()
+    rows = [row for row in checks.check_states(drawn, "cpu") if "GpuDynamics" in row.check]
+    assert len(rows) == 3
+    assert all(row.passed for row in rows)
+
+
 @pytest.mark.parametrize(("part", "fault"), [("f", 1.0 + 1e-9), ("W", -1.0), ("carrier_force", np.nan)])
 def test_a_fault_on_a_device_is_found(monkeypatch, part, fault):
     torque = rp.GpuDynamics.torque
