@@ -70,6 +70,7 @@ def test_a_machine_is_identified_and_its_file_loads_as_what_was_found(
     html = page.read_text(encoding="utf-8")
     assert html.count("data:image/png;base64,") == 3
     assert not re.search(r"<script|https?://", html)
+    assert f"{len(fit.base.unseen)} parameters are not shown" in html
     assert all(f"{value:.5g}" in html for value in fit.values)
     table = call("identify", *given).stdout
     assert all(f"{value:.5g}" in table for value in fit.values)
