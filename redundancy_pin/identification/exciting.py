@@ -129,16 +129,16 @@ class ExcitingMotion(Frozen):
 
     def sample_at(self, times: ArrayLike) -> PlatformMotion:
         """Return the platform's motion at (N,) increasing times, s; it repeats after ``duration``."""
-        t = np.asarray(times, dtype=np.float64)
-        return _platform(self.robot, t, self._distances(t))
+        return self._motions(times)[0]
 
     def carriers_at(self, times: ArrayLike) -> CarrierMotion:
         """Return the carriers' motion at (N,) times, s."""
-        return _carriers(self.robot, self._distances(np.asarray(times, dtype=np.float64)))
+        return self._motions(times)[1]
 
-    def _distances(self, t: Array) -> Array:
-        orders = [_fourier(t, self.duration, len(self.series) // 2, order) @ self.series for order in range(3)]
-        return np.stack(orders)
+    def _motions(self, times: ArrayLike) -> tuple[PlatformMotion, CarrierMotion]:
+        t, harmonics = np.asarray(times, dtype=np.float64), len(self.series) // 2
+        orders = [_fourier(t, self.duration, harmonics, order) @ self.series for order in range(3)]
+        return _motions(self.robot, t, np.stack(orders))
 
 
 def exciting_motion(
@@ -256,7 +256,7 @@ class _Search:
         self.independent = np.arange(len(parameters))
         self.known: tuple[Array, tuple[float, Array, Array, Array]] = np.zeros(0), (0.0, *np.zeros((3, 0)))
         still = np.zeros((3, 1, len(self.unit)))
-        self.home = _margins(self.dynamics.along(_platform(robot, np.zeros(1), still)))[0]
+        self.home = _margins(self.dynamics.along(_motions(robot, np.zeros(1), still)[0]))[0]
 
     def motion(self, theta: Array) -> Array:
         """Return (3, N, n + k) w, its rate and second rate at the samples."""
@@ -274,8 +274,9 @@ class _Search:
     def evaluate(self, w: Array) -> tuple[Array, Array]:
         """Return the regressor of efforts over Σ per parameter's size (N, m + k, b), and used fractions (N, c)."""
         robot, limits, chosen = self.robot, self.limits, [self.parameters[int(k)] for k in self.independent]
-        carriers, along = _carriers(robot, w), self.dynamics.along(_platform(robot, self.t, w), unreachable="mark")
-        reduced, m = along.reduce(carriers), robot.m
+        platform, carriers = _motions(robot, self.t, w)
+        along, m = self.dynamics.along(platform, unreachable="mark"), robot.m
+        reduced = along.reduce(carriers)
         moved = carriers.s, carriers.sd, carriers.sdd
         rates = np.einsum("Nnm,Nn->Nm", reduced.W, along.motion.xd)
         states = States(distribute(reduced).tau, rates, reduced.carrier_force, *moved)
@@ -298,11 +299,6 @@ class _Search:
         rows = np.concatenate([of_motors, Y[:, robot.n :] / self.noise[m:, None]], axis=1)
         return np.where(lost[:, None, None], 0.0, rows), used
 
-    def clipped(self, w: Array) -> tuple[Array, Array]:
-        """Return what ``evaluate`` does, used fractions up to ``_LOST``."""
-        rows, used = self.evaluate(w)
-        return rows, np.clip(used, -_LOST, _LOST)
-
     def largest_use(self, theta: Array) -> float:
         """Return the largest used fraction of a limit at the samples."""
         return float(np.abs(self.evaluate(self.motion(theta))[1]).max())
@@ -316,7 +312,8 @@ class _Search:
             return self.known[1]
         self.dynamics = RneaDynamics(self.robot).with_cache()  # a carrier that moves leaves the platform as it is
         w = self.motion(theta)
-        rows, used = self.clipped(w)
+        rows, used = self.evaluate(w)
+        used = np.clip(used, -_LOST, _LOST)
         flat, both = rows.reshape(-1, rows.shape[2]), _SHARPNESS * np.stack([used, -used])
         by_rows = -2.0 / rows.shape[2] * np.linalg.pinv(flat).T.reshape(rows.shape)
         by_used = np.subtract(*softmax(both, axis=(0, 1)))
@@ -324,9 +321,9 @@ class _Search:
         for order, j in np.ndindex(3, len(self.unit)):
             step, moved = _STEP * self.unit[j] * self.duration**-order, w.copy()
             moved[order, :, j] += step
-            other, more = self.clipped(moved)
+            other, more = self.evaluate(moved)
             by_w[0, order, :, j] = (by_rows * (other - rows)).sum(axis=(1, 2)) / step
-            by_w[1:, order, :, j] = -(by_used * (more - used)).T / step
+            by_w[1:, order, :, j] = -(by_used * (np.clip(more, -_LOST, _LOST) - used)).T / step
         by_theta = (np.einsum("oNp,coNj->cpj", self.basis, by_w, optimize=True) * self.unit).reshape(len(by_w), -1)
         value = -float(np.linalg.slogdet(flat.T @ flat)[1]) / rows.shape[2]
         left = 1.0 - logsumexp(both, axis=(0, 1)) / _SHARPNESS
@@ -404,17 +401,13 @@ def _fourier(t: Array, duration: float, harmonics: int, order: int = 0) -> Array
     return np.concatenate([constant, omega**order * np.cos(angle), omega**order * np.sin(angle)], axis=1)
 
 
-def _carriers(robot: Robot, w: Array) -> CarrierMotion:
-    home = np.clip(0.0, *np.array([(each.lower, each.upper) for each in robot.carrier_limits]).reshape(-1, 2).T)
-    own = w[:, :, robot.n :]
-    return CarrierMotion(home + own[0], own[1], own[2], check_rates=False)
-
-
-def _platform(robot: Robot, t: Array, w: Array) -> PlatformMotion:
-    """Return the motion whose distances from home, and their rates, are w (3, N, n + k)."""
-    home, own = follower(robot).home.x, w[:, :, : robot.n]
+def _motions(robot: Robot, t: Array, w: Array) -> tuple[PlatformMotion, CarrierMotion]:
+    """Return the motions whose distances from home, and their rates, are w (3, N, n + k)."""
+    parked = np.clip(0.0, *np.array([(each.lower, each.upper) for each in robot.carrier_limits]).reshape(-1, 2).T)
+    home, own, moved = follower(robot).home.x, w[:, :, : robot.n], w[:, :, robot.n :]
+    carriers = CarrierMotion(parked + moved[0], moved[1], moved[2], check_rates=False)
     if not is_pose(robot):
-        return PlatformMotion(t, home + own[0], own[1], own[2], check_rates=False)
+        return PlatformMotion(t, home + own[0], own[1], own[2], check_rates=False), carriers
     full = np.zeros((3, len(t), 6))
     full[:, :, pose_rows(robot)] = own
     start = np.broadcast_to(quaternions_of(home[None, :3, :3]), (len(t), 4))
@@ -422,4 +415,4 @@ def _platform(robot: Robot, t: Array, w: Array) -> PlatformMotion:
     turn[0] = turn[0] + start
     rates = [np.concatenate([a[:, :3], b], axis=1) for a, b in zip(full[1:], angular_rates(*turn), strict=True)]
     poses = poses_of(home[:3, 3] + full[0, :, :3], turn[0])
-    return PlatformMotion(t, poses, *(each[:, pose_rows(robot)] for each in rates), check_rates=False)
+    return PlatformMotion(t, poses, *(each[:, pose_rows(robot)] for each in rates), check_rates=False), carriers
