@@ -8,7 +8,7 @@ import pickle
 import pytest
 
 from redundancy_pin import errors
-from redundancy_pin.errors import InputError, RedundancyPinError, UnreachablePoseError, rounded_down
+from redundancy_pin.errors import InputError, RedundancyPinError, UnreachablePoseError, did_you_mean, rounded_down
 
 KINDS = [
     kind
@@ -27,6 +27,12 @@ def test_text_is_message_then_remedy() -> None:
 @pytest.mark.parametrize("value", [1.3456, 134.99, 0.26899, 12345.6, 1.34, 0.1 + 0.2, 9.999e-7])
 def test_a_bound_in_a_message_is_rounded_down(value: float) -> None:
     assert 0.99 * value < float(rounded_down(value)) <= value
+
+
+def test_a_name_that_is_begun_is_meant_before_one_that_is_alike() -> None:
+    assert did_you_mean("spe", ["ape", "speed_limit"]) == "Did you mean 'speed_limit'? "
+    assert did_you_mean("spe", ["ape", "limit"]) == "Did you mean 'ape'? "
+    assert did_you_mean("x", ["xylophone", "limit"]) == ""
 
 
 def test_details_cannot_be_changed() -> None:

@@ -51,6 +51,12 @@ def test_one_actuator_that_the_samples_do_not_show_makes_a_plan_unresolved_and_i
     assert "rms main effort at the samples" in str(facts)
 
 
+def test_the_unit_of_efforts_is_that_of_joints_that_turn_slide_or_do_both(plan: Plan) -> None:
+    mixed = replace(plan.robot, rotating=("base_1", "base_2"))
+    units = [mixed.effort_unit(*names) for names in (("base_1", "base_2"), ("base_3",), ("base_1", "base_3"), ())]
+    assert units == ["N·m", "N", "N or N·m", "N"]
+
+
 def test_no_optimum_is_warned_of_whatever_the_status(plan: Plan) -> None:
     findings = replace(plan.findings, optimal=False, solver="Time_Exceeded")
     for status in (ResultStatus.NOT_CONVERGED, ResultStatus.UNRESOLVED, ResultStatus.UNBOUNDED):

@@ -548,3 +548,19 @@ def test_a_run_that_exceeds_a_limit_of_a_carrier_says_which_by_how_much_and_when
     summary = run.summary()
     assert summary["limits"]["violated"] == [vars(event) for event in run.violated]
     assert [text.startswith("limits broken: ") for text in summary.warnings] == [True] * (not ok)
+
+
+def test_efforts_and_ranges_beyond_the_robots_own_are_said() -> None:
+    """Motors of 5 and 3 N, the first declared for 4 N; a base hinge that swings out of its range."""
+    robot = moving.massive("2rpr")
+    hinge = next(name for name in list(robot.model.names)[1:] if name not in (*robot.actuated, *robot.carriers))
+    at = float(robot.q_reference[zoo.index(robot, hinge)])
+    limits = {robot.actuated[0]: {"effort": 4.0}, hinge: {"lower": at - 1e-3, "upper": at + 1e-3}}
+    limited = rp.with_limits(robot, limits)
+    run = rp.simulate(limited, Constant(np.array([5.0, 3.0]), np.zeros(robot.k)), duration=0.3, dt=0.01, stop_at=())
+    worst = {(event.joint, event.quantity): event for event in run.violated}
+    assert worst[robot.actuated[0], "effort"].amount == pytest.approx(1.0)
+    assert (robot.actuated[1], "effort") not in worst
+    angle = run.q[:, zoo.index(robot, hinge)] - at
+    assert worst[hinge, "range"].amount == pytest.approx(np.abs(angle).max() - 1e-3)
+    assert run.status is ResultStatus.LIMIT_VIOLATED
