@@ -152,7 +152,14 @@ class Part:
         by_reading = self.L @ self.rows.E
         seen = (np.einsum("Nrd,Nr->Nd", by_reading, self.white) ** 2).sum(axis=0)
         drawn = (np.einsum("Nrd,Nrs->Nds", by_reading, self.drawn) ** 2).sum(axis=(0, 2)) / _DRAWS
-        return np.maximum(self.rows.noise * np.sqrt(seen / drawn), least_noise(self.rows.record.reading))
+        result: Array = np.maximum(self.rows.noise * np.sqrt(seen / drawn), least_noise(self.rows.record.reading))
+        return result
+
+    def lagged(self, lag: int) -> tuple[Array, Array]:
+        """Return (r, r) Σ w(t) w(t + lag)ᵀ of the weighted residuals, and of those of simulated white noise."""
+        early, late = slice(len(self.white) - lag), slice(lag, None)
+        drawn: Array = np.tensordot(self.drawn[early], self.drawn[late], ((0, 2), (0, 2))) / _DRAWS
+        return self.white[early].T @ self.white[late], drawn
 
     @property
     def rest(self) -> Array:
@@ -187,36 +194,29 @@ class Solution:
     @property
     def whiteness(self) -> Array:
         """(r,) correlation of the weighted residuals from sample to sample, less that of simulated white noise."""
-        squares, products = (np.diagonal(np.array(self.lagged(lag)), axis1=1, axis2=2) for lag in (0, 1))
+        squares, products = (
+            np.diagonal(sum(np.array(part.lagged(lag)) for part in self.parts), axis1=1, axis2=2) for lag in (0, 1)
+        )
         result: Array = np.clip(np.subtract(*products / np.where(squares, squares, 1.0)), -1.0, 1.0)
         return result
-
-    def lagged(self, lag: int) -> tuple[Array, Array]:
-        """Return (r, r) Σ w(t) w(t + lag)ᵀ of the weighted residuals, and of those of simulated white noise."""
-        found, drawn = np.zeros((2, *2 * self.parts[0].white.shape[1:]))
-        for part in self.parts:
-            early, late = slice(len(part.white) - lag), slice(lag, None)
-            found += part.white[early].T @ part.white[late]
-            drawn += np.tensordot(part.drawn[early], part.drawn[late], ((0, 2), (0, 2))) / _DRAWS
-        return found, drawn
 
     def weight(self, lags: int) -> Array:
         """Return (b, b) F with (Fᵀ F)⁻¹ the covariance of the estimates, correlation of the residuals included.
 
         The covariance is H⁻¹ M H⁻¹, M = H + Σ (1 − |l|/lags) Aᵀ (Γ_l − Γ_l°) A, with Bartlett's weights (Newey and West
         1987, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance matrix").
-        Γ_l are the covariances of the residuals at lag l, Γ_l° those that white noise would have in this estimation. Of
-        their differences the part is taken that is not by chance (Stein's shrinkage).
+        Γ_l are the covariances of the residuals of a record at lag l, Γ_l° those that white noise would have in this
+        estimation. Of their differences the part is taken that is not by chance (Stein's shrinkage).
         """
-        M, count = self.information.copy(), sum(len(part.white) for part in self.parts)
+        M = self.information.copy()
         if not len(M):
             return M
-        lagged = [self.lagged(lag) for lag in range(lags)]
-        excess = [(1.0 - lag / lags) * (found - drawn) / count for lag, (found, drawn) in enumerate(lagged)]
-        by_chance = sum(own.size * (1.0 - lag / lags) ** 2 / count for lag, own in enumerate(excess))
-        share = max(0.0, 1.0 - by_chance / max(sum(float((own**2).sum()) for own in excess), by_chance))
-        for lag, own in enumerate(excess):
-            for part in self.parts:
+        for part in self.parts:
+            lagged, count = [part.lagged(lag) for lag in range(lags)], len(part.white)
+            excess = [(1.0 - lag / lags) * (found - drawn) / count for lag, (found, drawn) in enumerate(lagged)]
+            by_chance = sum(own.size * (1.0 - lag / lags) ** 2 / count for lag, own in enumerate(excess))
+            share = max(0.0, 1.0 - by_chance / max(sum(float((own**2).sum()) for own in excess), by_chance))
+            for lag, own in enumerate(excess):
                 late = np.einsum("rs,Nsb->Nrb", share * own, part.A[lag:]).reshape(-1, len(M))
                 product = part.A.reshape(-1, len(M))[: len(late)].T @ late
                 M += product + product.T if lag else product
