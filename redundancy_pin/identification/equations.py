@@ -7,8 +7,8 @@ the noise in the coefficients of the splines through the positions,
 
 Parameters and c are estimated together by Gauss and Newton's method, c with the covariance of the splines, and the
 columns of factors from readings without their estimated noise (total least squares): noise in the regressor gives no
-bias. Σ and S, diagonal, are those of largest restricted likelihood. At a type II singularity a row of E is zero, and
-says uᵀ f(π) = 0 with no noise of readings in it.
+bias. Σ, of each record, is what makes the residuals those of simulated noise, S a small part of E Σ Eᵀ: at a type II
+singularity a row of E is zero, and says uᵀ f(π) = 0 with no noise of readings in it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from scipy.linalg import solve_triangular
-from scipy.optimize import nnls
 from scipy.sparse import block_array, block_diag, diags_array
 from scipy.sparse.linalg import splu
 
@@ -39,8 +38,11 @@ _ITERATIONS = 15
 _SETTLED = 0.02
 """Change of estimates and of their standard deviations in an iteration, in standard deviations, of a solution."""
 
-_FLOOR = 1e-6
-"""Standard deviation of η relative to the size of f, at least: the rounding of kinematics and splines."""
+_SINGULAR = 0.1
+"""Standard deviation of η relative to that of E k ε along the motion: the error of splines where E ε vanishes."""
+
+_EXACT = 1e-3
+"""Noise of readings relative to their size, at least: splines do not follow forces more exactly."""
 
 _DRAWS = 16
 """Draws of simulated residuals: what the estimation itself takes off residuals and correlates in them."""
@@ -61,6 +63,7 @@ class Measured:
         smooth: the motion of platform and carriers as measured.
         E: (N, r, d).
         reading: (N, d) u.
+        noise: (d,) standard deviation of u about splines, N or N·m.
         projection: (N, nv, r) velocities of the tree per rate of a row.
         per_rate: (N, nv, c) velocities of the tree per measured rate.
     """
@@ -69,6 +72,7 @@ class Measured:
     smooth: SmoothMotion
     E: Array
     reading: Array
+    noise: Array
     projection: Array
     per_rate: Array
 
@@ -85,6 +89,7 @@ class Rows:
         by_rates: (N, r, c) derivatives of f by measured rates, and by accelerations.
         coefficients: (c K,) c, in standard deviations of the measured columns.
         clean: (N, d) u without its estimated noise.
+        noise: (d,) standard deviation of u, N or N·m.
     """
 
     record: Measured
@@ -94,12 +99,18 @@ class Rows:
     by_rates: tuple[Array, Array]
     coefficients: Array
     clean: Array
+    noise: Array
+
+    @property
+    def driven(self) -> Array:
+        """(N, r) generalised forces of the readings, E k u, N or N·m."""
+        return read_only(np.einsum("Nrd,Nd->Nr", self.E, self.record.reading))
 
     def by_positions(self, L: Array) -> Any:
         """Return D (r N, c K), sparse, the derivatives of f by c, weighted by L (N, r, r)."""
         smooth = self.record.smooth
         first, second = (np.einsum("Nrs,Nsc->rcN", L, part * smooth.noise) for part in self.by_rates)
-        _, rate, acceleration = smooth.basis
+        rate, acceleration = smooth.basis
         return block_array(
             [
                 [diags_array(v) @ rate + diags_array(a) @ acceleration for v, a in zip(of_v, of_a, strict=True)]
@@ -109,18 +120,12 @@ class Rows:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Noise:
-    """Standard deviations: of the readings (d,), and of what the model leaves out of f (r,); N or N·m."""
-
-    effort: Array
-    model: Array
-
-    def whitening(self, E: Array) -> Array:
-        """Return (N, r, r) L⁻¹ with L Lᵀ = E Σ Eᵀ + S."""
-        covariance = np.einsum("Nrd,d,Nsd->Nrs", E, self.effort**2, E) + np.diag(self.model**2)
-        result: Array = np.linalg.inv(np.linalg.cholesky(covariance))
-        return result
+def whitening(E: Array, noise: Array) -> Array:
+    """Return (N, r, r) L⁻¹ with L Lᵀ = E Σ Eᵀ + S, for readings with standard deviations (d,)."""
+    covariance = np.einsum("Nrd,d,Nsd->Nrs", E, noise**2, E)
+    covariance += np.diag(_SINGULAR**2 * np.diagonal(covariance.mean(axis=0)))
+    result: Array = np.linalg.inv(np.linalg.cholesky(covariance))
+    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +147,21 @@ class Part:
     drawn: Array
 
     @property
+    def noise(self) -> Array:
+        """(d,) standard deviation of the readings, for which residuals would be those of simulated noise, N or N·m."""
+        by_reading = self.L @ self.rows.E
+        seen = (np.einsum("Nrd,Nr->Nd", by_reading, self.white) ** 2).sum(axis=0)
+        drawn = (np.einsum("Nrd,Nrs->Nds", by_reading, self.drawn) ** 2).sum(axis=(0, 2)) / _DRAWS
+        result: Array = np.maximum(self.rows.noise * np.sqrt(seen / drawn), least_noise(self.rows.record.reading))
+        return result
+
+    def lagged(self, lag: int) -> tuple[Array, Array]:
+        """Return (r, r) Σ w(t) w(t + lag)ᵀ of the weighted residuals, and of those of simulated white noise."""
+        early, late = slice(len(self.white) - lag), slice(lag, None)
+        drawn: Array = np.tensordot(self.drawn[early], self.drawn[late], ((0, 2), (0, 2))) / _DRAWS
+        return self.white[early].T @ self.white[late], drawn
+
+    @property
     def rest(self) -> Array:
         """(N, r) what is left, N or N·m."""
         return read_only(np.linalg.solve(self.L, self.white[..., None])[..., 0])
@@ -155,14 +175,12 @@ class Solution:
         parts: the records.
         change: (b,) deviations of the base parameters from the given robot.
         information: (b, b) inverse of their covariance where noise is white.
-        noise: the standard deviations that were supposed.
-        converged: whether estimates and variances are those of largest likelihood.
+        converged: whether the estimates are those of largest likelihood.
     """
 
     parts: tuple[Part, ...]
     change: Array
     information: Array
-    noise: Noise
     converged: bool = False
 
     @property
@@ -176,36 +194,29 @@ class Solution:
     @property
     def whiteness(self) -> Array:
         """(r,) correlation of the weighted residuals from sample to sample, less that of simulated white noise."""
-        squares, products = (np.diagonal(np.array(self.lagged(lag)), axis1=1, axis2=2) for lag in (0, 1))
-        result: Array = np.subtract(*products / np.where(squares, squares, 1.0))
+        squares, products = (
+            np.diagonal(sum(np.array(part.lagged(lag)) for part in self.parts), axis1=1, axis2=2) for lag in (0, 1)
+        )
+        result: Array = np.clip(np.subtract(*products / np.where(squares, squares, 1.0)), -1.0, 1.0)
         return result
-
-    def lagged(self, lag: int) -> tuple[Array, Array]:
-        """Return (r, r) Σ w(t) w(t + lag)ᵀ of the weighted residuals, and of those of simulated white noise."""
-        found, drawn = np.zeros((2, *2 * self.parts[0].white.shape[1:]))
-        for part in self.parts:
-            early, late = slice(len(part.white) - lag), slice(lag, None)
-            found += part.white[early].T @ part.white[late]
-            drawn += np.tensordot(part.drawn[early], part.drawn[late], ((0, 2), (0, 2))) / _DRAWS
-        return found, drawn
 
     def weight(self, lags: int) -> Array:
         """Return (b, b) F with (Fᵀ F)⁻¹ the covariance of the estimates, correlation of the residuals included.
 
         The covariance is H⁻¹ M H⁻¹, M = H + Σ (1 − |l|/lags) Aᵀ (Γ_l − Γ_l°) A, with Bartlett's weights (Newey and West
         1987, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance matrix").
-        Γ_l are the covariances of the residuals at lag l, Γ_l° those that white noise would have in this estimation. Of
-        their differences the part is taken that is not by chance (Stein's shrinkage).
+        Γ_l are the covariances of the residuals of a record at lag l, Γ_l° those that white noise would have in this
+        estimation. Of their differences the part is taken that is not by chance (Stein's shrinkage).
         """
-        M, count = self.information.copy(), sum(len(part.white) for part in self.parts)
+        M = self.information.copy()
         if not len(M):
             return M
-        lagged = [self.lagged(lag) for lag in range(lags)]
-        excess = [(1.0 - lag / lags) * (found - drawn) / count for lag, (found, drawn) in enumerate(lagged)]
-        by_chance = sum(own.size * (1.0 - lag / lags) ** 2 / count for lag, own in enumerate(excess))
-        share = max(0.0, 1.0 - by_chance / max(sum(float((own**2).sum()) for own in excess), by_chance))
-        for lag, own in enumerate(excess):
-            for part in self.parts:
+        for part in self.parts:
+            lagged, count = [part.lagged(lag) for lag in range(lags)], len(part.white)
+            excess = [(1.0 - lag / lags) * (found - drawn) / count for lag, (found, drawn) in enumerate(lagged)]
+            by_chance = sum(own.size * (1.0 - lag / lags) ** 2 / count for lag, own in enumerate(excess))
+            share = max(0.0, 1.0 - by_chance / max(sum(float((own**2).sum()) for own in excess), by_chance))
+            for lag, own in enumerate(excess):
                 late = np.einsum("rs,Nsb->Nrb", share * own, part.A[lag:]).reshape(-1, len(M))
                 product = part.A.reshape(-1, len(M))[: len(late)].T @ late
                 M += product + product.T if lag else product
@@ -216,6 +227,13 @@ class Solution:
         values, vectors = np.linalg.eigh(0.5 * (M + M.T))
         result: Array = (vectors.T / np.sqrt(np.maximum(values, _LEAST_SHARE))[:, None]) @ lower.T * scale
         return result
+
+
+def least_noise(readings: Array) -> Array:
+    """Return (d,) the least standard deviation that is supposed of readings (N, d)."""
+    size = np.sqrt((readings**2).mean(axis=0))
+    result: Array = _EXACT * np.maximum(size, _EXACT * (size.max(initial=0.0) or 1.0))
+    return result
 
 
 def measure(robot: Robot, record: Records, smooth: SmoothMotion, carried: bool) -> Measured:
@@ -237,7 +255,9 @@ def measure(robot: Robot, record: Records, smooth: SmoothMotion, carried: bool) 
     E[:, n:, robot.m :] = np.eye(r - n)
     projection = chain_projection(robot, along.gamma)
     per_rate = np.concatenate([along.gamma @ smooth.jacobian, projection[:, :, n:]], axis=2)
-    return Measured(along, smooth, E, record.efforts[smooth.kept, : E.shape[2]], projection[:, :, :r], per_rate)
+    reading = record.efforts[smooth.kept, : E.shape[2]]
+    noise = np.maximum(smooth.effort_noise[: E.shape[2]], least_noise(reading))
+    return Measured(along, smooth, E, reading, noise, projection[:, :, :r], per_rate)
 
 
 def linearise(
@@ -249,7 +269,7 @@ def linearise(
 ) -> Rows:
     """Return the equations of a record in some of the parameters about values (p,) of all of them.
 
-    Values need not be those of real bodies. ``before`` has the noise that was estimated.
+    Values need not be those of real bodies. ``before`` has the noise that was estimated; that about splines without.
     """
     robot, smooth, tree = record.along.robot, record.smooth, record.along.tree
     drives = [*robot.actuated, *robot.carriers]
@@ -257,8 +277,9 @@ def linearise(
     # splines through readings have less noise than they: a start from which factors are found
     smoothed = smooth.efforts(record.along.motion.t)[:, : record.E.shape[2]]
     clean = smoothed if before is None else before.clean
+    deviation = record.noise if before is None else before.noise
     noise = coefficients.reshape(len(smooth.noise), -1).T * smooth.noise
-    rate, acceleration = (part @ noise for part in smooth.basis[1:])
+    rate, acceleration = (part @ noise for part in smooth.basis)
     v, a = (was + np.einsum("Nvc,Nc->Nv", record.per_rate, by) for was, by in ((tree.v, rate), (tree.a, acceleration)))
     carried, own = smooth.carriers, slice(smooth.jacobian.shape[2], None)
     carriers = CarrierMotion(
@@ -292,7 +313,9 @@ def linearise(
         Y.append(column[:, :, None])
     by_rates = _derivatives(now, model, parameters, values, along.tree_motion(carriers), record.per_rate)
     first, second = (record.projection.transpose(0, 2, 1) @ part for part in by_rates)
-    return Rows(record, record.E * factors, right, np.concatenate(Y, axis=2), (first, second), coefficients, clean)
+    return Rows(
+        record, record.E * factors, right, np.concatenate(Y, axis=2), (first, second), coefficients, clean, deviation
+    )
 
 
 def _derivatives(
@@ -325,29 +348,11 @@ def _derivatives(
     return by_rate, by_acceleration
 
 
-def first_noise(rows: Sequence[Rows]) -> Noise:
-    """Return the noise to start from: 5 % of the efforts."""
-    effort, driven, right = (
-        np.sqrt((np.concatenate(parts) ** 2).mean(axis=0))
-        for parts in zip(
-            *((one.record.reading, np.einsum("Nrd,Nd->Nr", one.E, one.record.reading), one.right) for one in rows),
-            strict=True,
-        )
-    )
-    size = np.hypot(driven, right)
-    least = _FLOOR * max(float(size.max(initial=0.0)), 1e-100)
-    return Noise(0.05 * np.maximum(effort, least), np.maximum(_FLOOR * size, _FLOOR * least))
-
-
 def solve(base: BaseParameters, records: Sequence[Measured]) -> Solution:
-    """Return the estimates of largest likelihood: parameters and noise of positions, and variances, in turns."""
+    """Return the estimates of largest likelihood, parameters and noise of positions, and noise of efforts, in turns."""
     lead = [int(k) for k in base.independent]
     factors = [k for k in lead if base.parameters[k].kind == "factor"]
-    rows = [linearise(one, base.parameters, base.standard, lead) for one in records]
-    start = first_noise(rows)
-    about_splines = np.max([one.smooth.effort_noise[: one.E.shape[2]] for one in records], axis=0)
-    about_splines = np.maximum(about_splines, 1e-2 * start.effort)
-    found, settled = _least_squares(rows, start), False
+    found = _least_squares([linearise(one, base.parameters, base.standard, lead) for one in records])
     for _ in range(_ITERATIONS):
         before, values = found, base.standard_values(found.change)
         if factors and np.abs(values[factors]).max() < COLLAPSED:
@@ -355,22 +360,19 @@ def solve(base: BaseParameters, records: Sequence[Measured]) -> Solution:
         try:
             with np.errstate(all="raise", under="ignore"):
                 # residuals tell factors only where the noise of the readings is known without them
-                noise = Noise(about_splines, start.model) if factors else _likelier(found, start)
-                rows = [linearise(p.rows.record, base.parameters, values, lead, p.rows) for p in found.parts]
-                found = _least_squares(rows, noise)
+                known = [p.rows if factors else replace(p.rows, noise=p.noise) for p in found.parts]
+                found = _least_squares([linearise(k.record, base.parameters, values, lead, k) for k in known])
         except (RuntimeError, ArithmeticError, np.linalg.LinAlgError):  # of numbers that have become infinite
             return before
         if not np.isfinite(found.change).all():
             return before
-        old, new = before.deviation, found.deviation
-        moved = np.maximum(np.abs(found.change - before.change), np.abs(new - old))
-        if settled and (moved <= _SETTLED * new).all():
+        moved = np.maximum(np.abs(found.change - before.change), np.abs(found.deviation - before.deviation))
+        if (moved <= _SETTLED * found.deviation).all():
             return replace(found, converged=True)
-        settled = True
     return found
 
 
-def _least_squares(rows: Sequence[Rows], noise: Noise) -> Solution:
+def _least_squares(rows: Sequence[Rows]) -> Solution:
     """Return parameters and c of least weighted squares, c eliminated record by record.
 
     With D the weighted derivatives by c and P the inverse of its covariance, residuals have the covariance
@@ -380,7 +382,7 @@ def _least_squares(rows: Sequence[Rows], noise: Noise) -> Solution:
     information, right, equations = np.zeros((b, b)), np.zeros(b), []
     rng = np.random.default_rng(0)
     for one in rows:
-        smooth, L = one.record.smooth, noise.whitening(one.E)
+        smooth, L = one.record.smooth, whitening(one.E, one.noise)
         A = np.einsum("Nrs,Nsb->rNb", L, one.Y).reshape(one.right.size, b)
         D = one.by_positions(L)
         y = np.einsum("Nrs,Ns->rN", L, one.right).ravel() + D @ one.coefficients
@@ -407,29 +409,8 @@ def _least_squares(rows: Sequence[Rows], noise: Noise) -> Solution:
         left = y - A @ change
         coefficients = factor.solve(D.T @ left)
         white = (left - D @ coefficients).reshape(-1, count).T
-        noisy = noise.effort**2 * np.einsum("Nrd,Nsr,Ns->Nd", one.E, L, white)
+        noisy = one.noise**2 * np.einsum("Nrd,Nsr,Ns->Nd", one.E, L, white)
         solved = replace(one, coefficients=coefficients, clean=one.record.reading - noisy)
         simulated = (drawn - VA @ fitted).reshape(*white.T.shape, _DRAWS).swapaxes(0, 1)
         parts.append(Part(solved, L, A.reshape(*white.T.shape, b).swapaxes(0, 1), white, simulated))
-    return Solution(tuple(parts), change, information, noise)
-
-
-def _likelier(solution: Solution, least: Noise) -> Noise:
-    """Return variances of larger restricted likelihood: a step of Fisher's scoring, which is linear and non-negative.
-
-    With B = L⁻¹ (E k, 1), the expectation of (Bᵀ w)² over residuals w is that of the simulated ones.
-    """
-    count = len(least.effort) + len(least.model)
-    gram, seen, drawn = np.zeros((count, count)), np.zeros(count), np.zeros(count)
-    for part in solution.parts:
-        B = np.concatenate([part.L @ part.rows.E, part.L], axis=2)
-        gram += (np.einsum("Nri,Nrj->Nij", B, B) ** 2).sum(axis=0)
-        seen += (np.einsum("Nri,Nr->Ni", B, part.white) ** 2).sum(axis=0)
-        drawn += (np.einsum("Nri,Nrs->Nis", B, part.drawn) ** 2).sum(axis=(0, 2)) / _DRAWS
-    variances = np.concatenate([solution.noise.effort, solution.noise.model]) ** 2
-    scale = np.sqrt(np.diagonal(gram))
-    lower = np.linalg.cholesky(gram / np.outer(scale, scale) + 1e-12 * np.eye(count))
-    aim = (gram @ variances) * (seen / drawn) / scale
-    found = np.sqrt(nnls(lower.T, solve_triangular(lower, aim, lower=True))[0] / scale)
-    floor = np.concatenate([1e-6 * least.effort, least.model])
-    return Noise(*np.split(np.maximum(found, floor), [len(least.effort)]))
+    return Solution(tuple(parts), change, information)

@@ -14,13 +14,13 @@ from redundancy_pin.identification.equations import (
     COLLAPSED,
     Measured,
     Solution,
-    first_noise,
     linearise,
     measure,
     solve,
+    whitening,
 )
 from redundancy_pin.identification.hints import hints
-from redundancy_pin.identification.parameters import parameters_of, sensors_of, with_values
+from redundancy_pin.identification.parameters import IN_JOINT, NOT_NEGATIVE, parameters_of, sensors_of, with_values
 from redundancy_pin.identification.physical import nearest_physical, require_whole_bodies, unphysical
 from redundancy_pin.identification.records import Records, require_matching, smooth_motion
 from redundancy_pin.io.summary import Summary, TextTable
@@ -31,11 +31,17 @@ from redundancy_pin.status import ResultStatus
 HALF_INTERVAL = 1.959964
 """Standard deviations, of half a 95 % interval."""
 
-_LEAST = 1e-6
-"""Change of the efforts by a parameter of the robot's scale, in standard deviations, that counts as seen."""
+_LEAST = 1e-8
+"""Norm of the change of all efforts by a parameter of the robot's scale, in the robot's scale, that counts as seen."""
 
 _WHITE = 4.0
 """Largest correlation of white residuals from sample to sample, over 1/√N."""
+
+_DEAD = 1e-9
+"""Change of an effort relative to its size below which its sensor is dead."""
+
+_OUTLIER = 100.0
+"""Size of an effort relative to that of 99 % of the samples from which it is told."""
 
 _EXPLAINED = 0.5
 """Part of the mean square of the measured forces that a model explains, at least."""
@@ -58,11 +64,10 @@ class Fit(Frozen):
             ``values``, or with ``physical`` the nearest of real bodies.
         t: (N,) time of the samples used, s.
         measured: (N, n + k) generalised force of the platform's coordinates, and carrier forces, N and N·m, by the
-            measured efforts, factors and offsets of their sensors in it.
-        predicted: (N, n + k) the same by the estimates.
+            measured efforts, factors of their sensors in it.
+        predicted: (N, n + k) the same by the estimates, offsets of the sensors in it.
         residual: (N, n + k) their difference, whitened, noise of positions taken off.
-        effort_noise: (m,) or (m + k,) standard deviation of the measured efforts, N or N·m.
-        model_noise: (n + k,) standard deviation of what is left out of f.
+        effort_noise: (records, m) or (records, m + k) standard deviation of the measured efforts, N or N·m.
         position_noise: (m + k,) or (n + k,) standard deviation of the positions about their splines, m and rad.
         whiteness: (n + k,) correlation of the residuals with those one sample before, less what white noise has in this
             estimation: within ±1.96/√N where noise is white. ``covariance`` allows for the correlation that is found
@@ -81,13 +86,13 @@ class Fit(Frozen):
     predicted: Array
     residual: Array
     effort_noise: Array
-    model_noise: Array
     position_noise: Array
     whiteness: Array
 
     def __repr__(self) -> str:
-        """Return the table of the estimates, and the problems."""
-        return str(self.summary())
+        """Return the robot and how many samples, parameters and problems there are."""
+        counts = f"{len(self.t)} samples, {len(self.base)} base parameters, {len(self.problems)} problems"
+        return f"Fit({self.before.name}: {self.status.value}, {counts})"
 
     def summary(self) -> Summary:
         """Return values, half widths of 95 % intervals and what is doubtful as plain data, for ``print``.
@@ -143,6 +148,14 @@ class Fit(Frozen):
         Raises:
             InputError: a negative friction, damping, stiffness or rotor inertia; ``physical=True`` has none.
         """
+        listed = zip(self.base.parameters, self.parameters_after.tolist(), strict=True)
+        negative = [p.name for p, value in listed if p.kind in IN_JOINT and p.kind in NOT_NEGATIVE and value < 0.0]
+        if negative:
+            raise InputError(
+                f"No robot has what the fit has found, negative: {', '.join(negative)}.",
+                remedy="Call identify with physical=True, leave them out of parameters, or check the signs of efforts.",
+                names=negative,
+            )
         return with_values(self.before, self.base.parameters, self.parameters_after)
 
 
@@ -180,7 +193,7 @@ def identify(
         >>> fit.values, fit.standard_deviation, fit.base.names
     """
     robot = as_robot(robot)
-    listed = [records] if isinstance(records, Records) else list(records)
+    listed = list(records) if isinstance(records, Sequence) else [records]
     cut = float(checked(cut_off, "cut_off", ()))
     if cut <= 0.0 or not listed or not all(isinstance(one, Records) for one in listed):
         raise InputError(
@@ -207,26 +220,33 @@ def identify(
     equations = measured(listed)
     given = np.array([p.value for p in chosen])
     rows = [linearise(one, chosen, given, range(len(chosen))) for one in equations]
-    start = first_noise(rows)
-    weighted = [(start.whitening(one.E) @ one.Y).reshape(one.right.size, len(chosen)) for one in rows]
+    sizes = {p.of: p.size for p in sensors_of(robot, ["offset of *"], drives)}
+    scale = np.array([sizes[name] for name in drives])
+    weighted = [(whitening(one.record.E, scale) @ one.Y).reshape(one.right.size, len(chosen)) for one in rows]
     base = base_parameters(np.concatenate(weighted), chosen, _LEAST)
     rows = [replace(one, Y=one.Y[:, :, base.independent]) for one in rows]
-    solution = solve(base, equations)
     t = np.concatenate([one.along.motion.t for one in equations])
-    lags = max(1, round(1.0 / (cut * float(np.median(np.diff(t))))))
-    weight = solution.weight(lags)
-    covariance = np.linalg.inv(weight) @ np.linalg.inv(weight).T
+    step = float(np.median(np.concatenate([np.diff(one.along.motion.t) for one in equations])))
+    try:
+        solution = solve(base, equations)
+        weight = solution.weight(max(1, round(1.0 / (cut * step))))
+        covariance = np.linalg.inv(weight) @ np.linalg.inv(weight).T
+    except np.linalg.LinAlgError as error:
+        raise InputError(
+            f"The equations are lost in rounding. {' '.join(_odd_columns(listed, drives))}",
+            remedy="Check the efforts: their units, and readings far from all others.",
+        ) from error
     values = base.combination @ base.standard + solution.change
     standard, found = base.standard_values(solution.change), True
     if physical and len(base):
         standard, found = nearest_physical(base, values, weight)
-    problems = _problems(robot, base, standard, solution, covariance)
+    problems = [*_odd_columns(listed, drives), *_problems(robot, base, standard, solution, covariance)]
     if not found:
         problems.append("The nearest real bodies were not found.")
     if len(base):
         problems += hints(robot, listed, rows, solution, lambda others: solve(base, measured(others)))
     rest = np.concatenate([part.rest for part in solution.parts])
-    driven = _driven(base, solution)
+    driven = np.concatenate([part.rows.driven for part in solution.parts])
     status = ResultStatus.OK if solution.converged and found else ResultStatus.NOT_CONVERGED
     return Fit(
         status=status if len(base) else ResultStatus.UNRESOLVED,
@@ -240,26 +260,26 @@ def identify(
         measured=read_only(driven),
         predicted=read_only(driven - rest),
         residual=read_only(np.concatenate([part.white for part in solution.parts])),
-        effort_noise=read_only(solution.noise.effort),
-        model_noise=read_only(solution.noise.model),
+        effort_noise=read_only(np.array([part.rows.noise for part in solution.parts])),
         position_noise=read_only(np.max([one.smooth.noise for one in equations], axis=0)),
         whiteness=read_only(solution.whiteness),
     )
 
 
-def _driven(base: BaseParameters, solution: Solution) -> Array:
-    """Return (N, r) generalised forces of the sensors: E (k u − o)."""
-    values = base.standard_values(solution.change)
-    offsets = {p.of: value for p, value in zip(base.parameters, values, strict=True) if p.kind == "offset"}
+def _odd_columns(records: Sequence[Records], drives: Sequence[str]) -> list[str]:
+    """Return which columns of efforts do not change, and which have one reading far from all others."""
     listed = []
-    for part in solution.parts:
-        record = part.rows.record
-        robot = record.along.robot
-        zero = [offsets.get(name, 0.0) for name in [*robot.actuated, *robot.carriers][: record.E.shape[2]]]
-        listed.append(
-            np.einsum("Nrd,Nd->Nr", part.rows.E, record.reading) - np.einsum("Nrd,d->Nr", record.E, np.array(zero))
-        )
-    return np.concatenate(listed)
+    for r, one in enumerate(records):
+        for name, column in zip(drives, np.abs(one.efforts).T, strict=False):
+            k, usual = int(column.argmax()), float(np.quantile(column, 0.99))
+            if np.ptp(column) <= _DEAD * column[k]:
+                listed.append(f"The effort of {name} is the same throughout records[{r}]: its motor or sensor is dead.")
+            elif column[k] > _OUTLIER * usual:
+                listed.append(
+                    f"The effort of {name} has a size of {column[k]:g} at t = {one.t[k]:g} s in records[{r}], and of "
+                    f"{usual:g} at most in 99 % of the samples: leave that sample out."
+                )
+    return listed
 
 
 def _problems(robot: Robot, base: BaseParameters, standard: Array, solution: Solution, covariance: Array) -> list[str]:
@@ -284,7 +304,8 @@ def _problems(robot: Robot, base: BaseParameters, standard: Array, solution: Sol
             "lacks a force, efforts are filtered, or noise of positions is not white; estimates may be biased."
         )
     rest = np.concatenate([part.rest for part in solution.parts])
-    total, left = float((_driven(base, solution) ** 2).sum()), float((rest**2).sum())
+    driven = np.concatenate([part.rows.driven for part in solution.parts])
+    total, left = float((driven**2).sum()), float((rest**2).sum())
     if left > (1.0 - _EXPLAINED) * total or not total:
         part = 1.0 - left / total if total else 0.0
         listed.append(f"The model explains {max(part, 0.0):.0%} of the mean square of the measured forces.")

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from redundancy_pin.arrays import Array, IntArray
-from redundancy_pin.identification.equations import Noise, Rows, Solution
+from redundancy_pin.identification.equations import Rows, Solution, whitening
 from redundancy_pin.identification.records import Records
 from redundancy_pin.robot import Robot
 
@@ -27,8 +27,8 @@ _EXPLAINED = 1.25
 _NOTICED = 0.05
 """Decrease of the residual mean square of a record, over that of the noise, that makes a shift a candidate."""
 
-_LEAST_NOISE = 1e-3
-"""Noise of efforts relative to their size, at least: splines do not follow forces more exactly."""
+_UNITS = 1e3
+"""Ratio of measured and declared forces, either way, from which units are in doubt."""
 
 _LONGEST, _LAGS = 1.0, 201
 """Longest shift, s, at most a quarter of the record, and how many shifts are tried."""
@@ -50,29 +50,32 @@ def hints(
         solution: their solution.
         refit: returns the solution of other records.
     """
-    size = np.sqrt(np.mean(np.concatenate([one.record.reading for one in rows]) ** 2, axis=0))
-    if not size.any():
-        return []
-    about_splines = np.max([one.record.smooth.effort_noise[: len(size)] for one in rows], axis=0)
-    least = _LEAST_NOISE * size.max()
-    noise = Noise(np.maximum(about_splines, least), np.full(rows[0].right.shape[1], 1e-3 * least))
-    now = _mean_square(solution, noise)
-    signs, order, suspected = _other_columns(rows, noise)
+    declared, measured = (
+        np.concatenate(part) for part in zip(*((r.driven - r.right, r.driven) for r in rows), strict=True)
+    )
+    given, found = (float(np.median(np.abs(forces))) for forces in (declared, measured))
+    if given and found and not 1.0 / _UNITS < found / given < _UNITS:
+        return [
+            f"The measured forces are {found / given:.2g} times those of {robot.name} as declared: check the units of "
+            "the efforts, N and N·m, and of the robot."
+        ]
+    now = _mean_square(solution)
+    signs, order, suspected = _other_columns(rows)
     others = [one.changed(efforts=signs * one.efforts[:, order]) for one in records]
     changed = (signs < 0.0).any() or (np.diff(order) < 0).any()
-    if changed and _mean_square(refit(others), noise) < _EXPLAINED:
+    if changed and _mean_square(refit(others)) < _EXPLAINED:
         drives = [*robot.actuated, *robot.carriers]
         names = [f"{'-' if s < 0.0 else ''}{drives[k]}" for s, k in zip(signs, order.tolist(), strict=True)]
         return [f"Columns of the efforts seem to be those of {', '.join(names)}."]
-    lags = [_other_time(one, noise) for one in rows]
+    lags = [_other_time(one) for one in rows]
     if any(lags):
         others = [_shifted(record, by, lag) for record, by, lag in zip(records, rows, lags, strict=True)]
-        then, suspected = _mean_square(refit(others), noise), True
+        then, suspected = _mean_square(refit(others)), True
         if then < min(now, _EXPLAINED):
             return [
                 f"Efforts {abs(lag):.3g} s {'later' if lag > 0.0 else 'earlier'} than the positions"
                 f"{f' in records[{k}]' if len(records) > 1 else ''} would leave {then / now:.0%} of the residual mean "
-                "square: their times differ, or friction or a spring is missing."
+                f"square: add {-lag:.3g} s to the times of the efforts, or friction or a spring is missing."
                 for k, lag in enumerate(lags)
                 if lag
             ]
@@ -84,13 +87,14 @@ def hints(
     return []
 
 
-def _mean_square(solution: Solution, noise: Noise) -> float:
-    """Return the mean square of the residuals of a solution, over that of some noise of the readings."""
-    white = [np.einsum("Nrs,Ns->Nr", noise.whitening(part.rows.E), part.rest).ravel() for part in solution.parts]
+def _mean_square(solution: Solution) -> float:
+    """Return the mean square of the residuals of a solution, over that of the noise of the readings about splines."""
+    weights = [whitening(part.rows.E, part.rows.record.noise) for part in solution.parts]
+    white = [np.einsum("Nrs,Ns->Nr", L, part.rest).ravel() for L, part in zip(weights, solution.parts, strict=True)]
     return float(np.mean(np.concatenate(white) ** 2))
 
 
-def _misfit(rows: Sequence[Rows], noise: Noise, edge: float = 0.0) -> Callable[[Sequence[Array]], float]:
+def _misfit(rows: Sequence[Rows], edge: float = 0.0) -> Callable[[Sequence[Array]], float]:
     """Return the function of efforts (N, d) of each record that is the square sum which no parameters explain.
 
     Samples within ``edge``, s, of the ends do not count.
@@ -99,8 +103,8 @@ def _misfit(rows: Sequence[Rows], noise: Noise, edge: float = 0.0) -> Callable[[
     for one in rows:
         t, E = one.record.along.motion.t, one.record.E
         inner = (t >= t[0] + edge) & (t <= t[-1] - edge)
-        L = noise.whitening(E)[inner]
-        prior = np.einsum("Nrd,Nd->Nr", E, one.record.reading) - one.right
+        L = whitening(E, one.record.noise)[inner]
+        prior = one.driven - one.right
         parts.append((inner, L @ E[inner], np.einsum("Nrs,Ns->Nr", L, prior[inner]), L @ one.Y[inner]))
     basis = np.linalg.qr(np.concatenate([A.reshape(-1, A.shape[2]) for *_, A in parts]))[0]
 
@@ -115,12 +119,12 @@ def _misfit(rows: Sequence[Rows], noise: Noise, edge: float = 0.0) -> Callable[[
     return left
 
 
-def _other_columns(rows: Sequence[Rows], noise: Noise) -> tuple[Array, IntArray, bool]:
+def _other_columns(rows: Sequence[Rows]) -> tuple[Array, IntArray, bool]:
     """Return signs and order of columns that leave far less, and if they do; one change after the other that helps.
 
     Signs of all at once leave the same: the given robot says them.
     """
-    readings, left = [one.record.reading for one in rows], _misfit(rows, noise)
+    readings, left = [one.record.reading for one in rows], _misfit(rows)
     every = np.arange(readings[0].shape[1], dtype=np.intp)
     signs, order, suspected = np.ones(len(every)), every, False
     best = left(readings)
@@ -135,17 +139,17 @@ def _other_columns(rows: Sequence[Rows], noise: Noise) -> tuple[Array, IntArray,
     driven = np.concatenate(
         [np.einsum("Nrd,Nd->Nr", one.record.E, signs * one.record.reading[:, order]) for one in rows]
     )
-    prior = np.concatenate([np.einsum("Nrd,Nd->Nr", one.record.E, one.record.reading) - one.right for one in rows])
+    prior = np.concatenate([one.driven - one.right for one in rows])
     if (driven * prior).sum() < -0.5 * np.linalg.norm(driven) * np.linalg.norm(prior):
         signs = -signs
     return signs, order, suspected
 
 
-def _other_time(rows: Rows, noise: Noise) -> float:
+def _other_time(rows: Rows) -> float:
     """Return by how much later efforts of a record would leave less, s; zero where none would."""
     t, u, spline = rows.record.along.motion.t, rows.record.reading, rows.record.smooth.efforts
     reach = min(_LONGEST, 0.25 * float(t[-1] - t[0]))
-    misfit = _misfit([rows], noise, edge=reach)
+    misfit = _misfit([rows], edge=reach)
     rest = u - spline(t)[:, : u.shape[1]]
 
     def left(lag: float) -> float:

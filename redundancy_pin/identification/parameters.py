@@ -218,7 +218,7 @@ def with_inertias(robot: Robot, parameters: Sequence[Parameter], values: Array) 
     for index, ten in tens.items():
         if ten.any():
             ten[0] = ten[0] or _LEAST_MASS * _mass(robot)
-            model.inertias[index] = pin.Inertia.FromDynamicParameters(ten)
+        model.inertias[index] = pin.Inertia.FromDynamicParameters(ten) if ten.any() else pin.Inertia.Zero()
     return model
 
 

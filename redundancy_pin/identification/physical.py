@@ -99,7 +99,10 @@ def nearest_physical(base: BaseParameters, values: Array, weight: Array) -> tupl
             bodies.append(own)
             y[own] = _inside(given[own])
     for barrier in _BARRIERS.tolist():
-        y, found = _newton(y, rows, aim, barrier, bodies, positive)
+        try:
+            y, found = _newton(y, rows, aim, barrier, bodies, positive)
+        except np.linalg.LinAlgError:
+            found = False
         if not found:  # rounding, or no minimum
             break
         gap = barrier * (4 * len(bodies) + len(positive))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, make_lsq_spline
-from scipy.sparse import csr_array, diags_array
+from scipy.sparse import csr_array
 
 from redundancy_pin.arrays import Array, Frozen, assign, checked
 from redundancy_pin.errors import InputError
@@ -130,7 +130,7 @@ class SmoothMotion(Frozen):
         positions: the splines.
         efforts: those through all efforts, with the same knots.
         effort_noise: (d,) standard deviation of the efforts about them, N or N·m.
-        basis: (N, K) splines, their first and second derivatives, sparse.
+        basis: (N, K) first and second derivatives of the splines, sparse.
         everywhere: (T, K) splines at all samples of the records, sparse.
     """
 
@@ -142,7 +142,7 @@ class SmoothMotion(Frozen):
     positions: BSpline
     efforts: BSpline
     effort_noise: Array
-    basis: tuple[Any, Any, Any]
+    basis: tuple[Any, Any]
     everywhere: Any
 
     @property
@@ -229,10 +229,10 @@ def smooth_motion(robot: Robot, records: Records, cut_off: float) -> SmoothMotio
     parked = CarrierMotion.parked(len(motion), robot.k)
     carriers = CarrierMotion(*(part[:, -held:] for part in smooth), check_rates=False) if held else parked
     noise = np.concatenate([noise, np.zeros(robot.k - held)])
-    basis = _basis(t[kept], knots, 0), _basis(t[kept], knots, 1), _basis(t[kept], knots, 2)
-    return SmoothMotion(
-        motion, carriers, kept, jacobian, noise, spline, efforts, effort_noise, basis, _basis(t, knots, 0)
-    )
+    splines = BSpline(knots, np.eye(intervals + _DEGREE), _DEGREE)
+    basis = csr_array(splines(t[kept], 1)), csr_array(splines(t[kept], 2))
+    everywhere = csr_array(splines(t))
+    return SmoothMotion(motion, carriers, kept, jacobian, noise, spline, efforts, effort_noise, basis, everywhere)
 
 
 def _require_no_gap(t: Array, inner: Array) -> None:
@@ -245,15 +245,3 @@ def _require_no_gap(t: Array, inner: Array) -> None:
             remedy="Pass the records before and after the gap as two Records, or lower cut_off.",
             sample=k,
         )
-
-
-def _basis(t: Array, knots: Array, order: int) -> Any:
-    """Return (N, K) the derivatives of the B-splines of degree 5 at times t, sparse (de Boor 1978, ch. X)."""
-    end = len(knots) - order
-    result = BSpline.design_matrix(t, knots[order:end], _DEGREE - order)
-    for degree in range(_DEGREE - order + 1, _DEGREE + 1):
-        start = _DEGREE - degree
-        own = knots[start : len(knots) - start]
-        factor = degree / (own[degree + 1 : -1] - own[1 : -degree - 1])
-        result = result @ diags_array([-factor, factor], offsets=[0, 1], shape=(len(factor), len(factor) + 1))
-    return csr_array(result)
