@@ -68,7 +68,7 @@ def test_every_keyword_of_a_planner_has_a_text_and_a_form() -> None:
 
 def test_paths_are_seen_from_the_folder_of_the_file() -> None:
     Path("task").mkdir()
-    write_motion(Path("task/motion.csv"), reference.corner(), 0.05)
+    write_motion(Path("task/motion.csv"), reference.corner(), 0.005)
     Path("task/way.csv").write_text("x,y\n0.15,0.3\n0.2,0.2\n0.25,0.3\n")
     # 1e-1 is text for YAML 1.1, and a number for whoever wrote it
     text = "planner: stepwise\nrobot: 3rrr\nmotion: motion.csv\nparameters: {brake_time: 4e-1}\n"
