@@ -38,7 +38,7 @@ _ITERATIONS = 15
 _SETTLED = 0.02
 """Change of estimates and of their standard deviations in an iteration, in standard deviations, of a solution."""
 
-_SINGULAR = 0.1
+_SINGULAR = 0.01
 """Standard deviation of η relative to that of E k ε along the motion: the error of splines where E ε vanishes."""
 
 _EXACT = 1e-3

@@ -38,6 +38,9 @@ _STEPS = 60
 _DONE = 1e-9
 """Newton decrement, relative to the barrier's weight, of a minimum."""
 
+_CLOSE = 0.05
+"""Newton decrement, relative to the barrier's weight, below which whole steps converge."""
+
 _SHORTEST = 1e-9
 """Part of a Newton step below which rounding hides a descent."""
 
@@ -137,7 +140,12 @@ def _newton(
         if decrement <= _DONE * barrier:
             return y, True
         length = 1.0
-        while cost(y + length * step) > now - 0.1 * length * decrement and length > _SHORTEST:
+        # near the minimum of a self-concordant function a whole step is safe, where rounding hides that it descends
+        while (
+            decrement > _CLOSE * barrier
+            and cost(y + length * step) > now - 0.1 * length * decrement
+            and length > _SHORTEST
+        ):
             length *= 0.5
         if length <= _SHORTEST:
             return y, False

@@ -124,7 +124,7 @@ def test_the_singular_stretch_shows_more_than_others_of_the_same_length() -> Non
     E = np.zeros((len(W), true.n + true.k, true.m + true.k))
     E[:, : true.n, : true.m], E[:, true.n :, true.m :] = W, np.eye(true.k)
     covariance = E @ (noise[:, None] ** 2 * E.transpose(0, 2, 1))
-    covariance += 0.01 * np.diag(np.diagonal(covariance.mean(axis=0)))  # where W is singular
+    covariance += 1e-4 * np.diag(np.diagonal(covariance.mean(axis=0)))  # where W is singular
     each = Y.transpose(0, 2, 1) @ np.linalg.solve(covariance, Y)  # information of each sample, one noise for all
     margin = np.linalg.svd(W, compute_uv=False)[:, -1]
     middle, half = int(margin.argmin()), 30
