@@ -92,6 +92,7 @@ offer_kernel(HERE.parent / "build" / "jupyter")
 write_pages(HERE / "reference" / "api" / "modules")
 collect_notebooks(HERE.parent / "notebooks", HERE / "tutorials" / "notebooks")
 
+
 def fill_in_contents(app: Sphinx, docname: str, source: list[str]) -> None:
     """Put the notebooks that are there in place of ``@notebooks@``."""
     notebooks = sorted(path.stem for path in (HERE / "tutorials" / "notebooks").glob("*.ipynb"))
