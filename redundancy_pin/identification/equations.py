@@ -38,7 +38,7 @@ _ITERATIONS = 15
 _SETTLED = 0.02
 """Change of estimates and of their standard deviations in an iteration, in standard deviations, of a solution."""
 
-_SINGULAR = 0.01
+_SINGULAR = 0.03
 """Standard deviation of η relative to that of E k ε along the motion: the error of splines where E ε vanishes."""
 
 _EXACT = 1e-3
@@ -120,10 +120,10 @@ class Rows:
         )
 
 
-def whitening(E: Array, noise: Array) -> Array:
-    """Return (N, r, r) L⁻¹ with L Lᵀ = E Σ Eᵀ + S, for readings with standard deviations (d,)."""
+def whitening(E: Array, noise: Array, left_out: float = _SINGULAR) -> Array:
+    """Return (N, r, r) L⁻¹ with L Lᵀ = E Σ Eᵀ + S, for readings with standard deviations (d,); S relative to E Σ Eᵀ."""
     covariance = np.einsum("Nrd,d,Nsd->Nrs", E, noise**2, E)
-    covariance += np.diag(_SINGULAR**2 * np.diagonal(covariance.mean(axis=0)))
+    covariance += np.diag(left_out**2 * np.diagonal(covariance.mean(axis=0)))
     result: Array = np.linalg.inv(np.linalg.cholesky(covariance))
     return result
 

@@ -27,6 +27,9 @@ _EXPLAINED = 1.25
 _NOTICED = 0.05
 """Decrease of the residual mean square of a record, over that of the noise, that makes a shift a candidate."""
 
+_LEFT_OUT = 0.1
+"""Standard deviation left out of f relative to that by readings: nothing near a singularity decides a hint."""
+
 _UNITS = 1e3
 """Ratio of measured and declared forces, either way, from which units are in doubt."""
 
@@ -89,7 +92,7 @@ def hints(
 
 def _mean_square(solution: Solution) -> float:
     """Return the mean square of the residuals of a solution, over that of the noise of the readings about splines."""
-    weights = [whitening(part.rows.E, part.rows.record.noise) for part in solution.parts]
+    weights = [whitening(part.rows.E, part.rows.record.noise, _LEFT_OUT) for part in solution.parts]
     white = [np.einsum("Nrs,Ns->Nr", L, part.rest).ravel() for L, part in zip(weights, solution.parts, strict=True)]
     return float(np.mean(np.concatenate(white) ** 2))
 
@@ -103,7 +106,7 @@ def _misfit(rows: Sequence[Rows], edge: float = 0.0) -> Callable[[Sequence[Array
     for one in rows:
         t, E = one.record.along.motion.t, one.record.E
         inner = (t >= t[0] + edge) & (t <= t[-1] - edge)
-        L = whitening(E, one.record.noise)[inner]
+        L = whitening(E, one.record.noise, _LEFT_OUT)[inner]
         prior = one.driven - one.right
         parts.append((inner, L @ E[inner], np.einsum("Nrs,Ns->Nr", L, prior[inner]), L @ one.Y[inner]))
     basis = np.linalg.qr(np.concatenate([A.reshape(-1, A.shape[2]) for *_, A in parts]))[0]
