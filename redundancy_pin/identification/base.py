@@ -103,8 +103,11 @@ def base_parameters(rows: Array, parameters: Sequence[Parameter], least: float =
     column, times its size, has a norm of at most ``least`` is unseen.
 
     Example:
-        >>> Y = chain_regressor(along)
-        >>> base_parameters(Y.reshape(-1, Y.shape[-1]), parameters_of(robot)).names
+        >>> from redundancy_pin.identification import base_parameters, chain_regressor, parameters_of
+        >>> line = rp.trajectory.from_points([[0.2, 0.6], [0.3, 0.7]], [0.0, 1.0], ends="rest")
+        >>> Y = chain_regressor(rp.RneaDynamics("five_bar").along(line.sample(0.05)))
+        >>> base_parameters(Y.reshape(-1, Y.shape[-1]), parameters_of(rp.load_robot("five_bar"))).names[0]
+        'inertia zz of proximal_1 + 0.25 mass of distal_1 + inertia zz of distal_2'
     """
     sizes = np.array([p.size for p in parameters])
     columns: Array = np.linalg.qr(rows * sizes).R

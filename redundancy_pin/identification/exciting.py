@@ -171,8 +171,10 @@ def exciting_motion(
         InfeasiblePlanError: the robot exceeds a limit at rest, or in any motion of this duration.
 
     Example:
-        >>> motion = rp.exciting_motion("five_bar", limits=rp.Limits(effort=30.0, actuator_speed=4.0), duration=5.0)
-        >>> motion.sample_at(np.arange(0.0, 5.0, 0.004))
+        >>> limits = rp.Limits(effort=30.0, actuator_speed=4.0)
+        >>> motion = rp.exciting_motion("five_bar", limits=limits, duration=2.0, harmonics=2, iterations=0)
+        >>> len(motion.sample_at(np.arange(0.0, 2.0, 0.01)))
+        200
     """
     robot = as_robot(robot)
     duration, harmonics = positive(duration, "duration", "s"), whole(harmonics, "harmonics", 2, 1000)

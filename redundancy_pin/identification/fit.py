@@ -189,8 +189,16 @@ def identify(
             without stiffness; bodies in part with ``physical``.
 
     Example:
-        >>> fit = identify("five_bar", Records(t, effort, position), cut_off=20.0)
-        >>> fit.values, fit.standard_deviation, fit.base.names
+        >>> from redundancy_pin.identification import Records
+        >>> t = np.arange(0.0, 3.0, 0.01)
+        >>> x = np.stack([0.25 + 0.1 * np.sin(4.0 * t), 0.7 + 0.05 * np.sin(7.0 * t)], axis=1)
+        >>> xd = np.stack([0.4 * np.cos(4.0 * t), 0.35 * np.cos(7.0 * t)], axis=1)
+        >>> xdd = np.stack([-1.6 * np.sin(4.0 * t), -2.45 * np.sin(7.0 * t)], axis=1)
+        >>> tau = rp.inverse_dynamics("five_bar", rp.PlatformMotion(t, x, xd, xdd)).efforts.tau
+        >>> noise = 0.01 * np.random.default_rng(0).standard_normal(tau.shape)
+        >>> fit = rp.identify("five_bar", Records(t, tau + noise, platform=x), cut_off=5.0, parameters=["mass of *"])
+        >>> len(fit.values) == len(fit.base.names)
+        True
     """
     robot = as_robot(robot)
     listed = list(records) if isinstance(records, Sequence) else [records]
@@ -296,7 +304,9 @@ def _problems(robot: Robot, base: BaseParameters, standard: Array, solution: Sol
         listed.append(f"Intervals are wider than the robot's scale, more motion is needed: {', '.join(weak)}.")
     bad = unphysical(robot, base, standard)
     if bad:
-        listed.append(f"Negative: {', '.join(bad)}. physical=True has none, where all ten of a body are sought.")
+        listed.append(
+            f"Negative: {', '.join(bad)}. The nearest real bodies have none: physical=True, or --out on the command line, where all ten of a body are sought."
+        )
     white, count = solution.whiteness, sum(len(part.white) for part in solution.parts)
     if np.abs(white).max(initial=0.0) > _WHITE / np.sqrt(count):
         listed.append(

@@ -97,7 +97,9 @@ def parameters_of(robot: Robot, patterns: Sequence[str] | None = None) -> tuple[
         UnsupportedRobotError: a joint with more than one ``JointForces``.
 
     Example:
-        >>> [p.name for p in parameters_of(load_robot("five_bar"), ["mass of *"])]
+        >>> from redundancy_pin.identification import parameters_of
+        >>> [p.name for p in parameters_of(rp.load_robot("five_bar"), ["mass of p*"])]
+        ['mass of proximal_1', 'mass of proximal_2']
     """
     everything = [*_of_bodies(robot), *_of_joints(robot)]
     if patterns is None:

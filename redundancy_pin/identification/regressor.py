@@ -37,8 +37,10 @@ def chain_regressor(
         carriers: N samples of the carriers; parked at zero when left out.
 
     Example:
-        >>> along = rp.RneaDynamics("five_bar").along(motion)
-        >>> chain_regressor(along).shape
+        >>> from redundancy_pin.identification import chain_regressor
+        >>> line = rp.trajectory.from_points([[0.2, 0.6], [0.3, 0.7]], [0.0, 1.0], ends="rest")
+        >>> chain_regressor(rp.RneaDynamics("five_bar").along(line.sample(0.05))).shape[:2]
+        (21, 2)
     """
     robot, model = along.robot, along.robot.model
     chosen = parameters_of(robot) if parameters is None else parameters

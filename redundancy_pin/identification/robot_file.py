@@ -43,7 +43,9 @@ def write_robot(robot: Robot, path: str | Path) -> tuple[Path, Path]:
         OutputError: a robot of another source, or a file that cannot be written.
 
     Example:
-        >>> write_robot(fit.robot, "five_bar_identified.yaml")
+        >>> from redundancy_pin.identification import write_robot
+        >>> [path.name for path in write_robot(rp.load_robot("five_bar"), "own.yaml")]
+        ['own.yaml', 'own.urdf.xacro']
     """
     path = Path(path)
     source = declaration_path(robot.source) if robot.source else None
