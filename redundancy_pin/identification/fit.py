@@ -305,7 +305,8 @@ def _problems(robot: Robot, base: BaseParameters, standard: Array, solution: Sol
     bad = unphysical(robot, base, standard)
     if bad:
         listed.append(
-            f"Negative: {', '.join(bad)}. The nearest real bodies have none: physical=True, or --out on the command line, where all ten of a body are sought."
+            f"Negative: {', '.join(bad)}. The nearest real bodies have none, where all ten of a body are sought: "
+            "physical=True, or --out on the command line."
         )
     white, count = solution.whiteness, sum(len(part.white) for part in solution.parts)
     if np.abs(white).max(initial=0.0) > _WHITE / np.sqrt(count):
