@@ -57,7 +57,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Compiler:
-    """A C compiler: the words of its command, and what tells it from an older one of the same path."""
+    """A C compiler: the words of its command, and an identity that changes with its version."""
 
     command: tuple[str, ...]
     identity: str
@@ -105,7 +105,7 @@ def _identified(path: str, *arguments: str) -> Compiler:
 
 
 def processor() -> str:
-    """Return what tells machines apart that ``NATIVE`` makes other code for."""
+    """Return an identity of the processor; ``NATIVE`` makes other code for another one."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:  # not on Linux
@@ -124,12 +124,12 @@ def digest(parts: Iterable[str]) -> str:
 def built(
     digest_of: Callable[[str], str], write: Callable[[], str], load: Callable[[Path], T], flags: Sequence[str] = FLAGS
 ) -> tuple[T | None, str]:
-    """Return a library, from disk or new; or None and the reason why there is none.
+    """Return a library, from disk or new; or None and the reason.
 
     Args:
-        digest_of: returns, from the identity of the compiler, what tells the library from all others (``digest``).
+        digest_of: returns, from the identity of the compiler, the identity of the library (``digest``).
         write: returns the C.
-        load: opens a library; raises what ``loaded`` raises where it is another one.
+        load: opens a library; raises as ``loaded`` if it is another library.
         flags: of the compiler.
     """
     compiler = find_compiler()
@@ -177,7 +177,7 @@ def _is_full(folder: Path) -> bool:
 
 
 def cache_folder() -> Path | None:
-    """Return the folder of compiled libraries, made where it is missing; None where none can be kept."""
+    """Return the folder of compiled libraries, created if missing; None if none can be kept."""
     named = os.environ.get(CACHE)
     if named == "":
         return None
@@ -193,7 +193,7 @@ def cache_folder() -> Path | None:
 
 
 def _user_cache() -> Path:
-    """Return ``$XDG_CACHE_HOME``, or ``~/.cache`` where it is no absolute path: its specification ignores those."""
+    """Return ``$XDG_CACHE_HOME``, or ``~/.cache`` if that is not an absolute path: its specification ignores those."""
     named = Path(os.environ.get("XDG_CACHE_HOME", ""))
     return named if named.is_absolute() else Path.home() / ".cache"
 
@@ -201,7 +201,7 @@ def _user_cache() -> Path:
 def _make_trusted(folder: Path) -> str:
     """Make a folder where it is missing, and return why other users could change what it holds; empty if they cannot.
 
-    From the root down: what is above a folder is known to be safe before that folder is looked at, so that nobody can
+    From the root down: what is above a folder is known to be safe before that folder is looked at, so no other user can
     replace it between this check and its use.
     """
     if not hasattr(os, "geteuid"):
@@ -310,11 +310,11 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def loaded(path: Path) -> ctypes.CDLL:
-    """Return a shared library that says itself that it is the one of its name.
+    """Return a shared library whose own identity matches its name.
 
     Raises:
         OSError, AttributeError, ValueError: it is half a file, another machine's, or of another name. PermissionError:
-            it is no file of this user's, or others may write to it.
+            it is not this user's file, or others may write to it.
     """
     with _checked(path) as name:
         library = ctypes.CDLL(name)

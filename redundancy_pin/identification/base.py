@@ -51,7 +51,7 @@ class BaseParameters(Frozen):
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Their units, those of the leading parameters."""
+        """Units of the leading parameters."""
         return tuple(self.parameters[k].unit for k in self.independent)
 
     @property
@@ -128,7 +128,7 @@ def base_parameters(rows: Array, parameters: Sequence[Parameter], least: float =
 def _independent_columns(columns: Array) -> IntArray:
     """Return which columns (M, p) of unit length, or zero, do not depend on those before them: Gram and Schmidt's QR.
 
-    Householder's would spread what is left of a column over the diagonal entries of dependent ones.
+    Householder's would spread the rest of a column over the diagonal entries of dependent ones.
     """
     basis, kept = np.zeros((len(columns), 0)), []
     for k, column in enumerate(columns.T):

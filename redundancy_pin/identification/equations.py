@@ -136,7 +136,7 @@ class Part:
         rows: the equations, with c and clean readings.
         L: (N, r, r) weights.
         A: (N, r, b) weighted Y.
-        white: (N, r) what is left, weighted.
+        white: (N, r) weighted residuals.
         drawn: (N, r, draws) the same of simulated noise.
     """
 
@@ -148,7 +148,7 @@ class Part:
 
     @property
     def noise(self) -> Array:
-        """(d,) standard deviation of the readings, for which residuals would be those of simulated noise, N or N·m."""
+        """(d,) standard deviation of the readings, for which residuals are as large as simulated ones, N or N·m."""
         by_reading = self.L @ self.rows.E
         seen = (np.einsum("Nrd,Nr->Nd", by_reading, self.white) ** 2).sum(axis=0)
         drawn = (np.einsum("Nrd,Nrs->Nds", by_reading, self.drawn) ** 2).sum(axis=(0, 2)) / _DRAWS
@@ -156,7 +156,7 @@ class Part:
         return result
 
     def lagged(self, lag: int) -> tuple[Array, Array]:
-        """Return (r, r) Σ w(t) w(t + lag)ᵀ of the weighted residuals, and of those of simulated white noise."""
+        """Return (r, r) Σ w(t) w(t + lag)ᵀ of the weighted residuals, and of simulated white noise."""
         early, late = slice(len(self.white) - lag), slice(lag, None)
         drawn: Array = np.tensordot(self.drawn[early], self.drawn[late], ((0, 2), (0, 2))) / _DRAWS
         return self.white[early].T @ self.white[late], drawn
@@ -175,7 +175,7 @@ class Solution:
         parts: the records.
         change: (b,) deviations of the base parameters from the given robot.
         information: (b, b) inverse of their covariance where noise is white.
-        converged: whether the estimates are those of largest likelihood.
+        converged: whether the estimates maximise the likelihood.
     """
 
     parts: tuple[Part, ...]
@@ -193,7 +193,7 @@ class Solution:
 
     @property
     def whiteness(self) -> Array:
-        """(r,) correlation of the weighted residuals from sample to sample, less that of simulated white noise."""
+        """(r,) correlation of the weighted residuals from sample to sample, less the one of simulated noise."""
         squares, products = (
             np.diagonal(sum(np.array(part.lagged(lag)) for part in self.parts), axis1=1, axis2=2) for lag in (0, 1)
         )
@@ -269,7 +269,7 @@ def linearise(
 ) -> Rows:
     """Return the equations of a record in some of the parameters about values (p,) of all of them.
 
-    Values need not be those of real bodies. ``before`` has the noise that was estimated; that about splines without.
+    Values need not belong to real bodies. ``before`` has the noise that was estimated; that about splines without.
     """
     robot, smooth, tree = record.along.robot, record.smooth, record.along.tree
     drives = [*robot.actuated, *robot.carriers]

@@ -158,8 +158,8 @@ def exciting_motion(
 
     Args:
         robot: the robot as it is declared, or its name or path.
-        parameters: names or patterns of what is to be identified, as of ``identify``.
-        limits: of efforts, forces and speeds; what is None is what the robot declares.
+        parameters: names or patterns of the parameters to identify, as in ``identify``.
+        limits: of efforts, forces and speeds; None stands for the limits that the robot declares.
         duration: of the motion, s; the lowest frequency is its inverse.
         harmonics: number of frequencies, multiples of the lowest, at least 2.
         margin: least singularity margin, relative to that at home: of the scaled W, and of type I.

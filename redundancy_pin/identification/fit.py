@@ -1,4 +1,4 @@
-"""Identification: the parameters that explain measured motions, their intervals, and what is doubtful about them."""
+"""Identification: parameters that explain measured motions, their intervals, and doubts."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Fit(Frozen):
     Attributes:
         status: ``ResultStatus.OK``; ``NOT_CONVERGED`` where the estimates of largest likelihood, or real bodies, were
             not found; ``UNRESOLVED`` where the motion shows no parameter.
-        problems: what is doubtful, one text each: parameters without certainty, unphysical ones, residuals that are not
+        problems: doubts, one text each: parameters without certainty, unphysical ones, residuals that are not
             white, efforts that other signs, another order or other times would explain better. Empty if nothing is.
         before: the robot that was given.
         base: the base parameters of the motion, their names and units.
@@ -95,7 +95,7 @@ class Fit(Frozen):
         return f"Fit({self.before.name}: {self.status.value}, {counts})"
 
     def summary(self) -> Summary:
-        """Return values, half widths of 95 % intervals and what is doubtful as plain data, for ``print``.
+        """Return values, half widths of 95 % intervals and doubts as plain data, for ``print``.
 
         Example:
             >>> print(fit.summary())
@@ -182,7 +182,7 @@ def identify(
             constants of currents, ``"offset of *"``, with effort = factor · reading − offset, and ``"tilt * of
             gravity"``, rad.
         physical: let ``fit.robot`` have bodies of positive density alone and no negative friction; ``values`` and
-            their intervals stay those of the linear fit. Of a body all ten are sought, or its mass alone.
+            their intervals still belong to the linear fit. Of a body all ten are sought, or its mass alone.
 
     Raises:
         InputError: records of another robot, with gaps, or with positions that the robot does not reach; a preload
@@ -291,7 +291,7 @@ def _odd_columns(records: Sequence[Records], drives: Sequence[str]) -> list[str]
 
 
 def _problems(robot: Robot, base: BaseParameters, standard: Array, solution: Solution, covariance: Array) -> list[str]:
-    """Return what is doubtful about a solution."""
+    """Return the doubts about a solution."""
     listed = []
     factors = [k for k, p in enumerate(base.parameters) if p.kind == "factor"]
     if factors and np.abs(standard[factors]).max() < COLLAPSED:

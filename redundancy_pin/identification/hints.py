@@ -1,7 +1,7 @@
 """Hints that efforts have wrong signs, another order or other times, each verified by a fit of the efforts put right.
 
 Candidates are found with the equations as measured, weighted by the noise of the efforts about their splines, so that
-one product with a basis of the regressor tells what is left. A candidate counts where a whole fit leaves that noise
+one product with a basis of the regressor gives the residual. A candidate counts where a whole fit leaves that noise
 and no more. A hint refuses nothing.
 """
 
@@ -47,7 +47,7 @@ def hints(
     """Report other signs, another order, or shifts in time of the efforts that explain the records.
 
     Args:
-        robot: the given robot; it says the sign of all efforts together.
+        robot: the given robot; it determines the common sign of all efforts.
         records: the records.
         rows: the equations as measured.
         solution: their solution.
@@ -91,7 +91,7 @@ def hints(
 
 
 def _mean_square(solution: Solution) -> float:
-    """Return the mean square of the residuals of a solution, over that of the noise of the readings about splines."""
+    """Return the mean square of the residuals of a solution, over the noise of the readings about splines."""
     weights = [whitening(part.rows.E, part.rows.record.noise, _LEFT_OUT) for part in solution.parts]
     white = [np.einsum("Nrs,Ns->Nr", L, part.rest).ravel() for L, part in zip(weights, solution.parts, strict=True)]
     return float(np.mean(np.concatenate(white) ** 2))
@@ -125,7 +125,7 @@ def _misfit(rows: Sequence[Rows], edge: float = 0.0) -> Callable[[Sequence[Array
 def _other_columns(rows: Sequence[Rows]) -> tuple[Array, IntArray, bool]:
     """Return signs and order of columns that leave far less, and if they do; one change after the other that helps.
 
-    Signs of all at once leave the same: the given robot says them.
+    The common sign leaves the residual unchanged: the given robot determines it.
     """
     readings, left = [one.record.reading for one in rows], _misfit(rows)
     every = np.arange(readings[0].shape[1], dtype=np.intp)

@@ -211,7 +211,7 @@ def joint_forces(robot: Robot, joint: str) -> JointForces:
 
 
 def with_inertias(robot: Robot, parameters: Sequence[Parameter], values: Array) -> pin.Model:
-    """Return the model of a robot whose bodies have other values (p,); they need not be those of real bodies."""
+    """Return the model of a robot whose bodies have other values (p,); they need not belong to real bodies."""
     model = robot.model.copy()
     tens = {p.joint: model.inertias[p.joint].toDynamicParameters() for p in parameters if p.kind in INERTIAL}
     for parameter, value in zip(parameters, values.tolist(), strict=True):

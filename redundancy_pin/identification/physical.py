@@ -66,7 +66,7 @@ def require_whole_bodies(robot: Robot, parameters: Sequence[Parameter]) -> None:
 def unphysical(robot: Robot, base: BaseParameters, values: Array) -> tuple[str, ...]:
     """Return the names of parameters (p,) and bodies that no real robot has.
 
-    A body that is none in the given robot, such as a thin one of a flat model, is compared with the given one.
+    A body without positive density in the given robot, such as a thin one of a flat model, is compared with that one.
     """
     bad = [p.name for p, value in zip(base.parameters, values, strict=True) if p.kind in NOT_NEGATIVE and value < 0.0]
     after, parts = with_inertias(robot, base.parameters, values), _sought(base.parameters)
@@ -173,7 +173,7 @@ def _least_eigenvalue(inertia: pin.Inertia) -> float:
 
 
 def _inside(ten: Array) -> Array:
-    """Return (10,) parameters of a body, a small solid added where it is none of positive density."""
+    """Return (10,) parameters of a body, a small solid added where the density is not positive."""
     values, vectors = np.linalg.eigh(np.tensordot(ten, _UNITS, 1))
     if values[0] > _ROUNDING * abs(values[-1]):
         return ten

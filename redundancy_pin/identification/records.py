@@ -31,7 +31,7 @@ class Records(Frozen):
         effort: (N, m) efforts of the main actuators, N or N·m.
         position: (N, m) their positions, m or rad, full turns counted; (N, 0) if the platform was measured.
         platform: (N, n) coordinates of the platform, m and rad, if they were measured; (N, 0) otherwise. Motions
-            through a type II singularity need them: there the motors do not say where the platform is.
+            through a type II singularity need them: there the motors do not determine the platform.
         carriers: (N, k) positions of the carriers, m; parked at zero when left out.
         carrier_force: (N, k) forces of their actuators, N; (N, 0) if they were not measured.
 
@@ -152,7 +152,7 @@ class SmoothMotion(Frozen):
 
 
 def require_matching(robot: Robot, records: Records) -> None:
-    """Raise InputError where the columns of records are not those of a robot."""
+    """Raise InputError where the columns of records do not match a robot."""
     columns = {
         "effort": (robot.m,),
         "position": (robot.m, 0),
@@ -180,7 +180,7 @@ def require_matching(robot: Robot, records: Records) -> None:
 def smooth_motion(robot: Robot, records: Records, cut_off: float) -> SmoothMotion:
     """Return the motion behind noisy positions: least-squares splines of degree 5, two knots a period of the cut-off.
 
-    A spline has no phase shift, and its rates are those of its positions exactly. The platform follows from the motors
+    A spline has no phase shift, and its rates are exact derivatives. The platform follows from the motors
     by ``forward_kinematics`` on the branch of the reference. One and a half periods at each end are left out, where
     splines have free ends.
 

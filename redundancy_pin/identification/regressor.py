@@ -33,7 +33,7 @@ def chain_regressor(
 
     Args:
         along: a platform motion whose kinematics are solved, ``RneaDynamics(robot).along(motion)``.
-        parameters: p parameters; those of ``parameters_of(robot)`` when left out.
+        parameters: p parameters; default ``parameters_of(robot)``.
         carriers: N samples of the carriers; parked at zero when left out.
 
     Example:

@@ -27,7 +27,7 @@ _ROUNDING = 1e-12
 
 
 def write_robot(robot: Robot, path: str | Path) -> tuple[Path, Path]:
-    """Write a robot's declaration, with its joint forces, and beside it its model, with its inertias.
+    """Write a robot's declaration with its joint forces, and its model with its inertias in the same folder.
 
     The model is ``NAME.urdf.xacro`` without expressions; arguments of the robot keep their values as defaults, because
     the declaration may use them. They no longer change lengths or masses.

@@ -30,7 +30,7 @@ _SMALLEST = 1e-30
 
 
 def angle_rows(robot: Robot) -> dict[int, tuple[str, int]]:
-    """Return which base axes have a rotation whose rate is no component of the twist, and the kind and k of each.
+    """Return which base axes have a rotation whose rate is not a component of the twist, and the kind and k of each.
 
     A pose has none, nor has a platform that joints about one base axis carry, as in a planar robot.
     """

@@ -150,7 +150,7 @@ def assemble(
         guess: (N, nq) starting configurations; carriers keep their positions.
         target: (N, n) coordinates or (N, 4, 4) poses, base frame, m and rad.
         rank_tolerance: as of ``newton``, without a target. The configuration closes the independent combinations of
-            rows, and the residual says how far it misses the others.
+            rows, and the residual is its distance from the others.
         max_iterations: as of ``newton``.
         shortest_step: as of ``newton``.
 
@@ -210,13 +210,13 @@ def newton(
     """Return the configurations (N, nq) at which Newton's method with a backtracking line search ends.
 
     This is the damped method, for starts from afar and for many samples at once. The undamped one of followers,
-    ``LoopSolver.close``, is a loop of its own, because neither serves the other's purpose: one pose nearby takes 0.2 to
+    ``LoopSolver.close``, is a separate loop, because neither serves the other's purpose: one pose nearby takes 0.2 to
     0.3 ms with it and 0.8 to 1.4 ms here, of two hundred poses each takes 25 µs (five-bar) to 140 µs (Gough platform)
     here and 0.2 to 0.3 ms there.
 
     Args:
-        system: closures of the robot; it says which velocities move.
-        linearise: of configurations (M, nq), and their numbers (M,) among the samples, what is missing to the goal
+        system: closures of the robot; it selects the velocities that move.
+        linearise: of configurations (M, nq), and their numbers (M,) among the samples, the distance to the goal
             (M, e) and its negative derivatives by the pose columns (M, e, p), both without units.
         guess: (N, nq) starting configurations; carriers keep their positions.
         rank_tolerance: combinations of equations with smaller singular values count as redundant. Steps are of least
@@ -302,7 +302,7 @@ def configuration_difference(model: pin.Model, q0: Array, q1: Array) -> Array:
 
 
 def _equations(system: ConstraintSystem, state: ConstraintState, target: Array | None) -> tuple[Array, Array]:
-    """Return what is missing to closed loops, and to a target (N, n), as ``newton`` takes it."""
+    """Return the residual of closed loops, and of a target (N, n), as ``newton`` takes it."""
     if target is not None:
         off = difference(system.robot, target, coordinates(system.robot, state))
         residual, rows = np.concatenate([-state.phi, off], axis=1), state.K

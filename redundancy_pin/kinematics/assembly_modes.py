@@ -34,7 +34,7 @@ was found as often as the second on average: one that is half as likely as the m
 
 @dataclass(frozen=True, eq=False)
 class AssemblyModes(Frozen):
-    """All that positions of the motors allow, as far as it was found; made by ``assembly_modes``.
+    """All configurations found for positions of the motors; made by ``assembly_modes``.
 
     Attributes:
         robot: the robot.
@@ -64,7 +64,7 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
     """Return the configurations that positions of the motors allow: two of a five-bar, up to forty of a Gough platform.
 
     Newton from random starts, the same ones every time, until another start would hardly find a new mode. Modes are
-    alike where joints, platform and closures are at the same places: a universal joint turned over is no other mode.
+    alike where joints, platform and closures are at the same places: a universal joint turned over is the same mode.
 
     Args:
         robot: the robot, or its name or path.

@@ -2,7 +2,7 @@
 
 ``Follower.advance`` goes from a closed state to other coordinates: a prediction by Γ, Newton's method, one acceptance
 test, and shorter steps where that fails (``closed_state``). Where the closure rows lose rank branches cross, and the
-branch continues with the tangent it came with (``passage``). What ended a branch is said once, by ``BranchEnd``.
+branch continues with the tangent it came with (``passage``). ``BranchEnd`` states why a branch ends.
 """
 
 from __future__ import annotations
@@ -118,15 +118,15 @@ class Follower(LoopSolver):
     def state_at(self, q: Array, x: Array, gamma: Array) -> ClosedState: ...
 
     def state_at(self, q: Array, x: Array | None = None, gamma: Array | None = None) -> ClosedState | None:
-        """Return the closed state at or next to a configuration, or None where there is none so near.
+        """Return the closed state at or next to a configuration, or None if no closed one is near.
 
         Newton's method keeps the independent coordinates and moves the other joints, by rounding or the noise of
         measurements. Where it moves those of an open configuration so far that K may be singular on the way, the chains
-        may close on another branch: there is no state then.
+        may close on another branch: the result is None then.
 
         Args:
             q: (nq,) a configuration, closed or nearly so, carriers at any place.
-            x: (n,) its coordinates, or a pose (4, 4); those of q when left out.
+            x: (n,) its coordinates, or a pose (4, 4); by default computed from q.
             gamma: (nv, n) Γ there, where it is known, as of a sample of a ``JointTrajectory``. Near a singular K, where
                 Newton's method does not close the chains, q and Γ are taken as they are, and ``residual`` says how far
                 q is from closed.
@@ -156,7 +156,7 @@ class Follower(LoopSolver):
     # --- along a branch ----------------------------------------------------------------------------------------------
 
     def advance(self, here: ClosedState, x: Array) -> ClosedState | BranchEnd:
-        """Return the state at coordinates x on the branch of ``here``, along the straight line, or why there is none.
+        """Return the state at coordinates x on the branch of ``here``, along the straight line, or why the branch ends.
 
         Steps are halved until each is accepted. A rank loss of the closures that the branch goes smoothly through is
         passed.
@@ -166,7 +166,7 @@ class Follower(LoopSolver):
             x: (n,) coordinates, m and rad, or a pose (4, 4), base frame.
 
         Raises:
-            InputError: coordinates of another shape, a matrix that is no pose, or a state of another robot.
+            InputError: coordinates of another shape, a matrix that is not a pose, or a state of another robot.
         """
         given = np.asarray(x)
         if given.dtype.kind not in "fiu" or np.ma.is_masked(x):
@@ -181,7 +181,7 @@ class Follower(LoopSolver):
         return self.follow(here, x)
 
     def follow(self, here: ClosedState, x: Array, bend: Array | None = None) -> ClosedState | BranchEnd:
-        """Return what ``advance`` does, for read-only coordinates that were checked: those of a ``PlatformMotion``.
+        """Return what ``advance`` does, for read-only coordinates that were checked, as in a ``PlatformMotion``.
 
         ``bend`` is the one of ``extrapolate``, for where one step leads there.
         """
@@ -232,7 +232,7 @@ class Follower(LoopSolver):
         return ends
 
     def step(self, here: ClosedState, x: Array, bend: Array | None = None) -> ClosedState | None:
-        """Return the state at coordinates x nearby in one step, or None where it is not plainly on the branch.
+        """Return the state at coordinates x nearby in one step, or None if it may lie on another branch.
 
         A step within which K may become singular is refused, except where the branch goes smoothly through a rank loss
         of the closures there.
@@ -355,7 +355,7 @@ class Follower(LoopSolver):
         return True
 
     def _at_rank_loss(self, here: ClosedState, x: Array) -> ClosedState | None:
-        """Return the state at coordinates where the closures lose rank, None where they do not or no branch goes on."""
+        """Return the state at coordinates where the closures lose rank, None if they do not, or if the branch ends."""
         guess = self.integrate(here.q, here.gamma.dot(difference(self.robot, x, here.x)))
         if not self.closures_lose_rank(guess, here.basis):
             return None
@@ -383,7 +383,7 @@ class Follower(LoopSolver):
                 rank loss, one coordinate's, or that of all.
 
         Returns:
-            None where the branch does not go on smoothly (a leg at full stretch: a fold).
+            None if the branch does not continue smoothly (a leg at full stretch: a fold).
         """
         self.require_shapes(here.q, x)
         self._require_own(here)

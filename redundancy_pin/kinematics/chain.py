@@ -74,7 +74,7 @@ class ClosedChain(TreePlacement):
         """Return whether all closure rows keep the rank that the rows in use lose at the configuration.
 
         Which rows are independent changes along the motion of some mechanisms (Bennett's four hinges). The branch goes
-        smoothly through such a place, and it is no singularity. Rows that contradict each other by the rounding of a
+        smoothly through such a configuration; it is not singular. Rows that contradict each other by the rounding of a
         file restore nothing.
         """
         return self._restoring_basis(_RANK_KEPT) is not None
@@ -95,7 +95,7 @@ class ClosedChain(TreePlacement):
         return True
 
     def _restoring_basis(self, ratio: float) -> Array | None:
-        """Return U (R, r) of all closure rows at the configuration, ``row_basis``; None where it does not help.
+        """Return U (R, r) of all closure rows at the configuration, ``row_basis``; None if the rank stays.
 
         ``ratio``: least ratio of the smallest singular values of all rows and of those in use, no unit.
         """
@@ -118,13 +118,13 @@ class ClosedChain(TreePlacement):
 
     @property
     def placed(self) -> PlacedRows:
-        """The closure rows, and behind them those of the platform's twist, at the configuration."""
+        """The closure rows, then the rows of the platform's twist, at the configuration."""
         if self._placed is None:
             self._placed = self._used.all_rows.place(self.vectors, self.q)
         return self._placed
 
     def _combined(self, rows: Array) -> Array:
-        """Return the rows in use (r + n, nv), over those of the independent velocities, from all that are placed."""
+        """Return the rows in use (r + n, nv), above the rows of the independent velocities, from all placed rows."""
         if self.basis is not None:
             unit = self._used.closure_unit[:, None]
             rows = np.concatenate([self.basis.T.dot(rows[: len(unit)] / unit), rows[len(unit) :]])

@@ -201,7 +201,7 @@ class LoopSolver:
         return self.chain.basis, inverses(self.chain.matrix()[None])[0]
 
     def closure_margin(self, q: Array, basis: Array | None = None, block: int | None = None) -> float:
-        """Return the smallest singular value of the closure rows at q (nq,), of all or those of a block of K.
+        """Return the smallest singular value of the closure rows at q (nq,), of all or of one block of K.
 
         It has no unit, and is infinite without rows.
         """
@@ -222,7 +222,7 @@ class LoopSolver:
     def close(self, guess: Array, x: Array, basis: Array | None = None) -> ClosedState | None:
         """Return the closed state at coordinates by Newton's method from a guess nearby; None where that fails.
 
-        The method is undamped; ``assembly.newton`` is the damped one, and says why there are two.
+        The method is undamped; ``assembly.newton`` is the damped one, and explains why both exist.
 
         Args:
             guess: (nq,) configuration.
@@ -298,7 +298,7 @@ class LoopSolver:
         Args:
             here: a state of the branch.
             x: (n,) coordinates, or a pose (4, 4).
-            bend: (nv,) what the prediction gets beside Γ Δx, its part of second order; none where it is no small part.
+            bend: (nv,) second-order term of the prediction, added to Γ Δx; zero where it is not small.
         """
         increment = difference(self.robot, x, here.x)
         predicted = here.gamma.dot(increment)
@@ -390,7 +390,7 @@ class LoopSolver:
 
 
 def _kept(array: Array) -> Array:
-    """Return a read-only array that nobody else changes: itself if it is read-only, otherwise a copy."""
+    """Return a read-only array that no other code changes: itself if it is read-only, otherwise a copy."""
     return read_only(array.copy()) if array.flags.writeable else array
 
 
@@ -402,7 +402,7 @@ def largest(values: Array) -> float:
 
 @lru_cache(maxsize=64)
 def closed_around(system: ConstraintSystem) -> Assembly:
-    """Return the reference configuration and some around it on its branch, as far as they close."""
+    """Return the reference configuration and those of some neighbours on its branch that close."""
     return evaluated(system, closed_neighbours(system, np.array(system.robot.q_reference), *_AROUND))
 
 
@@ -415,10 +415,10 @@ def typical_margin(system: ConstraintSystem) -> float:
 
 @lru_cache(maxsize=64)
 def loop_blocks(system: ConstraintSystem) -> tuple[tuple[IntArray, IntArray], ...]:
-    """Return rows and columns of the B diagonal blocks to which K can be permuted, each that of a loop or a leg.
+    """Return rows and columns of the B diagonal blocks to which K can be permuted, one per loop or leg.
 
     det K is the product of theirs up to a sign, and they lose rank each by itself: two that change sign in one step
-    leave that of det K. Columns j and k are of one block where K⁻¹ K, the identity, comes about by entries that lead
+    leave that of det K. Columns j and k belong to one block if K⁻¹ K, the identity, comes about by entries that lead
     from j to k and back. Entries below 1e-9 of the largest, with open chains, are zero by the structure of the robot.
     """
     q, rng = np.array(system.robot.q_reference), np.random.default_rng(SEED)

@@ -26,7 +26,7 @@ the twist has an axis of the platform, and w = (0, g) in place of c × a, with t
 Which axes a rotation row pairs depends on what else is constrained: with one rotation left free (a hinge) both rows
 use the free axis of B, so that they stay independent at every hinge angle. Every row is exact at every configuration,
 closed or not, and no row is redundant where the mask has none too many. Two or three rotation rows have false zeros too
-(a hinge turned over), which ``ConstraintSystem.misalignment`` tells apart; a single one fixes its angle up to half a
+(a hinge turned over), which ``ConstraintSystem.misalignment`` distinguishes; a single one fixes its angle up to half a
 turn.
 
 Couplings of joints are rows too (``kinematics.coupling``), behind those of the closures: among the rows between frames
@@ -94,7 +94,7 @@ def _cross(a: Array, b: Array) -> Array:
 class Row(NamedTuple):
     """One row: its axis and partner as (frame, column), and the frames between which it acts.
 
-    ``angle`` is the kind and the base axis of one that is the rate of an angle. ``length`` is that of a rod, m, whose
+    ``angle`` is the kind and the base axis of one that is the rate of an angle. ``length``: of a rod, m, whose
     axis is the line between both origins in place of the one that is named.
     """
 
@@ -119,7 +119,7 @@ class RowSet:
         rows: the rows.
         support: (F, nv) 1 where a velocity moves a frame.
         ids: (F,) Pinocchio's index of each frame.
-        couplings: what stands in the place of the empty rows among them.
+        couplings: that take the place of the empty rows among them.
     """
 
     def __init__(
@@ -335,7 +335,7 @@ class ConstraintSystem:
         aligned: pairs of places in ``TreePlacement.vectors`` of axes that point the same way when closed.
         pose_columns: velocity indices that move the pose: all but the carriers.
         selection: (m, nv) S, the main actuators among the velocities.
-        independent: (n, nv) unit rows of the independent joints; zero where there is a platform.
+        independent: (n, nv) unit rows of the independent joints; zero for a robot with a platform.
         equation_unit: (r + n,) the characteristic length, m, for rows of translation and 1 for rows of rotation, of the
             closures and the independent coordinates: residuals over these have no unit.
         step_unit: (p,) the characteristic length, m, for slides and 1 rad for turns, of the pose columns.

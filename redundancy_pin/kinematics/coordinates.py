@@ -1,6 +1,6 @@
 """Independent coordinates: read them off a configuration, take differences, move between them; and working modes.
 
-A working mode says which of its inverse displacements each leg is in.
+A working mode selects one inverse displacement of each leg.
 """
 
 from __future__ import annotations
@@ -219,7 +219,7 @@ def mode_indicator(robot: Robot, q: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def mode_indicators(robot: Robot) -> tuple[IntArray, BoolArray, Array, Array]:
-    """Return what tells the mode of each leg, (legs,) each: a number of q, whether its sine counts, sign and unit."""
+    """Return the mode indicators of each leg, (legs,) each: a number of q, whether its sine counts, sign and unit."""
     modes, legs = robot.working_modes, []
     for name, sign in zip(modes.joints, modes.signs, strict=True) if modes else ():
         joint = find_joint(robot.model, name)
@@ -237,14 +237,14 @@ def working_modes(robot: Robot, q: Array) -> IntArray:
 
 
 def in_working_mode(robot: Robot, q: Array) -> BoolArray:
-    """Return (N,) whether configurations are in the robot's own working mode (true where it declares none)."""
+    """Return (N,) whether configurations are in the robot's own working mode (true if none is declared)."""
     wanted = np.array(robot.working_mode, dtype=float)
     result: BoolArray = (mode_indicator(robot, q) * wanted > 0.0).all(axis=1)
     return result
 
 
 def all_working_modes(robot: Robot) -> tuple[tuple[int, ...], ...]:
-    """Return every working mode of a robot, (+1, …, +1) first; one empty mode where none is declared."""
+    """Return every working mode of a robot, (+1, …, +1) first; one empty mode if none is declared."""
     legs = len(robot.working_modes.joints) if robot.working_modes else 0
     return tuple(itertools.product((1, -1), repeat=legs))
 

@@ -1,4 +1,4 @@
-"""Rows of couplings: joints whose positions are polynomials of those of others, q_j = p(q_i), such as gears.
+"""Rows of couplings: joint positions that are polynomials of other positions, q_j = p(q_i), such as gears.
 
 With Φ = q_j − p(q_i), m or rad, as one more row of the constraints,
 

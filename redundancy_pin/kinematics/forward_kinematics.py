@@ -57,15 +57,15 @@ _MOST_TURNS = 100
 
 @dataclass(frozen=True, eq=False)
 class ForwardKinematics(Frozen):
-    """Where the platform is; made by ``forward_kinematics``. NaN where the status says that nothing is known.
+    """Pose of the platform; made by ``forward_kinematics``. NaN where the status is that of an unknown pose.
 
     Attributes:
         robot: the robot.
-        x: (N, n) coordinates of the platform or (N, 4, 4) poses, base frame, m and rad; angles go on beyond ±π, and
+        x: (N, n) coordinates of the platform or (N, 4, 4) poses, base frame, m and rad; angles continue beyond ±π, and
             count from the reference the turns that the joints do.
         xd: (N, n) their rate.
         xdd: (N, n) its rate.
-        q: (N, nq) configurations, carriers at zero; pass one as ``start`` to go on from there.
+        q: (N, nq) configurations, carriers at zero; pass one as ``start`` to continue from there.
         jacobian: (N, n, m) ẋ per rate of each main actuator; of redundant ones those that were followed have columns,
             the others zeros.
         status: (N,) a ``SampleStatus`` each.

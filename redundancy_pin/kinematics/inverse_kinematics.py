@@ -94,7 +94,7 @@ class JointTrajectory(Frozen):
         return follower(self.robot).state_at(self.q[k], self.motion.x[k], self.gamma[k])
 
     def with_carriers(self, carriers: CarrierMotion) -> JointTrajectory:
-        """Return the motion with that of the carriers (N samples) in it."""
+        """Return the motion with the carriers' motion (N samples) in it."""
         q, v, a = np.array(self.q), np.array(self.v), np.array(self.a)
         q[:, self.robot.carrier_position] = carriers.s
         v[:, self.robot.carrier_velocity] = carriers.sd
@@ -152,7 +152,7 @@ def inverse_kinematics(
 
 
 class MotionSolution:
-    """The samples of a motion in progress, NaN where there is no configuration.
+    """The samples of a motion in progress, NaN without a configuration.
 
     Args:
         follower: of the robot.
@@ -244,7 +244,7 @@ class MotionSolution:
         return None
 
     def _follow_marked(self, order: range, here: ClosedState) -> None:
-        """Follow samples; behind those without a state the motion is reacquired, and followed back where it goes on."""
+        """Follow samples; behind those without a state the motion is reacquired, and followed back along its branch."""
         while order:
             count, here, end = self.follow(order, here)
             order = order[count:]
@@ -394,7 +394,7 @@ def point_on_branch(system: ConstraintSystem, x: Array, time: float | None = Non
 
 
 def _reacquire(own: Follower, targets: Array, q: Array) -> tuple[int, ClosedState] | None:
-    """Return a pose that closes in the working mode, by its index, and its state; None where there is none.
+    """Return a pose that closes in the working mode, by its index, and its state; None if no pose closes.
 
     Newton's method starts from a configuration (nq,) and from the reference, at blocks of poses that get longer. Where
     the chains close in other modes only, multistart looks for the mode at some of the poses. Poses before the one found

@@ -18,7 +18,7 @@ from redundancy_pin.robot.scales import closure_tolerance
 
 
 def check_mobility(system: ConstraintSystem, *, dropped: bool = False) -> None:
-    """Compare the count of freedoms with the declaration, and say which rows or freedoms are too many.
+    """Compare the degrees of freedom with the declaration; the error names superfluous rows or joints.
 
     ``dropped``: rows that are redundant all along the motion were left out already, as `redundant_rows: true` asks.
     """
@@ -64,7 +64,7 @@ def check_mobility(system: ConstraintSystem, *, dropped: bool = False) -> None:
 
 
 def _left_free(near: Assembly) -> str:
-    """Return which joints still move when the independent velocities are held at a configuration."""
+    """Return which joints still move when the independent velocities are zero at a configuration."""
     robot, columns = near.system.robot, near.system.pose_columns
     values, basis = np.linalg.svd(near.system.relative(near.state.K)[0])[1:]
     free = np.abs(basis[int((values > RANK_TOLERANCE * max(values.max(initial=0.0), 1e-300)).sum()) :])
@@ -79,7 +79,7 @@ def _left_free(near: Assembly) -> str:
 
 
 def check_reference_rank(system: ConstraintSystem, *, dropped: bool = False) -> Robot:
-    """Check that the reference is no place where rows depend on one another, or a type I singularity.
+    """Check that at the reference rows are independent, and that it is not a type I singularity.
 
     ``dropped``: as of ``check_mobility``.
 
@@ -219,7 +219,7 @@ def _rank(system: ConstraintSystem, q: Array, apart: float = RANK_TOLERANCE) -> 
 
 
 def worst_dependent_row(system: ConstraintSystem, q: Array) -> str:
-    """Return what to say of the dependent row that a configuration (nq,) leaves open most.
+    """Return the message about the dependent row with the largest residual at a configuration (nq,).
 
     Empty where all rows close, and where those that were kept do not close either: then the pose is out of their reach.
     """

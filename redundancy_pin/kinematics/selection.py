@@ -1,4 +1,4 @@
-"""Which closure rows count and which joints are independent, for models that do not say it.
+"""Which closure rows count and which joints are independent, for models that do not state it.
 
 A loop closed by a ball or a weld has more rows than it needs: of the three of a ball in a planar loop one is redundant.
 Rows are left out where they depend on the others at the reference and all around it, and only where the loops stay
@@ -72,7 +72,7 @@ def selected(
         robot: a robot without independent velocities.
         q: (nq,) a configuration from which the loops can be closed.
         redundant: let rows be redundant and leave them out; else they stay, and the loader refuses them by name.
-        declared: number of degrees of freedom, where it is declared.
+        declared: number of degrees of freedom, if declared.
         resisted: balls with damping or armature: of two on a rod its spin is held there, where it is held by these too.
 
     Raises:
@@ -195,7 +195,7 @@ def _independent_rows(
     """Return a closed configuration (nq,) and (r,) which rows are independent around it, at the place where most are.
 
     At a singular reference the rank is lower than around it. The first tolerances are those of ``closed_near``,
-    ``apart`` is that of ``independent_columns``.
+    ``apart``: as in ``independent_columns``.
     """
     system, q = ConstraintSystem(robot), closed_near(robot, start, tolerance, rank_tolerance)
     around = closed_neighbours(system, q, *_AROUND, tolerance, rank_tolerance)
@@ -229,7 +229,7 @@ def _with_rows(robot: Robot, keep: BoolArray) -> tuple[Robot, tuple[str, ...]]:
 
 
 def _independent(robot: Robot, q: Array) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the joints whose velocities the closures leave free, actuated ones where there is a choice.
+    """Return the joints whose velocities the closures leave free, preferably actuated ones.
 
     Behind them those of several freedoms that are left free in part.
 

@@ -28,7 +28,7 @@ class Rod(NamedTuple):
     """A body between two balls.
 
     Attributes:
-        closure: number of the closure that is the second ball, None where it is a joint.
+        closure: number of the closure that is the second ball, None for a joint.
         ends: the joints that carry the two sides of the second ball.
         near: (3,) centre of the first ball, m.
         far: (3,) centre of the second ball, m.
@@ -98,7 +98,7 @@ def _continues(robot: Robot, index: int) -> bool:
 def _spins(robot: Robot, index: int, q: Array) -> Rod | None:
     """Return the rod that a ball carries, if it has one more end, another ball, of a closure or of the tree.
 
-    ``index`` is that of the ball, or of the last of its hinges.
+    ``index``: of the ball, or of the last of its hinges.
     """
     model, data = robot.model, robot.model.createData()
     ball = _ball_around(robot, index)

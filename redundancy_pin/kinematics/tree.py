@@ -96,7 +96,7 @@ def motion_subspace(model: pin.Model, data: pin.Data, index: int) -> Array:
 
 
 def _frame_memory(model: pin.Model, data: pin.Data) -> tuple[Array, list[tuple[Array, Array]]]:
-    """Return (12 F,) axes and origin of each frame, and what is to be copied into them after each update.
+    """Return (12 F,) axes and origin of each frame, and the data to copy into them after each update.
 
     Pinocchio keeps a placement as three axes and an origin, and one placement behind the other: its memory is the array
     itself. To copy it out frame by frame takes longer than all the arithmetic with it. Where the layout is another one

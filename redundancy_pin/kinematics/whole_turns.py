@@ -1,7 +1,7 @@
 """Targets whole turns of a joint away: one turn is followed, and the others are multiples of it.
 
 The loops do not see whole turns of a joint that counts them (``robot.whole_turns``). Where a turn of that joint brings
-every other one back but for whole turns of its own, the next turn does the same. With gears several turns may pass
+every other one back except for whole turns, the next turn does the same. With gears several turns may pass
 until it does; they are followed.
 """
 
@@ -28,7 +28,7 @@ def advance_turns(own: Follower, here: ClosedState, x: Array) -> ClosedState | B
     """Return the state at coordinates x on the branch of a state, as ``Follower.advance``.
 
     Whole turns of independent joints are followed one joint after the other, and only until they repeat. More than
-    ``MOST_TURNS`` turns that do not repeat are not followed, as ``BranchEnd.reason`` says.
+    ``MOST_TURNS`` turns that do not repeat are not followed; ``BranchEnd.reason`` states it.
 
     Example:
         >>> advance_turns(own, own.home, own.home.x + 200.0 * np.pi).q

@@ -19,7 +19,7 @@ _WORDS = {"times": ("time-optimal",), "shape": ("3-4-5", "4-5-6-7")}
 
 
 def is_points_file(name: object) -> TypeGuard[str]:
-    """Return whether the name of a trajectory is that of a file of points, CSV or JSON."""
+    """Return whether the name of a trajectory names a file of points, CSV or JSON."""
     return isinstance(name, str) and name.lower().endswith((".csv", ".json"))
 
 

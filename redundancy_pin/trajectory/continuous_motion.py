@@ -67,10 +67,10 @@ class Motion(Frozen):
     Attributes:
         source: the trajectory, or polynomials with the values x (n, or 16 of a pose, row by row), ẋ and ẍ (n each).
         start, end: first and last time, s.
-        moves_until: time from which on the platform is held where it is then, s; the end but where carriers move on.
+        moves_until: time from which on the platform rests, s; the end but where carriers move on.
         breaks: (b,) inner times at which the acceleration jumps, s.
-        knots: (c,) inner times at which a higher derivative jumps, s, as far as they are known.
-        exact: whether it is smooth between breaks and knots to rounding; not so a sampled motion.
+        knots: (c,) inner times at which a higher derivative jumps, s, if known.
+        exact: whether it is smooth between breaks and knots to machine precision; false for a sampled motion.
     """
 
     source: TimedTrajectory | PiecewisePolynomial
@@ -83,7 +83,7 @@ class Motion(Frozen):
 
     @property
     def kinks(self) -> Array:
-        """(e,) both ends and, in order, where it is not smooth in between as far as that is known, s."""
+        """(e,) both ends and, in order, known times at which it is not smooth, s."""
         inner = np.concatenate([self.breaks, self.knots]) if self.exact else self.breaks
         return np.unique(np.concatenate([[self.start], inner, [self.end]]))
 
@@ -134,14 +134,14 @@ class Motion(Frozen):
         return PlatformMotion(times, x.reshape(-1, 4, 4) if is_pose else x, xd, xdd, check_rates=False)
 
     def prolonged_until(self, end: float) -> Motion:
-        """Return the motion with the platform held where it is at the end, until a later time, s."""
+        """Return the motion with the platform at rest at its end, until a later time, s."""
         if not end > self.end:
             return self
         return replace(self, end=end, breaks=frozen(np.append(self.breaks, self.end)))
 
     @cached_property
     def polynomials(self) -> PiecewisePolynomial:
-        """x, ẋ and ẍ side by side, without the time in which the platform is held; those of a trajectory are fitted."""
+        """x, ẋ and ẍ side by side, without the time at rest; polynomials of a trajectory are fitted."""
         if isinstance(self.source, PiecewisePolynomial):
             return self.source
         trajectory = self.source
@@ -164,7 +164,7 @@ class Motion(Frozen):
 def as_motion(motion: PlatformMotion | TimedTrajectory | Motion) -> Motion:
     """Return a trajectory or a sampled motion as a function of time.
 
-    A trajectory gives its own exact motion. Between the samples of a motion stands the quintic that matches
+    A trajectory gives its own exact motion. Between the samples of a motion the result is the quintic that matches
     x, ẋ, ẍ at both ends; its acceleration is off by O(Δt⁴). Where samples are so dense that the rounding of x shows in
     it, velocity and acceleration are those of the cubic that matches ẋ and ẍ, off by O(Δt³). Of poses these are
     polynomials of the origin and of the quaternion.

@@ -1,6 +1,6 @@
 """The one CSV format of motions, read and written: a row of names with units, such as ``x [m]``, then one row a sample.
 
-A column is named by its quantity, then by what it is of:
+A column is named by its quantity, then by its joint or coordinate:
 
     t [s]                                          time
     x [m], y [m], z [m], rx [rad], ry [rad], rz [rad]   platform coordinates; xd [m/s], rzd [rad/s] and
@@ -103,7 +103,7 @@ _HEADING = re.compile(r"(?P<name>.*?) ?\[(?P<unit>[^\[\]]*)\]", re.DOTALL)
 
 
 def _name_and_unit(cell: str) -> tuple[str, str | None]:
-    """Return name and unit of a cell of the first row, "t" for "time"; None where it has no unit."""
+    """Return name and unit of a cell of the first row, "t" for "time"; None without a unit."""
     match = _HEADING.fullmatch(cell.strip())
     name = match["name"] if match else cell.strip()
     name = name if ":" in name else name.strip()
@@ -132,7 +132,7 @@ def coordinate_names(robot: Robot) -> tuple[str, ...]:
 def motion_columns(
     robot: Robot, motion: PlatformMotion, carriers: CarrierMotion | None = None
 ) -> dict[str, tuple[str, Array]]:
-    """Return the columns of a motion: time, coordinates, their rates and accelerations, then those of carriers."""
+    """Return the columns of a motion: time, coordinates, their rates and accelerations, then the carriers'."""
     names, x = coordinate_names(robot), motion.x
     if motion.is_pose:
         x = np.concatenate([x[:, :3, 3], quaternions_of(x[:, :3, :3])], axis=1)
@@ -236,18 +236,18 @@ def from_csv(
     order, other columns are ignored. A spatial platform has ``x``, ``y``, ``z`` and the unit quaternion ``qx``, ``qy``,
     ``qz``, ``qw``, and six rates ``xd``, ..., ``rzd``, its twist in world axes. A number may stand for a name: ``x0``,
     ``xd0``, ``xdd0``. Units mm, cm, µm, deg, ms, min are converted. An instant may occur twice for the acceleration
-    before and after a jump. Rates must be those of the positions (``require_consistent``): other units, or columns in
+    before and after a jump. Rates must match the positions (``require_consistent``): other units, or columns in
     another order, are refused.
 
     Args:
         path: of the file, UTF-8, comma separated.
-        robot: whose motion it is: names of columns must be those of its coordinates, whose order it has.
+        robot: whose motion it is: names of columns must be its coordinates; the result has its order.
         check_rates: as in ``PlatformMotion``: false for poses to stand still in, and states that are no motion.
 
     Raises:
         InputError: no such file, not text, a missing column (with the names seen), a unit that is not known or not one
             of that quantity, a cell that is not a finite number (with row and column), rows of different lengths,
-            columns of another robot, rates that are not those of the positions (with column, sample and both values),
+            columns of another robot, rates that do not match the positions (with column, sample and both values),
             positions without rates, or a motion that is not one.
 
     Example:
@@ -322,7 +322,7 @@ def in_order_of(robot: Robot, table: MotionTable, *, but_last: bool = False) -> 
     With ``but_last`` the file has all coordinates except the last one, which is constant.
 
     Raises:
-        InputError: the columns are named, and not those of the robot, or have units of other quantities.
+        InputError: named columns do not match the robot, or have units of other quantities.
     """
     own, carriers = coordinate_names(robot)[: -1 if but_last else None], tuple(f"s:{joint}" for joint in robot.carriers)
     coordinates = _match_columns(table, table.coordinates, own, "coordinates", robot)
@@ -367,7 +367,7 @@ def _match_columns(
 
 
 def read_table(path: str | os.PathLike[str]) -> MotionTable:
-    """Read a CSV file of a motion or of points; what it is follows from whether it has rates.
+    """Read a CSV file: a motion if it has rates, otherwise points.
 
     Raises:
         InputError: as ``from_csv``.
@@ -411,7 +411,7 @@ def has_rates(path: str | os.PathLike[str]) -> bool:
 
 
 def _header_and_rows(path: str) -> tuple[_Header, Iterator[tuple[int, list[str]]]]:
-    """Return what the first row of a file says of its columns, and the others with their numbers."""
+    """Return the header that the first row of a file states, and the other rows with their numbers."""
     cells, rows = _cells_and_rows(path)
     return _Header(cells, path), rows
 
@@ -452,7 +452,7 @@ def _rows(path: str) -> Iterator[tuple[int, list[str]]]:
 
 
 class _Header:
-    """The first row of a file: which columns are read, and what they are.
+    """The first row of a file: the columns that are read, and their meaning.
 
     Attributes:
         names: of all columns.
@@ -511,7 +511,7 @@ class _Header:
         return tuple(f"{symbol}{k}" for k in range(count))
 
     def _rates(self) -> tuple[str, ...]:
-        """Return what the rates of the coordinates are named by; those of a pose are six."""
+        """Return the names of the rates of the coordinates; a pose has six."""
         if set(_QUATERNION) & set(self.coordinates):
             absent = [name for name in POSE if name not in self.coordinates]
             if absent:

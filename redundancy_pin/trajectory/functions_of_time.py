@@ -83,7 +83,7 @@ class PiecewisePolynomial(Frozen):
     def __call__(self, t: ArrayLike, side: Side = "right", order: int = 0) -> Array:
         """Return the values, or a derivative, at times of any shape, s: an array of that shape followed by (C,).
 
-        ``side`` decides at the edge of two pieces; ``order`` is that of the derivative, unit of the values / s^order.
+        ``side`` decides at the edge of two pieces; ``order``: of the derivative, unit of the values / s^order.
         """
         times = np.asarray(t, dtype=np.float64)
         if side == "left":  # PPoly is continuous from the right: the float before an edge is in the piece before it
@@ -114,7 +114,7 @@ class PiecewisePolynomial(Frozen):
         return PiecewisePolynomial(self.edges, read_only(self.ppoly.derivative(order).c))
 
     def hstack(self, other: PiecewisePolynomial) -> PiecewisePolynomial:
-        """Return a function on the same pieces with the values of this one and then those of the other."""
+        """Return a function on the same pieces with the values of this one, then of the other."""
         parts = _padded([self.coefficients, other.coefficients])
         return PiecewisePolynomial(self.edges, read_only(np.concatenate(parts, axis=2)))
 
@@ -213,7 +213,7 @@ class PiecewisePolynomial(Frozen):
         """Return the polynomials with given derivatives where each piece begins.
 
         ``t`` (M,) times at which one piece ends and the next begins, s; one that occurs twice makes no piece.
-        ``derivatives``: (M, C) values, rates and so on at these times; those at the ends of pieces are not looked at.
+        ``derivatives``: (M, C) values, rates and so on at these times; ends of pieces are ignored.
         """
         left = np.flatnonzero(np.diff(t) > 0.0)
         powers = [part[left] / factorial(order) for order, part in enumerate(derivatives)]
@@ -302,7 +302,7 @@ def first_times(curve: PPoly | BPoly, values: ArrayLike) -> Array:
     """Return when a function with one value, which does not fall, first reaches values of any shape, s.
 
     Newton's method, which ends at a rounding of the time; bisection where it is slow, as next to a rate of zero, or
-    leaves its bracket. Values beyond those of both ends are reached there.
+    leaves its bracket. Values beyond both ends are reached at the ends.
     """
     wanted = np.asarray(values, dtype=np.float64)
     edges, reached = curve.x, curve(curve.x)
@@ -347,7 +347,7 @@ def chebyshev_series(values: Array) -> Array:
 
 
 def preferred_middle(left: float, right: float, knots: Array) -> float:
-    """Return where to divide an interval: the knot nearest to its middle, or the middle if there is none inside."""
+    """Return where to divide an interval: the knot nearest to its middle, or the middle without an inner knot."""
     middle = 0.5 * (left + right)
     slack = 1e-3 * (right - left)
     inside = knots[np.searchsorted(knots, left + slack) : np.searchsorted(knots, right - slack)]

@@ -50,7 +50,7 @@ def from_points(
 ) -> Trajectory:
     """Return a smooth motion through points or poses.
 
-    One of three says when it is where:
+    One of three determines the timing:
 
     - ``times``: each point is passed at its own time, on a quintic spline of time (four continuous derivatives). It
       starts and ends with the speed and the acceleration of the points, or at rest where they show it (``ends``).
@@ -201,9 +201,9 @@ def _split(points: Any) -> tuple[Array, Array | None]:
 def read_points(
     path: str | os.PathLike[str], robot: RobotLike | None = None, *, but_last: bool = False
 ) -> tuple[Array, Array | None, Array | None]:
-    """Return points (N, n), times (N,) and speeds (N,) of a CSV or JSON file; the latter two where it has them.
+    """Return points (N, n), times (N,) and speeds (N,) of a CSV or JSON file; the latter two if present.
 
-    The columns are those of ``robot``, if given; with ``but_last`` all except the last coordinate.
+    The columns belong to ``robot``, if given; with ``but_last`` all except the last coordinate.
 
     Raises:
         InputError: another suffix, a file that cannot be read, or one without points.
@@ -245,7 +245,7 @@ def _require_no_euler_angles(columns: Sequence[str], path: File) -> None:
 
 
 def _read_json(path: File) -> tuple[Array, Array | None, Array | None]:
-    """Return points, times and speeds of a JSON file, the latter two where it has them."""
+    """Return points, times and speeds of a JSON file, the latter two if present."""
     try:
         data = read_json(read_text(path, InputError, largest=LARGEST_TEXT))
     except ValueError as error:

@@ -4,7 +4,7 @@ Of a quaternion q(t) of any length, with ω and α in world axes and q* its conj
 
     q̇ = ω q / 2,   q̈ = (α q + ω q̇)/2,   ω = 2 Im(q̇ q*)/|q|²,   α = [2 Im(q̈ q*) − 2 (q·q̇) ω]/|q|².
 
-No angle is special, and what is interpolated need not keep its length: it is divided out.
+No angle is special; interpolated quaternions are normalised.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def quaternion_rates(q: Array, omega: Array, alpha: Array) -> tuple[Array, Array
 
 
 def angular_rates(q: Array, first: Array, second: Array) -> tuple[Array, Array]:
-    """Return ω and α (..., 3) of quaternions (..., 4) and their derivatives by time, or by what stands for it."""
+    """Return ω and α (..., 3) of quaternions (..., 4) and their derivatives by time, or by another parameter."""
     square = (q**2).sum(axis=-1, keepdims=True)
     omega = 2.0 * _imaginary(first, q) / square
     return omega, 2.0 * (_imaginary(second, q) - (q * first).sum(axis=-1, keepdims=True) * omega) / square

@@ -30,7 +30,7 @@ def circle(
     radius: float = 0.2,
     alpha: float | None = None,
 ) -> Trajectory:
-    """Return a circle, by default that of the 2-RPR, (x, y) (Parsa 2014, section 3.2).
+    """Return a circle, by default the one of the 2-RPR, (x, y) (Parsa 2014, section 3.2).
 
     Once counter-clockwise from its leftmost point. That of the thesis has the centre (0.25, 0.185) m and the radius
     0.2 m, begins at (0.05, 0.185) and crosses the singular line y = 0 at x ≈ 0.174 and 0.326 m.
@@ -44,7 +44,7 @@ def circle(
         speed: cruising speed, m/s; 0.5 and 0.75 in the thesis.
         ramp_time: duration of each ramp, s.
         ramp_length: length of the ramp up, m; the implied one when left out.
-        end_ramp_length: length of the ramp down, m; when left out, that of the ramp up if it was given, else
+        end_ramp_length: length of the ramp down, m; by default the length of the ramp up if given, else
             the implied one.
         centre: (2,) m.
         radius: m.

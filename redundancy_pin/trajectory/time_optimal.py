@@ -8,14 +8,14 @@ both of its ends.
 That optimum switches between extreme accelerations at once. Planners and motors need a continuous acceleration, so the
 law passes nodes of the path at the speeds of the optimum (``law_through_speeds``): an acceleration changes between two
 nodes. Nodes are ``BLEND`` of the duration apart, and closer where the path bends: between two of them it turns by
-``NODE_TURN`` at most, so that a sharp corner costs a fraction of its own time. Next to a switch such a law exceeds the
+``NODE_TURN`` at most, so that a sharp corner costs a part of the time in it. Next to a switch such a law exceeds the
 limits, by a third where all else is uniform. There, between those two nodes alone, the limits are tightened and the
 optimum is computed again. What remains is removed by time scaling, by the largest use of the limits anywhere on the
 law. Laws take 1.01 to 1.06 of the least time on most random paths, with corners down to 1e-4 of their length.
 Up to 1.13 was measured through hundreds of noisy points, which bend the path between all nodes, and on arcs whose
 coordinates have very unlike limits.
 
-toppra imports matplotlib: this module is imported where it is used.
+toppra imports matplotlib: this module is imported on use.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def fastest_law(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -
         max_acceleration: the same of ẍ, m/s² and rad/s².
 
     Raises:
-        InputError: limits that are not positive, or of another number; a path that stands still; limits of such unlike
+        InputError: limits that are not positive, or of another number; a path without length; limits of such unlike
             sizes that the optimum loses all digits.
 
     Example:
@@ -260,7 +260,7 @@ def _grid(path: Path) -> Array:
 
 
 def _turn(point: PathPoint) -> Array:
-    """Return how fast the tangent turns, (N,) rad per arc length; of poses x' is no unit vector."""
+    """Return how fast the tangent turns, (N,) rad per arc length; of poses x' is not a unit vector."""
     size = np.maximum(np.linalg.norm(point.tangent, axis=1, keepdims=True), np.finfo(float).tiny)
     direction = point.tangent / size
     across = point.curvature - (point.curvature * direction).sum(axis=1, keepdims=True) * direction
@@ -270,7 +270,7 @@ def _turn(point: PathPoint) -> Array:
 def _rows(tangent: Array, curvature: Array, groups: list[_Group]) -> tuple[Array, Array, Array, Array]:
     """Return A (N, r), B (N, r) and c (r,) of A u + B w <= c, and (N,) the largest w by the speeds.
 
-    Rows are divided by the largest acceleration: c is one, or that of a side of the polygon.
+    Rows are divided by the largest acceleration: c is one, or a bound of a side of the polygon.
     """
     A, B, c = [], [], []
     most = np.full(len(tangent), np.inf)

@@ -1,4 +1,4 @@
-"""Time scaling: a motion along its path at another speed, x(σ(t)), with a time σ of its own.
+"""Time scaling: a motion along its path at another speed, x(σ(t)), with a path time σ.
 
 Its rates are ẋ = x′ σ̇ and ẍ = x″ σ̇² + x′ σ̈, ′ the derivative by σ (J. M. Hollerbach, Dynamic scaling of manipulator
 trajectories, 1984). Of poses x′ and x″ are the velocities of the origin and the angular ones; the same holds for them.
@@ -45,7 +45,7 @@ class TimeScaling(Frozen):
 
     @property
     def start(self) -> float:
-        """First time, s; before it σ̇ is what it is there."""
+        """First time, s; before it σ̇ is constant."""
         return self.curve.start
 
     @property
@@ -72,7 +72,7 @@ class TimeScaling(Frozen):
         return sigma + rate * early, rate, np.where(early < 0.0, 0.0, bend)
 
     def time_at(self, sigma: float) -> float:
-        """Return when σ is reached, s; infinite where it never is."""
+        """Return when σ is reached, s; infinite if never."""
         edges = self.curve.edges
         first, settled = self.curve(edges[[0, -2]])[:, 0].tolist()
         if first < sigma <= settled:
@@ -126,7 +126,7 @@ class ScaledMotion(Frozen):
 
     @property
     def duration(self) -> float:
-        """When it ends, s; infinite where it never does."""
+        """When it ends, s; infinite if never."""
         return self.scaling.time_at(self.motion.end)
 
     @property
@@ -144,7 +144,7 @@ class ScaledMotion(Frozen):
 
     @property
     def exact(self) -> bool:
-        """Whether it is smooth between breaks and knots to rounding."""
+        """Whether it is smooth between breaks and knots to machine precision."""
         return self.motion.exact
 
     def sample_at(self, times: ArrayLike) -> PlatformMotion:

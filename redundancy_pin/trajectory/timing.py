@@ -363,7 +363,7 @@ def law_through_speeds(lengths: ArrayLike, speeds: ArrayLike) -> TimingLaw:
 
 
 def _law(p: Array, v: Array, a: Array) -> TimingLaw | None:
-    """Return the law with speeds and accelerations (N,) at arc lengths; None where it would run backwards."""
+    """Return the law with speeds and accelerations (N,) at arc lengths; None if it would run backwards."""
     mean, bend, length = 0.5 * (v[1:] + v[:-1]), (a[:-1] - a[1:]) / 12.0, np.diff(p)
     inner = mean**2 + 4.0 * bend * length
     if (inner < 0.0).any():

@@ -103,7 +103,7 @@ class Trajectory(Frozen):
 
     Attributes:
         path: the path.
-        timing: the timing law; its length is that of the path.
+        timing: the timing law; its length is the length of the path.
         breaks: (b,) times at which the acceleration jumps, s.
         ends: of a motion through points with times, what holds at its start and its end: "rest" or "samples"
             (``from_points``); None otherwise.

@@ -199,7 +199,7 @@ class SplinePath(Frozen, SmoothPath):
     The spline r(u) takes the distance between points as its parameter; its second derivative is continuous,
     so the path has no breaks. With r' its derivative by u and e = r'/|r'|:
     x' = e, x'' = (r'' − (r''·e) e)/|r'|². The arc length is the integral of a fit of |r'| in polynomials, and is
-    inverted, both to rounding.
+    inverted, both to machine precision.
 
     Attributes:
         points: (N, n) the points, m.
@@ -324,7 +324,7 @@ def resolve_ends(points: Array, times: Array, ends: object = "auto") -> Ends:
     ``auto``: "rest" where the points show it, else "samples". Points show rest where a motion that starts (ends) at
     rest without acceleration is as smooth as one with the speed and the acceleration of the points: its largest jerk
     within two steps is at most 1.25 times as large, in each coordinate; or where the points stand during two steps, and
-    move then. Six digits are enough to tell.
+    move then. Six digits suffice.
 
     Args:
         points: (N, d) the points, m and rad.
