@@ -66,7 +66,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.long)
     misnamed = {name: left for name, left in unknown.items() if left}
     # a single case named on the command line leaves no others to find
-    if misnamed and not any("::" in argument for argument in items[0].config.args):
+    config = items[0].config
+    if misnamed and not config.getoption("lf") and not any("::" in argument for argument in config.args):
         raise pytest.UsageError(f"long_for names cases that are not there: {misnamed}")
     if os.environ.get("RESUME"):
         items[:] = [item for item in items if not promises.done(item)]

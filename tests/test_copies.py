@@ -150,7 +150,7 @@ def objects() -> dict[str, Any]:
             three,
             records.t,
             *[records.effort] * 3,
-            *[three] * 4,
+            *[three] * 3,
         ),
     }
 

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg import solve_triangular
 from scipy.sparse import block_array, block_diag, diags_array
 from scipy.sparse.linalg import splu
 
@@ -33,6 +32,7 @@ from redundancy_pin.identification.regressor import chain_projection, chain_regr
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import JointForces, Robot
 from redundancy_pin.robot.loads import of_kind
+from redundancy_pin.robot.lookup import find_joint
 
 _ITERATIONS = 15
 _SETTLED = 0.02
@@ -46,6 +46,9 @@ _EXACT = 1e-3
 
 _DRAWS = 16
 """Draws of simulated residuals: what the estimation itself takes off residuals and correlates in them."""
+
+_ROUNDING = 1e-15
+"""Least eigenvalue of the scaled information, relative to its largest."""
 
 _LEAST_SHARE = 0.1
 """Variance of an estimate relative to that by white noise, at least."""
@@ -222,10 +225,11 @@ class Solution:
                 M += product + product.T if lag else product
         # relative to H, so that no noise of Γ makes a variance negative
         scale = np.sqrt(np.diagonal(self.information))
-        lower = np.linalg.cholesky(self.information / np.outer(scale, scale))
-        M = solve_triangular(lower, solve_triangular(lower, M / np.outer(scale, scale), lower=True).T, lower=True)
+        known, axes = np.linalg.eigh(self.information / np.outer(scale, scale))
+        size = np.sqrt(np.maximum(known, _ROUNDING * known[-1]))  # of what a motion hardly shows, rounding is left
+        M = (axes / size).T @ (M / np.outer(scale, scale)) @ (axes / size)
         values, vectors = np.linalg.eigh(0.5 * (M + M.T))
-        result: Array = (vectors.T / np.sqrt(np.maximum(values, _LEAST_SHARE))[:, None]) @ lower.T * scale
+        result: Array = (vectors.T / np.sqrt(np.maximum(values, _LEAST_SHARE))[:, None]) @ (axes * size).T * scale
         return result
 
 
@@ -331,7 +335,7 @@ def _derivatives(
     declared = {load.joint: load for load in of_kind(robot.loads, JointForces)}
     damping, rotors = np.zeros(motion[1].shape), np.zeros(model.nv)
     for name in {*declared, *(p.of for p in parameters if p.kind in IN_JOINT)}:
-        joint, load = model.joints[model.getJointId(name)], declared.get(name, JointForces(name))
+        joint, load = find_joint(model, name), declared.get(name, JointForces(name))
         if joint.nv != 1:
             continue
         own = {kind: sought.get((name, kind), getattr(load, kind)) for kind in ("damping", "friction", "rotor_inertia")}

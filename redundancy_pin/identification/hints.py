@@ -66,14 +66,14 @@ def hints(
     signs, order, suspected = _other_columns(rows)
     others = [one.changed(efforts=signs * one.efforts[:, order]) for one in records]
     changed = (signs < 0.0).any() or (np.diff(order) < 0).any()
-    if changed and _mean_square(refit(others)) < _EXPLAINED:
+    if changed and _refitted(refit, others) < _EXPLAINED:
         drives = [*robot.actuated, *robot.carriers]
         names = [f"{'-' if s < 0.0 else ''}{drives[k]}" for s, k in zip(signs, order.tolist(), strict=True)]
         return [f"Columns of the efforts seem to be those of {', '.join(names)}."]
     lags = [_other_time(one) for one in rows]
     if any(lags):
         others = [_shifted(record, by, lag) for record, by, lag in zip(records, rows, lags, strict=True)]
-        then, suspected = _mean_square(refit(others)), True
+        then, suspected = _refitted(refit, others), True
         if then < min(now, _EXPLAINED):
             return [
                 f"Efforts {abs(lag):.3g} s {'later' if lag > 0.0 else 'earlier'} than the positions"
@@ -88,6 +88,14 @@ def hints(
             "the order of columns. Check time stamps and column order."
         ]
     return []
+
+
+def _refitted(refit: Callable[[Sequence[Records]], Solution], others: Sequence[Records]) -> float:
+    """Return the mean square of the residuals of other records; infinite if their equations are lost in rounding."""
+    try:
+        return _mean_square(refit(others))
+    except np.linalg.LinAlgError:
+        return np.inf
 
 
 def _mean_square(solution: Solution) -> float:

@@ -442,7 +442,7 @@ def test_dynamics_of_another_robot_are_refused_and_those_without_code_ignored() 
     robot = moving.massive("2rpr")
     with pytest.raises(InputError, match="another 2rpr"):
         rp.simulate(robot, duration=0.1, dynamics=compiled(zoo.robot_of("2rpr")))
-    with pytest.raises(InputError, match="those of five_bar, and 2rpr is"):
+    with pytest.raises(InputError, match=r"five_bar.*2rpr is required"):
         rp.simulate(robot, duration=0.1, dynamics=rp.RneaDynamics("five_bar"))
     with pytest.raises(InputError, match="another 2rpr"):
         ComputedTorque(motion_reference(robot, slow()), dynamics=compiled(zoo.robot_of("2rpr")))
