@@ -47,7 +47,7 @@ def _records(path: str, robot: Robot) -> Records:
 @click.option("--records", required=True, multiple=True, metavar="CSV", help="Measured motion. May be repeated.")
 @click.option("--cut-off", type=float, required=True, metavar="HZ",
               help="Of the splines through the positions: above the motion, below the noise.")  # fmt: skip
-@click.option("--parameters", multiple=True, metavar="PATTERN", help="Such as 'mass of *'. May be repeated.")
+@click.option("--parameters", multiple=True, metavar="PATTERN", help="Such as '* of distal_1'. May be repeated.")
 @click.option("--sensors", multiple=True, metavar="PATTERN",
               help="'offset of *', 'factor of *' or 'tilt * of gravity'. May be repeated.")  # fmt: skip
 @click.option("--out", metavar="YAML",

@@ -152,5 +152,5 @@ def _branch_found(robot: Robot, guess: Mapping[str, float]) -> tuple[list[str], 
         warnings.append(f"--guess leaves out {names}: the branch is the one with {places}; guess all for another one.")
     if far:
         what = f"the loops closed far from --guess, with {'; '.join(far)}"
-        warnings.append(f"{what}: where that is another branch, guess all joints, nearer to the one that is meant.")
+        warnings.append(f"{what}: if that is another branch, guess {'all joints, ' if left else ''}nearer to yours.")
     return warnings, [f"The loops closed near --guess, with {'; '.join(moved)}."] if moved else []

@@ -11,7 +11,7 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, frozen, runs
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, Frozen, frozen, read_only, runs
 from redundancy_pin.dynamics.allocation import ROUNDING
 from redundancy_pin.dynamics.arguments import OnUnreachable, require_matching_carriers, require_on_track
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
@@ -22,6 +22,7 @@ from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.io.files import write_text
 from redundancy_pin.io.summary import Summary, TextTable, row
 from redundancy_pin.kinematics.branch import follower
+from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import difference
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent, require_sampled
@@ -29,7 +30,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import JointExcess, beyond_limits
 from redundancy_pin.robot.loads import Load, Wrench
 from redundancy_pin.robot.scales import effort_unit, is_revolute, row_scale
-from redundancy_pin.singularities.classify import SingularityKind, signed_margin
+from redundancy_pin.singularities.classify import SingularityKind, margins_of, signed_margin
 from redundancy_pin.singularities.crossings import SPACING, Crossing, find_crossings
 from redundancy_pin.spectrum import scaled
 from redundancy_pin.status import ResultStatus, SampleStatus
@@ -124,6 +125,16 @@ class InverseDynamics(Frozen):
         return beyond_limits(robot, self._configurations[0], motion.t)
 
     @cached_property
+    def serial_margin(self) -> Array:
+        """(N,) margin to type I at the samples, no unit, as ``classify_motion`` has it; NaN where none closes."""
+        system, q = constraint_system(self._along.robot), self._configurations[0]
+        closed = np.isfinite(q).all(axis=1)
+        margin = np.full(len(q), np.nan)
+        if closed.any():
+            margin[closed] = margins_of(system, system.evaluate(q[closed])).serial
+        return read_only(margin)
+
+    @cached_property
     def _configurations(self) -> tuple[Array, Array]:
         """Configurations q (N, nq) and Γ (N, nv, n); solved here if the backend is a closed form."""
         along = self._along
@@ -170,6 +181,7 @@ class InverseDynamics(Frozen):
             "largest_tau": np.fmax.reduce(np.abs(self.efforts.tau), axis=0),
             "largest_carrier_force": np.fmax.reduce(np.abs(self.reduced.carrier_force), axis=0),
             "smallest_margin": float(np.fmin.reduce(self.efforts.margin)),
+            "smallest_type_i_margin": float(np.fmin.reduce(self.serial_margin)),
             "largest_closure_residual": float(np.fmax.reduce(self.reduced.residual)),
             "status": self.status.value,
             "singular_instants": [
@@ -187,7 +199,8 @@ class InverseDynamics(Frozen):
             *((f"{name} samples", str(count)) for name, count in facts["statuses"].items()),
             (f"largest |tau| [{main}]", row(facts["largest_tau"])),
             *([(f"largest |carrier force| [{moved}]", row(facts["largest_carrier_force"]))] if robot.k else []),
-            ("smallest margin", f"{facts['smallest_margin']:.6g}"),
+            ("smallest margin to type II", f"{facts['smallest_margin']:.6g}"),
+            ("smallest margin to type I", f"{facts['smallest_type_i_margin']:.6g}"),
             *([("singular at t [s]", row(one.t for one in self.instants))] if self.instants else []),
         ]
         return Summary(facts, TextTable(f"{robot.name}: {len(self.efforts)} samples", rows), warnings=self.warnings())
@@ -203,6 +216,14 @@ class InverseDynamics(Frozen):
             yield (
                 f"no finite main efforts at t = {listed} s{more}: {what} there, at a type II singularity; "
                 f"{worst.residual:.4g} N (scaled) are left that no actuator can carry. Near it they grow without bound."
+            )
+        nearest = np.fmin.reduce(self.serial_margin)
+        if self._along.robot.platform is None and nearest < NEAR_SINGULAR_MARGIN:
+            t = self.reduced.t[int(np.nanargmin(self.serial_margin))]
+            yield (
+                f"the margin to type I is {nearest:.3g} at t = {t:.6g} s: the joints that are coordinates hardly "
+                "determine the others there. If they are the motors, these hardly hold the machine, and efforts grow as "
+                "the margin falls. With a platform as coordinates its type II singularities are found."
             )
         if self.unresolved:
             yield f"between its samples the motion cannot be followed: {self.unresolved}"

@@ -274,3 +274,21 @@ def test_what_cannot_be_searched_counts_where_samples_are_far_apart_or_near_the_
     motion = shallow(steps, depth)
     result = rp.inverse_dynamics(rp.RneaDynamics(zoo.robot_of("2rpr")), motion if depth > 0.0 else motion[3:5])
     assert (result.status.value, bool(result.unresolved)) == (status, status == "unresolved")
+
+
+def test_motors_that_are_coordinates_are_warned_about_where_they_hardly_hold_the_machine() -> None:
+    """With the platform as coordinates the pose is of type II; W of motors is the identity, whatever they hold."""
+    five_bar = rp.load_robot("five_bar")
+    way = [[0.25, 0.7], [0.25, 0.436]]  # both distal links are in line at 0.433
+    down = rp.trajectory.from_points(way, [0.0, 1.0], ends="rest").sample(0.01)
+    by_platform = rp.inverse_dynamics(five_bar, down)
+    q = rp.inverse_kinematics(five_bar, down).q
+    by_motors = rp.robot_from_model(
+        five_bar.model, closures=five_bar.closures, actuated=list(five_bar.actuated), reference=np.array(q[0])
+    )
+    turn = rp.trajectory.from_points(five_bar.joint_positions(q), down.t, ends="rest").sample(0.01)
+    result = rp.inverse_dynamics(by_motors, turn)
+    assert np.allclose(result.efforts.margin, 1.0)
+    assert by_platform.summary()["smallest_margin"] < 0.05
+    assert any("the margin to type I is" in warning for warning in result.summary().warnings)
+    assert 0.5 < result.summary()["smallest_type_i_margin"] / by_platform.summary()["smallest_margin"] < 2.0
