@@ -222,8 +222,8 @@ class InverseDynamics(Frozen):
             t = self.reduced.t[int(np.nanargmin(self.serial_margin))]
             yield (
                 f"the margin to type I is {nearest:.3g} at t = {t:.6g} s: the joints that are coordinates hardly "
-                "determine the others there. If they are the motors, these hardly hold the machine, and efforts grow as "
-                "the margin falls. With a platform as coordinates its type II singularities are found."
+                "determine the others there. If they are the motors, these hardly hold the machine, and efforts "
+                "grow as the margin falls. With a platform as coordinates its type II singularities are found."
             )
         if self.unresolved:
             yield f"between its samples the motion cannot be followed: {self.unresolved}"
