@@ -106,8 +106,10 @@ def escape_bars(app: Sphinx, what: str, name: str, subject: object, options: obj
 
 
 def escape_bars_of_options(app: Sphinx, command: object, lines: list[str]) -> None:
-    """Keep |τ| in help texts an absolute value; the bars of choices, such as GIF|MP4, need nothing."""
-    lines[:] = [re.sub(r"\|(\w{1,2}\W?)\|", r"\\|\1\\|", line) for line in lines]
+    """Keep |τ| in help texts an absolute value, and * a star; the bars of choices, such as GIF|MP4, need nothing."""
+    lines[:] = [
+        re.sub(r"\|(\w{1,2}\W?)\|", r"\\|\1\\|", line).replace(" *", r" \*").replace("'*", r"'\*") for line in lines
+    ]
 
 
 def shorten_types(
