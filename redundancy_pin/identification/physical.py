@@ -72,7 +72,7 @@ def unphysical(robot: Robot, base: BaseParameters, values: Array) -> tuple[str, 
     after, parts = with_inertias(robot, base.parameters, values), _sought(base.parameters)
     for body, kinds in parts.items():
         index = _ten(robot, body)[0].joint
-        given, found = (_least_eigenvalue(model.inertias[index]) for model in (robot.model, after))
+        given, found = (least_eigenvalue(model.inertias[index]) for model in (robot.model, after))
         whole = len(kinds) == len(INERTIAL)
         if found <= 0.0 < given or (not whole and found < min(given, 0.0) - _ROUNDING):
             bad.append(f"pseudo-inertia of {body}")
@@ -166,7 +166,7 @@ def _ten(robot: Robot, body: str) -> list[Parameter]:
     return [p for p in parameters_of(robot, ["*"]) if p.of == body and p.kind in INERTIAL]
 
 
-def _least_eigenvalue(inertia: pin.Inertia) -> float:
+def least_eigenvalue(inertia: pin.Inertia) -> float:
     """Return the least eigenvalue of a pseudo-inertia relative to the largest."""
     values = np.linalg.eigvalsh(pin.PseudoInertia.FromInertia(inertia).toMatrix())
     return float(values[0] / max(abs(values[0]), values[-1], 1e-300))

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-import numpy as np
 import pinocchio as pin
 import yaml
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import OutputError
+from redundancy_pin.identification.physical import least_eigenvalue
 from redundancy_pin.io.files import write_text
 from redundancy_pin.robot import JointForces, Robot
 from redundancy_pin.robot.declaration import read_declaration
@@ -56,7 +56,7 @@ def write_robot(robot: Robot, path: str | Path) -> tuple[Path, Path]:
             path=str(path),
         )
     bodies = zip(robot.bodies, robot.model.inertias[1:], strict=True)
-    unreal = [body.name for body, inertia in bodies if _least(inertia) < -_ROUNDING]
+    unreal = [body.name for body, inertia in bodies if least_eigenvalue(inertia) < -_ROUNDING]
     if unreal:
         raise OutputError(
             f"No body can have the inertia of {', '.join(unreal)}, and no file with it loads.",
@@ -74,12 +74,6 @@ def write_robot(robot: Robot, path: str | Path) -> tuple[Path, Path]:
     write_text(model, _model_text(robot))
     write_text(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True))
     return path, model
-
-
-def _least(inertia: pin.Inertia) -> float:
-    """Return the least eigenvalue of a pseudo-inertia relative to the largest."""
-    values = np.linalg.eigvalsh(pin.PseudoInertia.FromInertia(inertia).toMatrix())
-    return float(values[0] / max(values[-1], np.finfo(float).tiny))
 
 
 def _model_text(robot: Robot) -> str:
