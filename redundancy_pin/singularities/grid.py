@@ -213,6 +213,13 @@ def default_axes(place: Slice, resolution: int, *, within_ranges: bool = False) 
     return axes_between(_clip(found + _BORDER * np.ptp(found, axis=1, keepdims=True) * sides, outer), resolution)
 
 
+def describe(names: tuple[str, ...], units: tuple[str, ...], axes: tuple[Array, ...]) -> str:
+    """Return one line about a grid: the range of each coordinate and the number of nodes."""
+    free = zip(names, axes, units, strict=True)
+    ranges = [f"{name}={axis[0]:.4g}..{axis[-1]:.4g} {unit}" for name, axis, unit in free]
+    return f"{', '.join(ranges)}; {' x '.join(str(len(axis)) for axis in axes)} nodes"
+
+
 def _clip(ends: Array, outer: Array) -> Array:
     """Return ends (f, 2) clipped to another range (f, 2)."""
     clipped: Array = np.clip(ends, outer[:, :1], outer[:, 1:])

@@ -47,6 +47,7 @@ from redundancy_pin.singularities.grid import (
     WorkspaceGrid,
     bounded_axes,
     default_axes,
+    describe,
     require_resolution,
     slice_through,
     solve_grid,
@@ -120,10 +121,8 @@ class SingularLocus(Frozen):
 
     def __repr__(self) -> str:
         """Return what tells loci apart, not their arrays."""
-        free = zip(self.names, self.axes, self.units, strict=True)
-        ranges = [f"{name}={axis[0]:.4g}..{axis[-1]:.4g} {unit}" for name, axis, unit in free]
         return (
-            f"SingularLocus({self.robot.name!r}; {', '.join(ranges)}; {' x '.join(map(str, self.margin.shape))} nodes, "
+            f"SingularLocus({self.robot.name!r}; {describe(self.names, self.units, self.axes)}, "
             f"{len(self.curves)} curve(s), {len(self.points)} points)"
         )
 

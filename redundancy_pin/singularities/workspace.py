@@ -43,6 +43,7 @@ from redundancy_pin.singularities.grid import (
     axes_between,
     bounded_axes,
     default_axes,
+    describe,
     require_resolution,
     slice_through,
     solve_grid,
@@ -86,11 +87,9 @@ class Workspace(Frozen):
 
     def __repr__(self) -> str:
         """Return what tells workspaces apart, not their arrays."""
-        free = zip(self.names, self.axes, self.units, strict=True)
-        ranges = [f"{name}={axis[0]:.4g}..{axis[-1]:.4g} {unit}" for name, axis, unit in free]
         return (
-            f"Workspace({self.robot.name!r}; {', '.join(ranges)}; {' x '.join(map(str, self.reachable.shape[1:]))} "
-            f"nodes, {len(self.modes)} mode(s), {int(self.in_range.any(axis=0).sum())} in range, size {self.size:.4g})"
+            f"Workspace({self.robot.name!r}; {describe(self.names, self.units, self.axes)}, "
+            f"{len(self.modes)} mode(s), {int(self.in_range.any(axis=0).sum())} in range, size {self.size:.4g})"
         )
 
     @property
